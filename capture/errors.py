@@ -1,0 +1,33 @@
+"""Errors that a user can act on: each names the thing, the value, the expectation and the remedy.
+
+The runner turns them into exit codes (docs/conventions.md): `InputError` seen before anything was
+started is 2, `HealthError` is 3, every other `DevrfError` raised while a stage runs is 1.
+"""
+
+
+class DevrfError(Exception):
+    """Base of every error that is the data's or the configuration's fault, not the program's."""
+
+
+class InputError(DevrfError):
+    """Bad configuration or input: missing file, unknown key, not a video."""
+
+
+class CaptureError(DevrfError):
+    """Raw material that cannot be read or used."""
+
+
+class CalibrationError(DevrfError):
+    """Cameras or clocks that cannot be recovered."""
+
+
+class FlowError(DevrfError):
+    """Optical flow that cannot be computed or read."""
+
+
+class ReconstructError(DevrfError):
+    """A model that cannot be trained, loaded or rendered."""
+
+
+class HealthError(DevrfError):
+    """A stage's own check refused its result (board never seen, sweep not registered, ...)."""

@@ -1,0 +1,1 @@
+"""NVIDIA Warp kernels, each beside its plain PyTorch reference."""

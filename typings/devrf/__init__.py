@@ -1,0 +1,1 @@
+../../src/devrf/__init__.py
