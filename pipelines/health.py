@@ -1,0 +1,56 @@
+"""Health rows: what a stage measured of its own result, and what to do where it falls short (design: say so)."""
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+Verdict = Literal["ok", "warn", "fail"]
+
+
+@dataclass(frozen=True)
+class HealthRow:
+    """One check of one stage.
+
+    Attributes:
+        check: What was measured, in words.
+        value: What came out; None where it could not be measured.
+        unit: Unit of value, warn and fail.
+        warn, fail: Bounds; None where there is none.
+        verdict: ok, warn or fail.
+        remedy: A sentence a field crew can act on; empty when the verdict is ok.
+    """
+
+    check: str
+    value: float | str | None
+    unit: str
+    warn: float | None
+    fail: float | None
+    verdict: Verdict
+    remedy: str
+
+    def as_dict(self) -> dict:
+        """As written to health.json."""
+        return asdict(self)
+
+
+def row(
+    check: str,
+    value: float | None,
+    unit: str,
+    *,
+    warn: float | None = None,
+    fail: float | None = None,
+    low_is_bad: bool = True,
+    remedy: str,
+) -> HealthRow:
+    """Judge `value` against its bounds: at a bound is still fine, beyond it is not; not measured is a warning."""
+    if value is None or value != value:
+        return HealthRow(check, None, unit, warn, fail, "warn", f"not measured. {remedy}")
+    sign = -1.0 if low_is_bad else 1.0
+    beyond = [bound is not None and sign * value > sign * bound for bound in (fail, warn)]
+    verdict: Verdict = "fail" if beyond[0] else "warn" if beyond[1] else "ok"
+    return HealthRow(check, float(value), unit, warn, fail, verdict, "" if verdict == "ok" else remedy)
+
+
+def note(check: str, value: str, *, verdict: Verdict = "ok", remedy: str = "") -> HealthRow:
+    """A row that states something in words (for example which cue gave the clocks)."""
+    return HealthRow(check, value, "", None, None, verdict, remedy)

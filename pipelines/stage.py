@@ -1,0 +1,56 @@
+"""What a stage is, and what it is given. Files in, files out; no hidden state; no stage calls another."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from devrf.capture.progress import Progress
+from devrf.pipelines.health import HealthRow
+
+if TYPE_CHECKING:
+    from devrf.pipelines.scene_config import SceneConfig
+
+
+@dataclass
+class StageContext:
+    """What one run of one stage sees.
+
+    Attributes:
+        config: The whole, checked configuration.
+        scene_dir: Folder of scene.yaml; paths of the configuration are relative to it.
+        run_dir: Where finished stages' folders lie (`run_dir / "ingest"`, ...).
+        out: Empty folder to write into; the runner gives it its name when the stage has succeeded.
+        progress: To be called with (fraction done, short text).
+        device: "cpu" or "cuda".
+        health: Rows the stage adds about its own result.
+    """
+
+    config: "SceneConfig"
+    scene_dir: Path
+    run_dir: Path
+    out: Path
+    progress: Progress
+    device: str
+    health: list[HealthRow] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the pipeline.
+
+    Attributes:
+        name: The word in the run folder, in `--from` and in messages.
+        reads: Names of the stages whose folders it reads.
+        config_keys: Dotted keys of scene.yaml that its result depends on.
+        applies: None where the stage applies to a configuration, else the reason why it does not.
+        run: Does the work.
+        inputs: Raw files of the user's that it reads (their content is part of the stamp).
+    """
+
+    name: str
+    reads: tuple[str, ...]
+    config_keys: tuple[str, ...]
+    applies: "Callable[[SceneConfig], str | None]"
+    run: Callable[[StageContext], None]
+    inputs: "Callable[[SceneConfig, Path], list[Path]]" = lambda config, scene_dir: []
