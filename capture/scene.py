@@ -1,0 +1,144 @@
+"""A calibrated scene: pictures with cameras and times, and the box that the model fills.
+
+The *sweep* (`static`) shows the scene at rest, the *moving cameras* (`dynamic`) show it in motion. The
+similarity `box_from_world` takes world points into the box frame, in which the box is centred at the
+origin and its longest half side is 1. `time` is 0 at `t0_s` and 1 at `t1_s` on cam0's clock.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
+
+Background = Literal["shell", "white", "black"]
+Kind = Literal["inward", "forward"]
+Split = Literal["train", "test"]
+
+
+@dataclass(frozen=True)
+class PosedFrame:
+    """One picture with its camera and time.
+
+    Attributes:
+        path: The picture, full size; may carry alpha.
+        camera: Calibration at full size; metric or arbitrary scale, as the scene says.
+        camera_name: `static` for the sweep, else the name of the clip.
+        index: Number of the frame in its clip.
+        time_s: On cam0's clock; None for the sweep.
+        time: `time_s` mapped to [0, 1]; None for the sweep.
+        split: Pictures of split `test` are never trained on.
+    """
+
+    path: Path
+    camera: Camera
+    camera_name: str
+    index: int
+    time_s: float | None
+    time: float | None
+    split: Split
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything the reconstruction needs to know.
+
+    Attributes:
+        static: Pictures of the scene at rest.
+        dynamic: Pictures of the scene in motion; may be empty.
+        box_from_world: Similarity [4, 4].
+        aabb: Box corners [2, 3] (lowest, highest) in the box frame.
+        near, far: Nearest and farthest content along rays, in box frame units.
+        kind: `inward` (cameras around the subject) or `forward`.
+        background: `shell` where the surroundings are seen, else the plain colour behind the subject.
+        t0_s, t1_s: First and last modelled time, seconds on cam0's clock.
+        rest_time: `time` at which the moving clips show the scene as in the sweep; None if never.
+        image_scale: Pictures are trained on and evaluated at this relative size.
+        metric: Whether world units are metres.
+    """
+
+    static: tuple[PosedFrame, ...]
+    dynamic: tuple[PosedFrame, ...]
+    box_from_world: Float[np.ndarray, "4 4"]
+    aabb: Float[np.ndarray, "2 3"]
+    near: float
+    far: float
+    kind: Kind
+    background: Background
+    t0_s: float
+    t1_s: float
+    rest_time: float | None
+    image_scale: float
+    metric: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.static and not self.dynamic:
+            raise CaptureError("the scene has no pictures")
+        if not (self.aabb[1] > self.aabb[0]).all():
+            raise ValueError(f"scene box is empty: {self.aabb.tolist()}")
+        if not 0 <= self.near < self.far:
+            raise ValueError(f"near {self.near} and far {self.far} must satisfy 0 <= near < far")
+        if not 0 < self.image_scale <= 1:
+            raise ValueError(f"image_scale is {self.image_scale}, expected more than 0 and at most 1")
+
+    @property
+    def frames(self) -> tuple[PosedFrame, ...]:
+        """All pictures, the sweep first."""
+        return self.static + self.dynamic
+
+    def in_box_frame(self) -> "Scene":
+        """The same scene with its cameras moved into the box frame."""
+
+        def moved(frames: Iterable[PosedFrame]) -> tuple[PosedFrame, ...]:
+            return tuple(replace(f, camera=f.camera.moved(self.box_from_world)) for f in frames)
+
+        return replace(
+            self,
+            static=moved(self.static),
+            dynamic=moved(self.dynamic),
+            box_from_world=np.eye(4),
+            metric=False,
+        )
+
+
+def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8[np.ndarray, "h w 3"]:
+    """The frame's picture, resized by area and, where it carries alpha, composited on the plain background.
+
+    Colours are weighted by alpha while resizing, so that hidden colours do not bleed into edges.
+    """
+    image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise CaptureError(
+            f"{frame.path}: cannot be read as a picture; make it again or remove it from the set"
+        )
+    if image.dtype == np.uint16:
+        image = (image / 257.0).round().astype(np.uint8)
+    if image.ndim == 2:
+        image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    height, width = image.shape[:2]
+    if (width, height) != (frame.camera.width, frame.camera.height):
+        raise CaptureError(
+            f"{frame.path}: picture is {width}x{height}, its calibration is for "
+            f"{frame.camera.width}x{frame.camera.height}; calibrate at the size of the pictures"
+        )
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    if image.shape[2] == 4:
+        alpha = image[..., 3:].astype(np.float32) / 255
+        behind = 0.0 if background == "black" else 255.0
+        premultiplied = image[..., :3] * alpha + behind * (1 - alpha)
+        resized = cv2.resize(premultiplied, size, interpolation=cv2.INTER_AREA)
+        image = np.clip(resized.round(), 0, 255).astype(np.uint8)
+    elif size != (width, height):
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def image_scale_for(width: int, height: int, max_pixels: int) -> float:
+    """Relative size at which a picture has at most `max_pixels` pixels; never enlarges."""
+    return min(1.0, float(np.sqrt(max_pixels / (width * height))))
