@@ -1,0 +1,64 @@
+"""Points of a COLMAP model: against bytes written by hand, and against COLMAP's own writer."""
+
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from devrf.capture.colmap_points import read_colmap_points
+from devrf.capture.errors import CaptureError
+
+POINTS = [((0.5, -1.25, 3.0), (10, 20, 30), 2), ((1e-3, 2e3, -7.0), (255, 0, 128), 5)]
+
+
+def _bytes() -> bytes:
+    out = struct.pack("<Q", len(POINTS))
+    for n, (xyz, rgb, track) in enumerate(POINTS):
+        out += struct.pack("<Qddd", n + 7, *xyz) + bytes(rgb) + struct.pack("<dQ", 0.4, track)
+        out += struct.pack("<II", 1, 2) * track
+    return out
+
+
+def test_reads_what_was_written(tmp_path):
+    (tmp_path / "points3D.bin").write_bytes(_bytes())
+    xyz, rgb = read_colmap_points(tmp_path)
+    np.testing.assert_array_equal(xyz, [p[0] for p in POINTS])
+    np.testing.assert_array_equal(rgb, [p[1] for p in POINTS])
+
+
+@pytest.mark.parametrize("keep", [0, 7, 20, 60, -1])
+def test_cut_off_file_is_named(tmp_path, keep):
+    (tmp_path / "points3D.bin").write_bytes(_bytes()[:keep])
+    with pytest.raises(CaptureError, match=r"points3D\.bin.*cut off"):
+        read_colmap_points(tmp_path)
+
+
+def test_damaged_count_does_not_allocate(tmp_path):
+    (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", 2**60) + b"\0" * 100)
+    with pytest.raises(CaptureError):
+        read_colmap_points(tmp_path)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(CaptureError, match="static_poses"):
+        read_colmap_points(tmp_path)
+
+
+def test_agrees_with_colmap(tmp_path):
+    """The oracle: a model that COLMAP itself made and wrote (in its own process, it may abort one)."""
+    script = (
+        "import sys, zlib, pycolmap, numpy as np\n"
+        "o = pycolmap.SyntheticDatasetOptions(); o.num_rigs = 1; o.num_frames_per_rig = 4\n"
+        "o.num_points3D = 50; pycolmap.set_random_seed(0); r = pycolmap.synthesize_dataset(o)\n"
+        "r.write_binary(sys.argv[1])\n"
+        "p = [r.points3D[k] for k in r.points3D]\n"
+        "np.savez(sys.argv[1] + '/truth.npz', xyz=[q.xyz for q in p], rgb=[q.color for q in p])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+    truth = np.load(tmp_path / "truth.npz")
+    xyz, rgb = read_colmap_points(tmp_path)
+    order, order_truth = np.lexsort(xyz.T), np.lexsort(truth["xyz"].T)
+    np.testing.assert_array_equal(xyz[order], truth["xyz"][order_truth])
+    np.testing.assert_array_equal(rgb[order], truth["rgb"][order_truth])
