@@ -1,0 +1,314 @@
+"""scene.yaml as strict, frozen values: what a user may say, its defaults, its ranges.
+
+Every key of the contract is here. Unknown keys are errors; values of the right type but out of range
+are errors; a value that no stage can act on yet is refused rather than ignored. Paths are kept as
+written, relative to the file (`SceneConfig.path`). Reading the file, overrides and messages are in
+`scene_file.py`. `None` in `reconstruct` means: chosen by the preset and from the scene.
+"""
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
+
+CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
+RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
+RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _auto_or_bool(value: Any) -> Any:
+    if value != "auto" and not isinstance(value, bool):
+        raise ValueError(f"{value!r}; expected auto, true or false")
+    return value
+
+
+AutoBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class BoardConfig(_Section):
+    """A calibration board: intrinsics of the cameras, and metric scale."""
+
+    type: Literal["charuco", "chessboard"] = "charuco"
+    """What is printed."""
+    squares: Annotated[tuple[int, int], BeforeValidator(_as_tuple)]
+    """Columns and rows: squares of a ChArUco board, inner corners of a chessboard."""
+    square_m: float = Field(gt=0, le=10)
+    """Side of a square, metres."""
+    marker_m: float | None = Field(default=None, gt=0, le=10)
+    """Side of a marker, metres (ChArUco only)."""
+    dictionary: str = "DICT_5X5_100"
+    """OpenCV's name of the marker dictionary (ChArUco only)."""
+    inverted: AutoBool = "auto"
+    """Whether the print is white on black; auto tries both."""
+    legacy: AutoBool = "auto"
+    """Whether the layout is the one from before OpenCV 4.6; auto tries both."""
+    clips: dict[str, str] = {}
+    """Camera name -> clip of the board before this camera alone: intrinsics."""
+    joint_clips: dict[str, str] = {}
+    """Camera name -> clip of the board before several cameras at once: intrinsics, rig and scale."""
+
+    @field_validator("squares")
+    @classmethod
+    def _board_size(cls, squares: tuple[int, int]) -> tuple[int, int]:
+        if not all(2 <= n <= 100 for n in squares):
+            raise ValueError(f"{list(squares)}; expected two whole numbers from 2 to 100")
+        return squares
+
+    @field_validator("dictionary")
+    @classmethod
+    def _dictionary_name(cls, name: str) -> str:
+        if not re.fullmatch(r"DICT_[A-Za-z0-9_]+", name):
+            raise ValueError(f"{name!r}; expected OpenCV's name of a dictionary, such as DICT_5X5_100")
+        return name
+
+    @model_validator(mode="after")
+    def _marker(self) -> "BoardConfig":
+        if self.type == "charuco":
+            if self.marker_m is None:
+                raise ValueError(
+                    "marker_m is missing; a ChArUco board needs the side of its markers in metres"
+                )
+            if self.marker_m >= self.square_m:
+                raise ValueError(
+                    f"marker_m {self.marker_m} is not smaller than square_m {self.square_m}; "
+                    "markers lie inside the squares"
+                )
+        return self
+
+
+class CaptureConfig(_Section):
+    """The raw files of one capture."""
+
+    static: str | None = None
+    """The sweep of the scene at rest: a video, or a folder of images or RAW files."""
+    cameras: dict[str, str] = {}
+    """Fixed cameras of the moving scene: name -> clip."""
+    test_cameras: dict[str, str] | list[str] = {}
+    """Cameras that are never trained on: name -> clip, or a list of names out of `cameras`."""
+    timestamps: str | None = None
+    """CSV with camera, frame_index, time_s, where the clips' own times are not the true ones."""
+    range_s: Annotated[tuple[float, float], BeforeValidator(_as_tuple)] | None = None
+    """[from, to] on cam0's clock, seconds; default: what all cameras share."""
+    rest: Literal["start", "end", "none"] = "start"
+    """When the moving clips show the scene as in the sweep."""
+    board: BoardConfig | None = None
+    """The calibration board, where one was filmed."""
+    mattes: Any = None
+    """Foreground mattes: a folder per camera, or a method."""
+
+    @field_validator("range_s")
+    @classmethod
+    def _ordered(cls, range_s: tuple[float, float] | None) -> tuple[float, float] | None:
+        if range_s is not None and not range_s[0] < range_s[1]:
+            raise ValueError(f"{list(range_s)}; expected [from, to] with from < to, seconds")
+        return range_s
+
+    @field_validator("mattes")
+    @classmethod
+    def _no_mattes_yet(cls, mattes: Any) -> Any:
+        if mattes is not None:
+            raise ValueError("mattes are not built yet; leave it out (a room needs none)")
+        return mattes
+
+    @property
+    def training_cameras(self) -> dict[str, str]:
+        """Cameras that are trained on: name -> clip, in the order of the file."""
+        return {name: clip for name, clip in self.cameras.items() if name not in self.test_names}
+
+    @property
+    def test_names(self) -> tuple[str, ...]:
+        """Names of the cameras that are never trained on."""
+        return tuple(self.test_cameras)
+
+    @property
+    def all_cameras(self) -> dict[str, str]:
+        """Every fixed camera, the test cameras last: name -> clip."""
+        test = self.test_cameras if isinstance(self.test_cameras, dict) else {}
+        return {**self.cameras, **test}
+
+
+class DatasetConfig(_Section):
+    """A finished data set, instead of `capture` and `calibration`."""
+
+    format: Literal["devrf", "blender", "nerfstudio", "llff", "colmap"]
+    """Layout of the files."""
+    path: str
+    """Folder of the data set."""
+    frame_stride: int = Field(default=1, ge=1, le=1000)
+    """Use every n-th time, of the test views too."""
+
+    @field_validator("format")
+    @classmethod
+    def _built(cls, format: str) -> str:
+        if format in ("llff", "colmap"):
+            raise ValueError(f"{format} is not built yet; convert it to nerfstudio's transforms.json")
+        return format
+
+
+class StaticPosesConfig(_Section):
+    """Structure from motion of the sweep."""
+
+    mapper: Literal["incremental", "global"] = "incremental"
+    """COLMAP's mapper to begin with; others are tried where it fails."""
+
+
+class SyncConfig(_Section):
+    """Each camera's clock."""
+
+    method: Literal["auto", "audio", "motion", "flash", "timestamps", "none"] = "auto"
+    """Cue to use; auto takes the best there is; none trusts the files' own times."""
+
+    @field_validator("method")
+    @classmethod
+    def _built(cls, method: str) -> str:
+        if method == "flash":
+            raise ValueError("flash is not built yet; use auto, audio, motion, timestamps or none")
+        return method
+
+
+class RigConfig(_Section):
+    """The fixed cameras' poses."""
+
+    method: Literal["auto", "sweep", "board", "given"] = "auto"
+    """Where they come from; auto: `given` where there is one, else the sweep, else the board."""
+    given: str | None = None
+    """A calibration file people already own."""
+    known_distance_m: float | None = Field(default=None, gt=0, le=10_000)
+    """Distance between the centres of the first two cameras, metres: gives the metric scale."""
+
+
+class CalibrationConfig(_Section):
+    """How cameras and clocks are recovered."""
+
+    static_poses: StaticPosesConfig = StaticPosesConfig()
+    """Structure from motion of the sweep."""
+    sync: SyncConfig = SyncConfig()
+    """Clocks."""
+    rig: RigConfig = RigConfig()
+    """Fixed cameras."""
+
+
+class FlowConfig(_Section):
+    """Optical flow of the moving clips."""
+
+    method: Literal["dis", "raft"] = "dis"
+    """Estimator."""
+    weights: str | None = None
+    """Weights of a learned estimator."""
+
+    @field_validator("method")
+    @classmethod
+    def _built(cls, method: str) -> str:
+        if method == "raft":
+            raise ValueError("raft is not built yet; use dis")
+        return method
+
+    @field_validator("weights")
+    @classmethod
+    def _no_weights_yet(cls, weights: str | None) -> str | None:
+        if weights is not None:
+            raise ValueError("weights belong to raft, which is not built yet; dis needs none")
+        return weights
+
+
+class ReconstructConfig(_Section):
+    """The model; what is left out comes from the preset and from the scene."""
+
+    image_scale: float | None = Field(default=None, ge=0.02, le=1)
+    """Train and evaluate on pictures of this relative size."""
+    resolution: int | None = Field(default=None, ge=16, le=640)
+    """R: the canonical grid has the volume of R^3 voxels; motion levels R/16, R/8, R/4, R/2, R."""
+    rays: int | None = Field(default=None, ge=64, le=1_048_576)
+    """Rays per iteration."""
+    canonical_iterations: int | None = Field(default=None, ge=1, le=10_000_000)
+    """Iterations of the canonical fine stage; the others in proportion."""
+    motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
+    """Iterations per frame of the motion field, over all levels."""
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    """Seed of every random draw."""
+
+
+class BudgetConfig(_Section):
+    """What a run may use."""
+
+    memory_gb: float | None = Field(default=None, gt=0)
+    """Main memory. Recorded; not enforced yet."""
+    gpu_memory_gb: float | None = Field(default=None, gt=0)
+    """Memory of the GPU. Recorded; not enforced yet."""
+    disk_gb: float | None = Field(default=None, gt=0)
+    """Size of the run folder; checked before each stage."""
+    time_minutes: float | None = Field(default=None, gt=0)
+    """Time of the whole run. Recorded; not enforced yet."""
+
+
+class EvaluateConfig(_Section):
+    """What the result is compared with."""
+
+    holdout_every: int = Field(default=8, ge=2, le=10_000)
+    """Every n-th sweep picture is held out of training and used as a test view."""
+    lpips_weights: str | None = None
+    """Folder of LPIPS weights."""
+    truth: str | None = None
+    """Ground truth of a simulated session; default: ground_truth.json beside scene.yaml."""
+
+
+class SceneConfig(_Section):
+    """The whole of scene.yaml."""
+
+    name: str = Field(min_length=1, max_length=200)
+    """What the scene is called in reports."""
+    output: str | None = Field(default=None, min_length=1)
+    """The run folder; default: runs/NAME beside scene.yaml."""
+    preset: Literal["tiny", "fast", "reference"] = "fast"
+    """tiny: two CPU cores; fast: default; reference: the published recipe."""
+    capture: CaptureConfig | None = None
+    """The raw files; or `dataset`."""
+    dataset: DatasetConfig | None = None
+    """A finished data set; or `capture`."""
+    calibration: CalibrationConfig = CalibrationConfig()
+    """Cameras and clocks."""
+    flow: FlowConfig = FlowConfig()
+    """Optical flow."""
+    reconstruct: ReconstructConfig = ReconstructConfig()
+    """The model."""
+    budget: BudgetConfig = BudgetConfig()
+    """Limits."""
+    evaluate: EvaluateConfig = EvaluateConfig()
+    """Test views and truth."""
+
+    @property
+    def kind(self) -> Kind:
+        """sweep: a scene at rest; cameras: no sweep; dynamic: both; dataset: finished data."""
+        if self.dataset is not None or self.capture is None:
+            return "dataset"
+        if self.capture.static is None:
+            return "cameras"
+        return "dynamic" if self.capture.all_cameras else "sweep"
+
+    @staticmethod
+    def path(scene_dir: Path, value: str) -> Path:
+        """A path of the configuration, which is relative to the folder of scene.yaml."""
+        return (scene_dir / Path(value).expanduser()).resolve()
+
+    def run_dir(self, scene_dir: Path) -> Path:
+        """Where the stages' folders lie."""
+        folder = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.name).strip(".") or "scene"
+        return self.path(scene_dir, self.output or f"runs/{folder}")
+
+    def truth_path(self, scene_dir: Path) -> Path | None:
+        """ground_truth.json: the one that is named, else the one beside scene.yaml, else None."""
+        if self.evaluate.truth is not None:
+            return self.path(scene_dir, self.evaluate.truth)
+        beside = scene_dir / "ground_truth.json"
+        return beside if beside.is_file() else None
