@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from devrf.capture.colmap_points import read_colmap_points
 from devrf.capture.errors import CaptureError
 
