@@ -1,0 +1,79 @@
+"""Pictures into an H.264 film that every browser plays.
+
+yuv420p halves the colour in both directions, so sizes must be even: an odd picture gets its last row or
+column repeated. Colours are converted with, and tagged as, BT.709; an untagged film is shown with
+whatever matrix the player guesses. The index is put in front, so that playing starts while loading.
+"""
+
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.capture.errors import CaptureError
+
+CRF = 18  # x264's quality scale: 18 cannot be told from the original by eye, 23 is its default
+BT709 = 1  # number of that matrix, transfer and primaries in ITU-T H.273
+
+
+def write_video(
+    path: Path, frames: Iterable[UInt8[np.ndarray, "height width 3"]], fps: float, crf: int = CRF
+) -> int:
+    """Write RGB pictures as an mp4 film (H.264, yuv420p, BT.709, index in front).
+
+    Args:
+        path: File to write; its folder must exist.
+        frames: Pictures [height, width, 3] of one size, RGB; consumed one at a time.
+        fps: Pictures per second.
+        crf: Quality, 0 (lossless) to 51.
+    Returns:
+        Number of pictures written.
+    Raises:
+        CaptureError: No pictures, sizes that differ, or a file that cannot be written.
+    """
+    import av
+    from av.error import FFmpegError
+
+    if not fps > 0:
+        raise ValueError(f"fps is {fps}, expected more than 0")
+    count, size = 0, (0, 0)
+    try:
+        with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+            stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
+            stream.pix_fmt = "yuv420p"
+            stream.options = {"crf": str(crf), "preset": "medium"}
+            context = stream.codec_context
+            context.colorspace = context.color_trc = context.color_primaries = BT709
+            for picture in frames:
+                even = _even(picture)
+                if count == 0:
+                    size = (even.shape[1], even.shape[0])
+                    stream.width, stream.height = size
+                elif (even.shape[1], even.shape[0]) != size:
+                    raise CaptureError(
+                        f"{path.name}: picture {count} is {even.shape[1]}x{even.shape[0]}, the first one "
+                        f"{size[0]}x{size[1]}; a film needs pictures of one size"
+                    )
+                frame = av.VideoFrame.from_ndarray(even, format="rgb24")
+                frame = frame.reformat(
+                    format="yuv420p", src_colorspace="itu709", dst_colorspace="itu709", dst_color_range="MPEG"
+                )
+                container.mux(stream.encode(frame))
+                count += 1
+            if count:
+                container.mux(stream.encode(None))
+    except (OSError, FFmpegError) as error:
+        raise CaptureError(f"{path}: cannot be written ({error}); check the folder and free space") from error
+    if not count:
+        path.unlink(missing_ok=True)
+        raise CaptureError(f"{path.name}: no pictures to write, expected at least one")
+    return count
+
+
+def _even(picture: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "even_height even_width 3"]:
+    height, width = picture.shape[:2]
+    if height % 2 == 0 and width % 2 == 0:
+        return np.ascontiguousarray(picture)
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

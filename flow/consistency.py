@@ -1,0 +1,101 @@
+"""Can a flow be trusted? Forward-backward consistency, warping, and size changes that keep vectors right.
+
+Flow conventions: `devrf.flow.estimator`. A pixel is valid when following it to the other picture and back
+returns close to it (DynamicNeRF's rule, which the DeVRF data follow), and the way leads inside the picture.
+What is covered in the other picture has no counterpart there: it fails the rule, which makes `~valid` an
+occlusion mask too.
+"""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+
+RELATIVE = 0.5  # share of the two flows' lengths the round trip may miss by (DynamicNeRF, alpha_1)
+ABSOLUTE_PX = 0.5  # plus this much (DynamicNeRF, alpha_2)
+RESIZED_VALID_SHARE = 0.5  # a reduced pixel is valid when half of what it covers was
+
+
+def warp(
+    image: Float32[np.ndarray, "height width *channels"], flow: Float32[np.ndarray, "height width 2"]
+) -> Float32[np.ndarray, "height width *channels"]:
+    """Fetch `image` where `flow` leads: out(x) = image(x + flow(x)), bilinear; the border is repeated."""
+    height, width = flow.shape[:2]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    return cv2.remap(
+        image, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def round_trip(
+    flow: Float32[np.ndarray, "height width 2"], back: Float32[np.ndarray, "height width 2"]
+) -> Float32[np.ndarray, "height width"]:
+    """How far [height, width], pixels, following `flow` and then `back` ends from where it began."""
+    return np.linalg.norm(flow + warp(back, flow), axis=-1)
+
+
+def consistent(
+    flow: Float32[np.ndarray, "height width 2"], back: Float32[np.ndarray, "height width 2"]
+) -> Bool[np.ndarray, "height width"]:
+    """Valid where |f + b'| < 0.5 (|f| + |b'|) + 0.5 px and x + f lies inside the picture.
+
+    Args:
+        flow: f, from this picture to the other [height, width, 2], pixels.
+        back: b, from the other picture to this one; b' is b fetched where f leads.
+    """
+    height, width = flow.shape[:2]
+    returned = warp(back, flow)
+    missed = np.linalg.norm(flow + returned, axis=-1)
+    lengths = np.linalg.norm(flow, axis=-1) + np.linalg.norm(returned, axis=-1)
+    x = np.arange(width) + flow[..., 0]
+    y = np.arange(height)[:, None] + flow[..., 1]
+    inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
+    return inside & (missed < RELATIVE * lengths + ABSOLUTE_PX)
+
+
+def resize_flow(
+    flow: Float32[np.ndarray, "height width 2"],
+    valid: Bool[np.ndarray, "height width"],
+    width: int,
+    height: int,
+) -> tuple[Float32[np.ndarray, "out_height out_width 2"], Bool[np.ndarray, "out_height out_width"]]:
+    """Reduce a flow to another picture size; vectors are scaled by the ratio of each side on its own.
+
+    Each new pixel is the mean of the valid vectors it covers, so that wrong vectors do not bleed into
+    right ones; where none is valid it is the mean of all.
+    """
+    size = (width, height)
+    ratio = np.array([width / flow.shape[1], height / flow.shape[0]], dtype=np.float32)
+    if (flow.shape[1], flow.shape[0]) == size:
+        return flow.copy(), valid.copy()
+    weight = valid.astype(np.float32)
+    share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(flow * weight[..., None], size, interpolation=cv2.INTER_AREA)
+    plain = cv2.resize(flow, size, interpolation=cv2.INTER_AREA)
+    mean = np.where(share[..., None] > 0, total / np.maximum(share, 1e-6)[..., None], plain)
+    return mean * ratio, share >= RESIZED_VALID_SHARE
+
+
+def warp_residuals(
+    previous: UInt8[np.ndarray, "height width 3"],
+    current: UInt8[np.ndarray, "height width 3"],
+    flow_bwd: Float32[np.ndarray, "height width 2"],
+    where: Bool[np.ndarray, "height width"],
+) -> tuple[float, float]:
+    """Does the flow lead to the previous picture? Mean absolute differences, grey levels, over `where`.
+
+    Returns:
+        (warped, still): current against the previous picture warped by the flow, and against it as it is.
+        A flow with its direction or its sign swapped makes the first larger than the second.
+    """
+    if not where.any():
+        return 0.0, 0.0
+    before, now = previous.astype(np.float32), current.astype(np.float32)
+    warped = np.abs(now - warp(before, flow_bwd))[where].mean()
+    return float(warped), float(np.abs(now - before)[where].mean())
+
+
+def endpoint_error(
+    flow: Float[np.ndarray, "*batch 2"], truth: Float[np.ndarray, "*batch 2"]
+) -> Float[np.ndarray, "*batch"]:
+    """Distance [...] between estimated and true vectors, pixels."""
+    return np.linalg.norm(flow - truth, axis=-1)

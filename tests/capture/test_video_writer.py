@@ -1,0 +1,64 @@
+"""Films: what was written is read back with another call chain, by size, count, time and colour."""
+
+import av
+import numpy as np
+import pytest
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.video_writer import write_video
+
+
+def _flat(colour, height=48, width=64):
+    return np.full((height, width, 3), colour, dtype=np.uint8)
+
+
+def _read(path):
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        frames = list(container.decode(stream))
+        return stream.codec_context, frames
+
+
+def test_colours_count_and_rate_survive(tmp_path):
+    colours = [(220, 40, 40), (40, 200, 60), (30, 60, 210), (128, 128, 128)]
+    path = tmp_path / "film.mp4"
+    assert write_video(path, (_flat(c) for c in colours), fps=12.5) == 4
+    codec, frames = _read(path)
+    assert codec.name == "h264" and codec.pix_fmt == "yuv420p"
+    assert float(frames[1].time - frames[0].time) == pytest.approx(1 / 12.5)
+    assert len(frames) == 4
+    for frame, colour in zip(frames, colours, strict=True):
+        assert frame.colorspace == 1  # BT.709: what the player must use to get our colours back
+        seen = frame.reformat(format="rgb24", src_colorspace="itu709", dst_colorspace="itu709").to_ndarray()
+        # limited-range 8-bit YUV resolves 255/219 of a step, twice rounded, plus the encoder: 4 of 255
+        assert np.abs(seen.reshape(-1, 3).mean(0) - colour).max() < 4
+
+
+def test_odd_sizes_become_even(tmp_path):
+    path = tmp_path / "odd.mp4"
+    write_video(path, [_flat((9, 9, 9), 47, 63)] * 2, fps=10.0)
+    codec, _ = _read(path)
+    assert (codec.width, codec.height) == (64, 48)
+
+
+def test_index_is_in_front(tmp_path):
+    path = tmp_path / "film.mp4"
+    write_video(path, [_flat((0, 0, 0))] * 3, fps=10.0)
+    data = path.read_bytes()
+    assert 0 < data.index(b"moov") < data.index(b"mdat")
+
+
+def test_no_pictures_is_an_error_and_leaves_no_file(tmp_path):
+    with pytest.raises(CaptureError, match="no pictures"):
+        write_video(tmp_path / "film.mp4", [], fps=10.0)
+    assert not (tmp_path / "film.mp4").exists()
+
+
+def test_changing_size_is_an_error(tmp_path):
+    with pytest.raises(CaptureError, match="picture 1 is 32x32"):
+        write_video(tmp_path / "film.mp4", [_flat((0, 0, 0)), _flat((0, 0, 0), 32, 32)], fps=10.0)
+
+
+def test_folder_that_is_missing_is_named(tmp_path):
+    with pytest.raises(CaptureError, match="nowhere"):
+        write_video(tmp_path / "nowhere" / "film.mp4", [_flat((0, 0, 0))], fps=10.0)

@@ -1,0 +1,79 @@
+"""DIS on known shifts and on Middlebury pairs; which methods exist."""
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from devrf.capture.errors import FlowError, InputError
+from devrf.flow.consistency import endpoint_error
+from devrf.flow.dis import DisFlow
+from devrf.flow.estimator import create_estimator
+
+UNKNOWN = 1e9  # Middlebury marks pixels without truth by larger values
+
+
+def textured(height: int, width: int, seed: int = 0) -> np.ndarray:
+    """A smooth random RGB picture [height, width, 3]: texture at several scales, no repeats."""
+    rng = np.random.default_rng(seed)
+    out = np.zeros((height, width, 3), dtype=np.float32)
+    for cell in (4, 9, 25):
+        noise = rng.normal(size=(height // cell + 2, width // cell + 2, 3)).astype(np.float32)
+        out += cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.clip(127 + 45 * out, 0, 255).astype(np.uint8)
+
+
+def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+    """The picture's content moved right by shift[0] and down by shift[1] pixels."""
+    matrix = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float64)
+    size = (picture.shape[1], picture.shape[0])
+    return cv2.warpAffine(picture, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def read_flo(path) -> np.ndarray:
+    """Middlebury's .flo: magic, width, height, then (u, v) row by row."""
+    data = path.read_bytes()
+    width, height = np.frombuffer(data, "<i4", 2, offset=4)
+    return np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2)
+
+
+@pytest.mark.parametrize("shift", [(4.0, 3.0), (-3.5, 2.25), (0.0, 0.0)])
+def test_known_shift_is_found_with_its_sign(shift):
+    picture = textured(120, 160)
+    flow = DisFlow().estimate(picture, moved(picture, shift))
+    inner = flow[16:-16, 16:-16]  # the border is made up
+    # measured on smooth textures: 0.02 to 0.1 px mean
+    assert endpoint_error(inner, np.broadcast_to(np.array(shift, np.float32), inner.shape)).mean() < 0.15
+
+
+def test_batch_equals_single_pairs_and_repeats_exactly():
+    pictures = np.stack([textured(48, 64, seed) for seed in range(3)])
+    later = np.stack([moved(p, (2, 1)) for p in pictures])
+    estimator = DisFlow()
+    together = estimator.estimate(pictures, later)
+    for n in range(3):
+        np.testing.assert_array_equal(together[n], DisFlow().estimate(pictures[n], later[n]))
+
+
+# means over all known pixels of the reference run: 0.226 and 0.384 px; no motion at all: 1.256 and 3.802 px
+@pytest.mark.parametrize(("pair", "most"), [("RubberWhale", 0.30), ("Venus", 0.5)])
+def test_middlebury_endpoint_error(data_dir, pair, most):
+    folder = data_dir / "middlebury_flow" / pair
+    first, second = (np.array(Image.open(folder / f"frame{n}.png").convert("RGB")) for n in (10, 11))
+    truth = read_flo(folder / "flow10.flo")
+    known = (np.abs(truth) < UNKNOWN).all(-1)
+    error = endpoint_error(DisFlow().estimate(first, second)[known], truth[known]).mean()
+    assert error <= most
+
+
+def test_raft_is_refused_and_never_replaced():
+    with pytest.raises(InputError, match="raft.*dis"):
+        create_estimator("raft")
+    with pytest.raises(InputError, match="farneback"):
+        create_estimator("farneback")
+    assert create_estimator("dis").name == "dis"
+
+
+def test_tiny_pictures_are_refused():
+    with pytest.raises(FlowError, match="16x16"):
+        DisFlow().estimate(np.zeros((16, 16, 3), np.uint8), np.zeros((16, 16, 3), np.uint8))
