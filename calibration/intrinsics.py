@@ -1,0 +1,62 @@
+"""Intrinsics of one device: focal lengths, principal point, Brown-Conrady distortion (k1, k2, p1, p2, k3).
+
+The centre of the top-left pixel is (0.5, 0.5); OpenCV counts it as (0, 0), so `cv_matrix` is half a pixel less.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from devrf.capture.camera import Camera
+
+PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What a device does to rays.
+
+    Attributes:
+        width, height: Picture size, pixels.
+        K: [3, 3], pixels.
+        distortion: k1, k2, p1, p2, k3 [5].
+        std: Standard deviation of each of `PARAMETERS` [9]; None where it is not known.
+    """
+
+    width: int
+    height: int
+    K: Float[np.ndarray, "3 3"]
+    distortion: Float[np.ndarray, "5"]
+    std: Float[np.ndarray, "9"] | None = None
+
+    @property
+    def vector(self) -> Float[np.ndarray, "9"]:
+        """`PARAMETERS` as one vector [9]."""
+        K = self.K
+        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *self.distortion])
+
+    @property
+    def cv_matrix(self) -> Float[np.ndarray, "3 3"]:
+        """K as OpenCV wants it (centre of the first pixel at 0)."""
+        return self.K - HALF_PIXEL
+
+    def at(self, cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
+        """A camera with these intrinsics at a pose."""
+        return Camera(self.width, self.height, self.K, cam_from_world, self.distortion)
+
+
+def from_vector(
+    width: int, height: int, vector: Float[np.ndarray, "9"], std: Float[np.ndarray, "9"] | None = None
+) -> Intrinsics:
+    """Inverse of `Intrinsics.vector`."""
+    fx, fy, cx, cy = vector[:4]
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return Intrinsics(width, height, K, np.array(vector[4:], dtype=np.float64), std)
+
+
+def guess(width: int, height: int, focal_px: float | None = None) -> Intrinsics:
+    """A start without calibration: centred, undistorted, focal 1.2 x the longer side (COLMAP's guess)."""
+    f = focal_px or 1.2 * max(width, height)
+    return from_vector(width, height, np.array([f, f, width / 2, height / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))
