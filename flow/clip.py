@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from devrf.capture.errors import FlowError
 from devrf.capture.progress import Progress, no_progress
-from devrf.flow.consistency import consistent, resize_flow, round_trip, warp_residuals
+from devrf.flow.consistency import consistent, resize_flow, round_trip, supported, warp_residuals
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
 
@@ -28,8 +28,9 @@ class FlowChecks:
 
     Attributes:
         pairs, gaps: Pairs of frames with flow; pairs without, because frames are missing between them.
-        valid: Share of pixels that pass the consistency rule.
-        moving: Share of pixels that move by more than `MOVING_PX`.
+        supported: Share of pixels with anything to follow (not a plain backdrop).
+        valid: Share of these that pass the consistency rule; None where there are none.
+        moving: Share of all pixels that are supported and move by more than `MOVING_PX`.
         moving_valid: Share of these that pass the rule; None where nothing moves.
         round_trip_px: Median miss of the round trip among moving, valid pixels; None where nothing moves.
         warp_ratio: Difference to the previous picture after warping over the difference before, on moving,
@@ -39,7 +40,8 @@ class FlowChecks:
 
     pairs: int
     gaps: int
-    valid: float
+    supported: float
+    valid: float | None
     moving: float
     moving_valid: float | None
     round_trip_px: float | None
@@ -93,8 +95,9 @@ def clip_flow(
             tally.gaps += 1
         else:
             flow, back = estimator.estimate(current, previous), estimator.estimate(previous, current)
-            trusted = consistent(flow, back)
-            tally.add(previous, current, flow, back, trusted)
+            textured = supported(current)
+            trusted = consistent(flow, back) & textured
+            tally.add(previous, current, flow, back, textured, trusted)
             reduced, valid[n] = resize_flow(flow, trusted, width, height)
             vectors[n] = reduced.astype(np.float16)
         previous = current
@@ -107,7 +110,7 @@ class _Tally:
     """Sums over pairs, so that only two pictures are held at a time."""
 
     def __init__(self) -> None:
-        self.pairs = self.gaps = self.pixels = self.valid = 0
+        self.pairs = self.gaps = self.pixels = self.textured = self.valid = 0
         self.moving = self.trusted = self.large = 0
         self.warped = self.still = 0.0
         self.missed: list[Float32[np.ndarray, " some"]] = []
@@ -118,13 +121,15 @@ class _Tally:
         current: np.ndarray,
         flow: np.ndarray,
         back: np.ndarray,
+        textured: np.ndarray,
         valid: np.ndarray,
     ) -> None:
         length = np.linalg.norm(flow, axis=-1)
-        moving = length > MOVING_PX
+        moving = textured & (length > MOVING_PX)
         trusted = moving & valid
         self.pairs += 1
         self.pixels += length.size
+        self.textured += int(textured.sum())
         self.valid += int(valid.sum())
         self.moving += int(moving.sum())
         self.trusted += int(trusted.sum())
@@ -139,7 +144,8 @@ class _Tally:
         return FlowChecks(
             pairs=self.pairs,
             gaps=self.gaps,
-            valid=self.valid / self.pixels if self.pixels else 0.0,
+            supported=self.textured / self.pixels if self.pixels else 0.0,
+            valid=self.valid / self.textured if self.textured else None,
             moving=self.moving / self.pixels if self.pixels else 0.0,
             moving_valid=self.trusted / self.moving if self.moving else None,
             round_trip_px=float(np.median(missed)) if len(missed) else None,

@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 RELATIVE = 0.5  # share of the two flows' lengths the round trip may miss by (DynamicNeRF, alpha_1)
 ABSOLUTE_PX = 0.5  # plus this much (DynamicNeRF, alpha_2)
+SUPPORT_WINDOW = 11  # pixels; a little more than one 8 x 8 patch
+SUPPORT_LEVELS = 0.5  # grey levels of deviation; sensor noise alone is more, a plain backdrop has none
 RESIZED_VALID_SHARE = 0.5  # a reduced pixel is valid when half of what it covers was
 
 
@@ -50,6 +52,16 @@ def consistent(
     y = np.arange(height)[:, None] + flow[..., 1]
     inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     return inside & (missed < RELATIVE * lengths + ABSOLUTE_PX)
+
+
+def supported(image: UInt8[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
+    """Where the picture has anything to follow: its grey levels vary within a window of 11 pixels.
+
+    On a plain backdrop a flow method spreads what it found at the subject, consistently and wrongly.
+    """
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    mean, square = (cv2.blur(x, (SUPPORT_WINDOW, SUPPORT_WINDOW)) for x in (grey, grey * grey))
+    return square - mean * mean > SUPPORT_LEVELS**2
 
 
 def resize_flow(

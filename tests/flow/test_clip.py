@@ -50,7 +50,7 @@ def test_flow_is_backward_and_in_pixels_of_the_stored_size(clip):
 
 def test_checks_of_a_good_clip(clip):
     _, checks = clip_flow("cam0", range(6), np.arange(6.0), clip.__getitem__, (160, 120), DisFlow())
-    assert checks.valid > 0.9 and checks.large == 0
+    assert checks.valid is not None and checks.valid > 0.9 and checks.large == 0
     assert checks.moving == pytest.approx(60 * 60 / (120 * 160), rel=0.3)
     assert checks.warp_ratio is not None and checks.warp_ratio < 0.2
     assert checks.round_trip_px is not None and checks.round_trip_px < 0.2
@@ -71,7 +71,7 @@ def test_nothing_valid_across_a_gap(clip):
 
 def test_nothing_moves_is_not_an_error(clip):
     _, checks = clip_flow("cam0", [0, 1], [0.0, 1.0], lambda n: clip[0], (160, 120), DisFlow())
-    assert checks.moving == 0 and checks.warp_ratio is None and checks.valid == 1
+    assert checks.moving == 0 and checks.warp_ratio is None and checks.valid == 1 == checks.supported
 
 
 @pytest.mark.parametrize("time", [[0.0], [0.0, 0.0], [1.0, 0.5]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devrf.flow.consistency import consistent, resize_flow, round_trip, warp, warp_residuals
+from devrf.flow.consistency import consistent, resize_flow, round_trip, supported, warp, warp_residuals
 
 
 def constant(u: float, v: float, height: int = 20, width: int = 30) -> np.ndarray:
@@ -34,6 +34,13 @@ def test_rule_is_half_of_the_lengths_plus_half_a_pixel(miss, good):
 
 def test_swapped_direction_is_not_consistent():
     assert not consistent(constant(4, 1), constant(4, 1)).any()
+
+
+def test_plain_backdrop_has_nothing_to_follow():
+    picture = np.full((40, 60, 3), 255, np.uint8)
+    picture[10:30, 10:30] = np.random.default_rng(0).integers(90, 110, (20, 20, 3))
+    ok = supported(picture)
+    assert ok[10:30, 10:30].all() and not ok[:, 40:].any()
 
 
 def test_vectors_scale_with_each_side():

@@ -1,0 +1,143 @@
+"""Stage `flow`: backward optical flow of every training camera's clip, and whether it can be trusted."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from devrf.capture.formats import read_scene
+from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.flow.clip import FlowChecks, clip_flow
+from devrf.flow.estimator import create_estimator
+from devrf.flow.store import write_flow
+from devrf.pipelines.health import HealthRow, note, row
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import Stage, StageContext
+
+
+def applies(config: SceneConfig) -> str | None:
+    """Flow needs cameras that see the scene move."""
+    return "the capture has no moving clips" if config.kind == "sweep" else None
+
+
+def run(context: StageContext) -> None:
+    """Write `<camera>.npz` per training camera, and `flow.json` with what the flow says about itself."""
+    scene = read_scene(context.run_dir / "scene")
+    weights = context.config.flow.weights
+    estimator = create_estimator(
+        context.config.flow.method, context.config.path(context.scene_dir, weights) if weights else None
+    )
+    clips = training_clips(scene)
+    checks: dict[str, FlowChecks] = {}
+    for n, (camera, frames) in enumerate(clips.items()):
+        small = frames[0].camera.scaled(scene.image_scale)
+        flow, checks[camera] = clip_flow(
+            camera,
+            [frame.index for frame in frames],
+            [_time(frame) for frame in frames],
+            lambda k, frames=frames: load_image(frames[k], 1.0, scene.background),
+            (small.width, small.height),
+            estimator,
+            lambda share, text, n=n: context.progress((n + share) / len(clips), text),
+        )
+        write_flow(context.out, flow)
+    _write_json(
+        context.out / "flow.json",
+        {"method": estimator.name, "cameras": {camera: asdict(check) for camera, check in checks.items()}},
+    )
+    context.health.extend(health(checks))
+
+
+def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
+    """The frames of each training camera, in order of time; test cameras need no flow."""
+    clips: dict[str, list[PosedFrame]] = {}
+    for frame in scene.dynamic:
+        if frame.split == "train":
+            clips.setdefault(frame.camera_name, []).append(frame)
+    return {camera: sorted(frames, key=_time) for camera, frames in clips.items()}
+
+
+def health(checks: dict[str, FlowChecks]) -> list[HealthRow]:
+    """Rows for the worst camera of each check (docs: capture, hand-off to training)."""
+    if not checks:
+        return [note("flow", "no training camera sees the scene move: no flow")]
+    rows = []
+    camera = min(checks, key=lambda name: checks[name].valid or 0.0)
+    rows.append(
+        row(
+            f"flow: consistent share of what can be followed, worst camera ({camera})",
+            checks[camera].valid,
+            "",
+            warn=0.7,
+            fail=0.3,
+            remedy="Most of the flow contradicts itself: film with a higher frame rate, a shorter shutter "
+            "and more light; check that frames are in order.",
+        )
+    )
+    moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
+    if not moving:
+        return [*rows, note("flow: motion", "nothing moves by more than half a pixel between frames")]
+    camera = min(moving, key=lambda name: moving[name].moving_valid or 0.0)
+    rows.append(
+        row(
+            f"flow: consistent share of what moves, worst camera ({camera})",
+            moving[camera].moving_valid,
+            "",
+            warn=0.5,
+            remedy="The motion is too fast, blurred or without texture: raise the frame rate or give the "
+            "subject more texture.",
+        )
+    )
+    camera = max(moving, key=lambda name: moving[name].warp_ratio or 0.0)
+    rows.append(
+        row(
+            f"flow: what warping leaves of the difference between frames, worst camera ({camera})",
+            moving[camera].warp_ratio,
+            "",
+            warn=0.8,
+            fail=1.05,
+            low_is_bad=False,
+            remedy="Following the flow does not lead to the previous frame: frames are out of order, or the "
+            "light flickers; lock the exposure.",
+        )
+    )
+    camera = max(moving, key=lambda name: moving[name].large)
+    rows.append(
+        row(
+            f"flow: share of moving pixels beyond 1/8 of the width, worst camera ({camera})",
+            moving[camera].large,
+            "",
+            warn=0.05,
+            low_is_bad=False,
+            remedy="The subject moves too far between frames for this flow: raise the frame rate.",
+        )
+    )
+    gaps = {name: check.gaps for name, check in checks.items() if check.gaps}
+    if gaps:
+        total = sum(check.gaps + check.pairs for check in checks.values())
+        text = ", ".join(f"{name}: {count}" for name, count in gaps.items())
+        rows.append(
+            note(
+                "flow: gaps in the clips",
+                f"{text} (of {total} pairs); no flow across them",
+                verdict="warn",
+                remedy="Frames were dropped while filming: use faster cards, or a lower resolution.",
+            )
+        )
+    return rows
+
+
+def _time(frame: PosedFrame) -> float:
+    return float(frame.time_s if frame.time_s is not None else frame.time or 0.0)
+
+
+def _write_json(path: Path, value: dict) -> None:
+    path.write_text(json.dumps(value, indent=1) + "\n")
+
+
+STAGE = Stage(
+    name="flow",
+    reads=("scene",),
+    config_keys=("flow",),
+    applies=applies,
+    run=run,
+)

@@ -1,0 +1,102 @@
+"""LPIPS, the learned perceptual distance (Zhang et al., CVPR 2018), version 0.1, on VGG16 or AlexNet.
+
+Needs weights that are not part of this package: `lpips_vgg_v0.1.npz` and `lpips_alex_v0.1.npz` in a folder,
+each with the network's convolutions (`features.N.weight`, `features.N.bias`, torchvision's names) and the
+five linear heads (`lin0.weight` … `lin4.weight`). Without them there is no value: a network with other
+weights is not LPIPS and is never reported as such.
+"""
+
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from devrf.capture.errors import ReconstructError
+
+if TYPE_CHECKING:
+    import torch
+
+Net = Literal["vgg", "alex"]
+SMALLEST_SIDE = 64  # pixels; the size of the examples it is checked on; AlexNet's last maps are then 3 x 3
+MEAN = (-0.030, -0.088, -0.188)  # of ImageNet pictures scaled to [-1, 1], as LPIPS has them
+STD = (0.458, 0.448, 0.450)
+# One entry per block whose last activation is compared: convolutions as (layer number, stride, padding)
+BLOCKS: dict[Net, tuple[tuple[tuple[int, int, int], ...], ...]] = {
+    "alex": (((0, 4, 2),), ((3, 1, 2),), ((6, 1, 1),), ((8, 1, 1),), ((10, 1, 1),)),
+    "vgg": tuple(
+        tuple((n, 1, 1) for n in block)
+        for block in ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
+    ),
+}
+POOL: dict[Net, tuple[int, int]] = {"alex": (3, 2), "vgg": (2, 2)}  # window, stride
+POOL_BEFORE: dict[Net, tuple[int, ...]] = {"alex": (1, 2), "vgg": (1, 2, 3, 4)}  # blocks
+
+
+class Lpips:
+    """The distance between pictures in the features of one network."""
+
+    def __init__(self, net: Net, folder: Path, device: str = "cpu") -> None:
+        """Read `lpips_<net>_v0.1.npz` from `folder`, and compute on `device`.
+
+        Raises:
+            ReconstructError: No such file, or not such weights.
+        """
+        import torch
+
+        path = folder / f"lpips_{net}_v0.1.npz"
+        if not path.is_file():
+            raise ReconstructError(f"{path}: no such file; expected LPIPS weights (evaluate.lpips_weights)")
+        self.net: Net = net
+        self._device = device
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                weights = {
+                    key: torch.from_numpy(data[key].astype(np.float32)).to(device) for key in data.files
+                }
+            names = [f"features.{n}.{p}" for b in BLOCKS[net] for n, *_ in b for p in ("weight", "bias")]
+            self._convolutions = {name: weights[name] for name in names}
+            self._heads = [weights[f"lin{n}.weight"].reshape(1, -1, 1, 1) for n in range(5)]
+        except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
+            raise ReconstructError(
+                f"{path}: not LPIPS weights of {net} ({error}); get the file again"
+            ) from error
+
+    def features(self, picture: Float[np.ndarray, "height width 3"]) -> "list[torch.Tensor]":
+        """Unit-length features of the five compared layers; keep them where a picture is compared twice.
+
+        Raises:
+            ReconstructError: A picture too small for the network.
+        """
+        import torch
+        from torch.nn import functional as F
+
+        if min(picture.shape[:2]) < SMALLEST_SIDE:
+            raise ReconstructError(
+                f"picture is {picture.shape[1]}x{picture.shape[0]}, LPIPS needs {SMALLEST_SIDE} pixels a side"
+            )
+        x = (2 * picture.astype(np.float32) - 1 - np.array(MEAN, np.float32)) / np.array(STD, np.float32)
+        x = torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1)))[None].to(self._device)
+        out = []
+        with torch.inference_mode():
+            for number, block in enumerate(BLOCKS[self.net]):
+                if number in POOL_BEFORE[self.net]:
+                    x = F.max_pool2d(x, *POOL[self.net])
+                for n, stride, padding in block:
+                    weight, bias = (self._convolutions[f"features.{n}.{p}"] for p in ("weight", "bias"))
+                    x = F.relu(F.conv2d(x, weight, bias, stride=stride, padding=padding))
+                out.append(x / (x.norm(dim=1, keepdim=True) + 1e-10))
+        return out
+
+    def distance(self, a: "list[torch.Tensor]", b: "list[torch.Tensor]") -> float:
+        """LPIPS between two pictures given by their features; 0 for equal pictures."""
+        return float(
+            sum((head * (x - y) ** 2).sum(dim=1).mean() for head, x, y in zip(self._heads, a, b, strict=True))
+        )
+
+    def __call__(
+        self, a: Float[np.ndarray, "height width 3"], b: Float[np.ndarray, "height width 3"]
+    ) -> float:
+        """LPIPS between two RGB pictures in [0, 1]."""
+        return self.distance(self.features(a), self.features(b))

@@ -1,0 +1,95 @@
+"""How close a rendered picture is to the true one: PSNR, SSIM, and where a scene moves.
+
+Pictures are float RGB [height, width, 3] in [0, 1]. The rendered one is taken as it is, neither rounded to
+8 bits nor clipped; no gain or offset is ever fitted.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+SMALLEST_MSE = 1e-10  # equal pictures count as 100 dB, so that means stay finite
+SSIM_TAPS = 11
+SSIM_SIGMA = 1.5
+SSIM_K1, SSIM_K2 = 0.01, 0.03
+MOVING_DIFFERENCE = 0.02  # of the full range, in at least one channel
+MOVING_REACH = 0.02  # of the picture's width
+
+Picture = Float[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """PSNR (dB) and SSIM of one picture or of a part of it; None where it cannot be computed."""
+
+    psnr: float | None
+    ssim: float | None
+
+
+def score(rendered: Picture, true: Picture, where: Bool[np.ndarray, "height width"] | None = None) -> Scores:
+    """PSNR and SSIM over a picture, or over the pixels `where`.
+
+    Over a part, SSIM is the mean of its map over those pixels whose whole window lies in the picture. None
+    where no pixel is left.
+    """
+    if where is None:
+        valid_map = ssim_map(rendered, true)
+        return Scores(psnr(rendered, true), float(valid_map.mean()) if valid_map.size else None)
+    if not where.any():
+        return Scores(None, None)
+    valid_map = ssim_map(rendered, true)
+    r = SSIM_TAPS // 2
+    inner = where[r:-r, r:-r] if valid_map.size else np.zeros((0, 0), dtype=bool)
+    return Scores(
+        psnr(rendered[where], true[where]),
+        float(valid_map[inner].mean()) if inner.any() else None,
+    )
+
+
+def psnr(rendered: Float[np.ndarray, "*batch 3"], true: Float[np.ndarray, "*batch 3"]) -> float:
+    """-10 log10 of the mean squared error over pixels and channels, dB; at most 100."""
+    mse = float(np.mean((rendered.astype(np.float64) - true) ** 2))
+    return float(-10 * np.log10(max(mse, SMALLEST_MSE)))
+
+
+def ssim_map(rendered: Picture, true: Picture) -> Float64[np.ndarray, "inner_height inner_width 3"]:
+    """Structural similarity (Wang et al., 2004) of each 11 x 11 Gaussian window that lies in the picture.
+
+    As mip-NeRF computes it: sigma 1.5, range 1, each channel on its own, variances not below zero and the
+    covariance within what they allow. Empty for pictures smaller than the window.
+    """
+    r = SSIM_TAPS // 2
+    if min(true.shape[:2]) < SSIM_TAPS:
+        return np.zeros((0, 0, 3))
+    taps = np.exp(-0.5 * ((np.arange(SSIM_TAPS) - r) / SSIM_SIGMA) ** 2)
+    taps /= taps.sum()
+
+    def blur(x: np.ndarray) -> np.ndarray:
+        return cv2.sepFilter2D(x, cv2.CV_64F, taps, taps)[r:-r, r:-r]
+
+    a, b = rendered.astype(np.float64), true.astype(np.float64)
+    mean_a, mean_b = blur(a), blur(b)
+    var_a = np.maximum(0, blur(a * a) - mean_a**2)
+    var_b = np.maximum(0, blur(b * b) - mean_b**2)
+    covariance = blur(a * b) - mean_a * mean_b
+    covariance = np.sign(covariance) * np.minimum(np.sqrt(var_a * var_b), np.abs(covariance))
+    c1, c2 = SSIM_K1**2, SSIM_K2**2
+    return ((2 * mean_a * mean_b + c1) * (2 * covariance + c2)) / (
+        (mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2)
+    )
+
+
+def moving_pixels(true: Picture, at_rest: Picture) -> Bool[np.ndarray, "height width"]:
+    """Pixels near motion: within 2 % of the width of one where the two differ by more than 0.02.
+
+    The two pictures are the true one and the model's at rest; "differ" means in at least one channel, and
+    distances go from pixel centre to pixel centre. What the model at rest gets wrong counts too, so the
+    mask depends on the model, and is the same for the moving model and for the baseline it has to beat.
+    """
+    differs = np.abs(true - at_rest).max(axis=-1) > MOVING_DIFFERENCE
+    if not differs.any():
+        return differs
+    far = cv2.distanceTransform((~differs).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return far <= MOVING_REACH * true.shape[1]

@@ -1,0 +1,86 @@
+"""PSNR and SSIM against closed forms and another implementation; moving pixels against the words."""
+
+import numpy as np
+import pytest
+import torch
+
+from devrf.reconstruct.metrics import moving_pixels, psnr, score, ssim_map
+
+
+def picture(height: int = 40, width: int = 50, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).random((height, width, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("offset", [0.1, 0.01, -0.5])
+def test_psnr_of_a_constant_error(offset):
+    true = picture()
+    assert psnr(true + np.float32(offset), true) == pytest.approx(-20 * np.log10(abs(offset)), abs=1e-3)
+
+
+def test_psnr_is_not_clipped_to_the_valid_range_and_not_rounded():
+    white = np.ones((4, 4, 3), np.float32)
+    assert psnr(white * np.float32(1.2), white) == pytest.approx(-20 * np.log10(0.2), abs=1e-3)
+    assert psnr(white * np.float32(0.9995), white) == pytest.approx(-20 * np.log10(0.0005), abs=1e-2)
+
+
+def test_equal_pictures():
+    assert psnr(picture(), picture()) == 100
+    np.testing.assert_allclose(ssim_map(picture(), picture()), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.2, 0.7), (0.0, 1.0), (0.5, 0.5)])
+def test_ssim_of_flat_pictures(a, b):
+    flat = np.ones((20, 15, 3), np.float32)
+    expected = (2 * a * b + 1e-4) / (a * a + b * b + 1e-4)
+    out = ssim_map(flat * np.float32(a), flat * np.float32(b))
+    assert out.shape == (10, 5, 3)
+    np.testing.assert_allclose(out, expected, atol=1e-6)
+
+
+def test_ssim_is_that_of_kornia_on_whole_windows():
+    from kornia.metrics import ssim
+
+    true = picture()
+    for other in (picture(seed=1), (true + 0.2 * picture(seed=2)).astype(np.float32), 1 - true):
+        pair = (torch.from_numpy(p.transpose(2, 0, 1))[None] for p in (other, true))
+        expected = ssim(*pair, window_size=11, max_val=1.0, padding="valid")[0].numpy().transpose(1, 2, 0)
+        # kornia works in single precision (1e-4) and does not limit the covariance (no effect here)
+        np.testing.assert_allclose(ssim_map(other, true), expected, atol=1e-4)
+
+
+def test_picture_smaller_than_the_window_has_no_ssim():
+    small = picture(10, 30)
+    assert score(small, small).ssim is None
+    assert score(small, small, np.ones((10, 30), bool)).ssim is None
+    assert score(small, small).psnr == 100
+
+
+def test_score_over_a_part_sees_only_that_part():
+    true = picture()
+    rendered = true.copy()
+    rendered[:, 30:] = 0
+    left, right = np.zeros((2, 40, 50), bool)
+    left[:, :20], right[:, 40:] = True, True
+    assert score(rendered, true, left).psnr == 100
+    assert score(rendered, true, left).ssim == pytest.approx(1)
+    assert score(rendered, true, right).psnr == pytest.approx(psnr(rendered[right], true[right]))
+    whole = score(rendered, true, np.ones((40, 50), bool))
+    assert whole.psnr == pytest.approx(score(rendered, true).psnr)
+    assert whole.ssim == pytest.approx(score(rendered, true).ssim)
+    nothing = score(rendered, true, np.zeros((40, 50), bool))
+    assert nothing.psnr is None and nothing.ssim is None
+
+
+def test_moving_pixels_reach_two_percent_of_the_width():
+    rest = np.full((60, 200, 3), 0.5, np.float32)
+    true = rest.copy()
+    true[30, 100, 1] += 0.03  # one channel is enough
+    true[5, 5] += 0.015  # and this is not
+    y, x = np.mgrid[:60, :200]
+    expected = np.hypot(y - 30, x - 100) <= 4  # 2 % of 200
+    np.testing.assert_array_equal(moving_pixels(true, rest), expected)
+    np.testing.assert_array_equal(moving_pixels(rest, true), expected)
+
+
+def test_nothing_moves():
+    assert not moving_pixels(picture(), picture()).any()
