@@ -328,7 +328,7 @@ def _check_together(config: SceneConfig, raw: dict, say: Any) -> None:
         if rig.given is None and not has_board:
             say(
                 "capture.static",
-                "is missing, and without a sweep the cameras' poses come from a board that several of them see "
+                "is missing, and without a sweep the cameras' poses come from a board that several see "
                 "(capture.board.joint_clips) or from a file (calibration.rig.given); give one of the three",
             )
     rig = config.calibration.rig
@@ -412,6 +412,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
 def _check_files(config: SceneConfig, scene_dir: Path, say: Any) -> None:
     folders = {"dataset.path", "evaluate.lpips_weights"}
     files_or_folders = {"capture.static"}
+    clips = "capture.board.clips."  # photos of the board will do
     for key, text in input_paths(config).items():
         path = config.path(scene_dir, text)
         if not text.strip():
@@ -420,7 +421,7 @@ def _check_files(config: SceneConfig, scene_dir: Path, say: Any) -> None:
             say(key, f"{text!r}: no such file or folder ({path}){_near_file(path)}")
         elif key in folders and not path.is_dir():
             say(key, f"{text!r} is a file; expected a folder")
-        elif key not in folders | files_or_folders and path.is_dir():
+        elif key not in folders | files_or_folders and not key.startswith(clips) and path.is_dir():
             say(key, f"{text!r} is a folder; expected a file")
 
 

@@ -1,0 +1,264 @@
+"""The command line, `devrf-pipeline`. Heavy libraries are imported only by the commands that need them."""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import devrf
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.console import Loudness, Talk
+from devrf.pipelines.plan import Choice, standings
+from devrf.pipelines.runner import (
+    BAD_INPUT,
+    DONE,
+    FAILED,
+    Run,
+    check_choice,
+    dry_run,
+    execute,
+    resolve_device,
+)
+from devrf.pipelines.scene_file import load_scene
+from devrf.pipelines.stages import STAGES, stage_names
+from devrf.pipelines.status import print_status, status_dict
+
+app = typer.Typer(
+    help="From a field capture of a moving scene to novel views of it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
+PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Override a key: reconstruct.rays=4096 (repeatable)")
+]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", help="Every health row, and why nothing runs")]
+STAGE_HELP = f"one of {', '.join(stage_names())}"
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    first: Annotated[str | None, typer.Option("--from", help=f"Start here: {STAGE_HELP}")] = None,
+    until: Annotated[str | None, typer.Option(help="Stop after this stage")] = None,
+    force: Annotated[
+        list[str] | None, typer.Option(help="Run this stage even if nothing changed; all for every stage")
+    ] = None,
+    overrides: SetOption = None,
+    device: DeviceOption = "auto",
+    dry: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and why")] = False,
+    allow_unhealthy: Annotated[
+        bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
+    ] = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Run the stages of a scene; resume where the last run stopped."""
+    talk = _talk(quiet, verbose)
+    choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
+    job = _prepare(talk, scene, preset, overrides, choice)
+    if dry:
+        _check_device(talk, device)
+        raise typer.Exit(dry_run(job))
+    raise typer.Exit(_start(job, device))
+
+
+@app.command()
+def status(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs")] = False,
+) -> None:
+    """Show each stage: fresh, stale (and why) or missing, its time, its health."""
+    talk = Talk()
+    job = _prepare(talk, scene, preset, overrides, Choice(), check_files=False)
+    found = standings(STAGES, job.config, job.scene_dir, job.run_dir)
+    if as_json:
+        typer.echo(json.dumps(status_dict(job.config, job.run_dir, found), indent=1))
+    else:
+        print_status(talk.out, job.config, job.run_dir, found)
+
+
+@app.command()
+def report(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Make the report anew from what the run folder holds, and say where it is."""
+    _only("report", scene, preset, overrides, _talk(quiet, False))
+
+
+@app.command()
+def render(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """Film the reconstruction anew: an orbit through space and time."""
+    _only("render", scene, preset, overrides, _talk(quiet, False), device)
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder to write the session into")],
+    scene: Annotated[str, typer.Option(help="Name of the scene to simulate")] = "room",
+    cameras: Annotated[int, typer.Option(help="Fixed cameras")] = 4,
+    seed: Annotated[int, typer.Option(help="Another seed, another session")] = 0,
+    size: Annotated[str, typer.Option(help="Size of the pictures, WIDTHxHEIGHT")] = "400x400",
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Render a raw session with known truth (needs the extra `simulate`)."""
+    from devrf.pipelines.simulate_command import simulate_session
+
+    talk = _talk(quiet, False)
+    try:
+        simulate_session(talk, out, scene, cameras, seed, size, overrides or [])
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    except DevrfError as error:
+        talk.error(str(error))
+        raise typer.Exit(FAILED) from None
+
+
+def _version(show: bool) -> None:
+    if show:
+        typer.echo(f"devrf {devrf.__version__}")
+        raise typer.Exit(DONE)
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(DONE)
+
+
+def _prepare(
+    talk: Talk,
+    scene: Path,
+    preset: str | None,
+    overrides: Sequence[str] | None,
+    choice: Choice,
+    *,
+    check_files: bool = True,
+) -> Run:
+    """Read and check the configuration. Ends the program with exit code 2 where it is wrong."""
+    path = scene / "scene.yaml" if scene.is_dir() else scene
+    settings = [*([f"preset={preset}"] if preset else []), *(overrides or [])]
+    try:
+        config = load_scene(path, settings, check_files=check_files)
+        check_choice(config, STAGES, choice)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    return Run(config, path.resolve().parent, STAGES, choice, talk)
+
+
+def _start(job: Run, device: str) -> int:
+    """Check what can be checked before anything starts, then run."""
+    to_do = {
+        now.stage.name
+        for now in standings(STAGES, job.config, job.scene_dir, job.run_dir, job.choice)
+        if now.state in ("stale", "missing")
+    }
+    try:
+        if to_do & {"ingest", "scene"}:
+            _check_raw_files(job)
+        if to_do:
+            job.device = resolve_device(device)
+    except InputError as error:
+        job.talk.error(str(error))
+        return BAD_INPUT
+    code = execute(job)
+    if code == DONE:
+        _where_to_look(job)
+    return code
+
+
+def _check_raw_files(job: Run) -> None:
+    from devrf.pipelines.preflight import check_raw_files
+
+    problems = check_raw_files(job.config, job.scene_dir)
+    if problems:
+        raise InputError("\n".join(problems))
+
+
+def _check_device(talk: Talk, device: str) -> None:
+    try:
+        resolve_device(device)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+
+
+def _only(
+    stage: str,
+    scene: Path,
+    preset: str | None,
+    overrides: Sequence[str] | None,
+    talk: Talk,
+    device: str = "cpu",
+) -> None:
+    """Run one stage of a run that has been made before."""
+    choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
+    job = _prepare(talk, scene, preset, overrides, choice)
+    try:
+        job.device = resolve_device(device)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    code = execute(job)
+    if code == DONE:
+        _where_to_look(job)
+    raise typer.Exit(code)
+
+
+def _where_to_look(job: Run) -> None:
+    """Name what people want to see."""
+    found = [
+        ("report", job.run_dir / "report" / "index.html"),
+        *(("film", film) for film in sorted((job.run_dir / "render").glob("*.mp4"))),
+        ("numbers", job.run_dir / "evaluate" / "metrics.json"),
+    ]
+    for what, path in found:
+        if path.is_file():
+            job.talk.say(f"  {what}: {path}")
+
+
+def _talk(quiet: bool, verbose: bool) -> Talk:
+    loudness: Loudness = "quiet" if quiet else "verbose" if verbose else "normal"
+    return Talk(loudness)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,373 @@
+"""Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens.
+
+Exit codes are a contract: 0 done; 1 a stage failed; 2 bad configuration or input seen before anything was
+started; 3 a health check refused a result; 130 stopped by the user.
+"""
+
+import json
+import logging
+import math
+import resource
+import secrets
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+import devrf
+from devrf.capture.errors import DevrfError, HealthError, InputError
+from devrf.capture.progress import Progress
+from devrf.pipelines.console import Talk, duration, log_file
+from devrf.pipelines.health import HealthRow
+from devrf.pipelines.plan import (
+    Choice,
+    Standing,
+    error_path,
+    is_chosen,
+    is_forced,
+    reads_of,
+    standing,
+    standings,
+)
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.stamp import HEALTH, STAMP, Digests, files_of, identity, write_json
+from devrf.pipelines.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
+
+DONE, FAILED, BAD_INPUT, UNHEALTHY, STOPPED = 0, 1, 2, 3, 130
+
+NO_ROOM = 1_000_000  # bytes: with less than this free, a failure to write is a full disk whatever it says
+NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class Run:
+    """One call of `devrf-pipeline run`.
+
+    Attributes:
+        config: The checked configuration.
+        scene_dir: Folder of scene.yaml.
+        stages: The pipeline.
+        choice: Which stages to run.
+        talk: Where to speak.
+        device: "cpu" or "cuda".
+        lines: How each stage ended, for the summary.
+    """
+
+    config: SceneConfig
+    scene_dir: Path
+    stages: Sequence[Stage]
+    choice: Choice
+    talk: Talk
+    device: str = "cpu"
+    executed: list[str] = field(default_factory=list)
+
+    @property
+    def run_dir(self) -> Path:
+        """The run folder."""
+        return self.config.run_dir(self.scene_dir)
+
+
+def check_choice(config: SceneConfig, stages: Sequence[Stage], choice: Choice) -> None:
+    """Refuse stage names that do not exist and ranges that make no sense.
+
+    Raises:
+        InputError: With every mistake.
+    """
+    names = [stage.name for stage in stages]
+    mistakes = []
+    options = [("--from", choice.first), ("--until", choice.last), *(("--force", s) for s in choice.force)]
+    for option, name in options:
+        if name is not None and name not in names and not (option == "--force" and name == "all"):
+            mistakes.append(f"{option} {name}: no such stage; expected {', '.join(names)}")
+    if not mistakes:
+        if choice.first and choice.last and names.index(choice.first) > names.index(choice.last):
+            mistakes.append(f"--from {choice.first} --until {choice.last}: the first comes after the last")
+        for option, name in options:
+            reason = next((s.applies(config) for s in stages if s.name == name), None)
+            if reason and not (option == "--until" and config.kind != "cameras"):
+                mistakes.append(f"{option} {name}: the stage does not apply: {reason}")
+        until = choice.last or names[-1]
+        if config.kind == "cameras" and NEEDS_SWEEP in names and not mistakes:
+            if names.index(until) >= names.index(NEEDS_SWEEP):
+                mistakes.append(
+                    "capture.static: is missing; without a sweep of the scene at rest there is nothing to "
+                    "reconstruct from: add one, or run with --until flow"
+                )
+    if mistakes:
+        raise InputError("\n".join(mistakes))
+
+
+def dry_run(run: Run) -> int:
+    """Say what `execute` would do, and touch nothing."""
+    for now in standings(run.stages, run.config, run.scene_dir, run.run_dir, run.choice):
+        name = now.stage.name
+        if not is_chosen(name, run.stages, run.choice):
+            run.talk.say(f"{name}: left alone (outside --from and --until)")
+        elif now.state in ("fresh", "not applicable"):
+            run.talk.say(_skip_line(now))
+        else:
+            run.talk.say(f"{name}: would run: {'; '.join(now.why)}")
+    return DONE
+
+
+def execute(run: Run) -> int:
+    """Run what has to be run.
+
+    Returns:
+        The exit code; the reason has been printed.
+    """
+    previous = _terminate_like_ctrl_c()
+    try:
+        with Workspace(run.run_dir) as workspace, log_file(run.run_dir):
+            logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
+            return _run_stages(run, workspace)
+    except InputError as error:
+        run.talk.error(str(error))
+        return BAD_INPUT
+    except DevrfError as error:
+        run.talk.error(str(error))
+        return FAILED
+    except KeyboardInterrupt:
+        run.talk.error("stopped; finished stages are kept, the next run goes on from there")
+        return STOPPED
+    except OSError as error:
+        if not is_disk_full(error):
+            raise
+        run.talk.error(disk_full_message(run.run_dir, "the run", 0))
+        return FAILED
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)
+
+
+def _run_stages(run: Run, workspace: Workspace) -> int:
+    start = time.monotonic()
+    digests = Digests(run.run_dir)
+    for number, stage in enumerate(run.stages, 1):
+        if not is_chosen(stage.name, run.stages, run.choice):
+            run.talk.detail(f"{stage.name}: left alone (outside --from and --until)")
+            continue
+        now = standing(stage, run.stages, run.config, run.scene_dir, run.run_dir, digests)
+        digests.save()
+        if now.state == "not applicable" or (now.state == "fresh" and not is_forced(stage.name, run.choice)):
+            run.talk.say(_skip_line(now), style="dim")
+        else:
+            why = "; ".join(now.why) or "forced"
+            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: runs: {why}", style="bold")
+            code = _run_stage(run, workspace, stage, digests)
+            if code is not None:
+                return code
+            run.executed.append(stage.name)
+            now = standing(stage, run.stages, run.config, run.scene_dir, run.run_dir, digests)
+            run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
+        code = _judge(run, now)
+        if code is not None:
+            return code
+    count = len(run.executed)
+    what = (
+        f"{count} stage{'s' if count != 1 else ''} executed"
+        if count
+        else "nothing changed, no stage executed"
+    )
+    run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
+    return DONE
+
+
+def _judge(run: Run, now: Standing) -> int | None:
+    """Say a stage's health; the exit code where it stops the run."""
+    run.talk.health(list(now.health))
+    if now.verdict != "fail":
+        return None
+    if run.choice.allow_unhealthy:
+        run.talk.say(f"  {now.stage.name}: unhealthy, going on (--allow-unhealthy)", style="yellow")
+        return None
+    failed = "\n".join(f"{row.check}: {row.remedy}" for row in now.health if row.verdict == "fail")
+    run.talk.error(
+        f"{now.stage.name}: its own check refused the result:\n{failed}\n"
+        "The result is kept; mend the cause, or go on with --allow-unhealthy"
+    )
+    return UNHEALTHY
+
+
+def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -> int | None:
+    """Make one stage. None where it is finished, else the exit code."""
+    folder: Path | None = None
+    context: StageContext | None = None
+    try:
+        missing = [
+            name for name in reads_of(stage, run.stages, run.config) if not (run.run_dir / name).is_dir()
+        ]
+        if missing:
+            raise DevrfError(
+                f"{stage.name} reads {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} "
+                f"not made yet; run without --from, or --from {missing[0]}"
+            )
+        _check_disk_budget(run)
+        made_from = identity(
+            stage,
+            run.config,
+            run.scene_dir,
+            run.run_dir,
+            reads_of(stage, run.stages, run.config),
+            digests,
+        )
+        folder = workspace.fresh_folder(stage.name)
+        start = time.monotonic()
+        with run.talk.progress(stage.name) as progress:
+            context = StageContext(
+                config=run.config,
+                scene_dir=run.scene_dir,
+                run_dir=run.run_dir,
+                out=folder,
+                progress=_sane(progress),
+                device=run.device,
+            )
+            stage.run(context)
+        _finish(folder, stage, context.health, made_from, time.monotonic() - start)
+        workspace.commit(stage.name, folder)
+        error_path(run.run_dir, stage.name).unlink(missing_ok=True)
+        return None
+    except BaseException as error:
+        written = size_of(folder) if folder is not None else 0
+        free = free_bytes(run.run_dir)
+        if folder is not None:
+            workspace.discard(folder)
+        rows = context.health if context is not None else []
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        code, message = _explain(run, stage, error, written, free)
+        run.talk.health(rows)
+        run.talk.error(message)
+        try:
+            write_json(error_path(run.run_dir, stage.name), {"message": message, "code": code})
+        except OSError:
+            pass  # no room to remember it; it has been said
+        return code
+
+
+def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: int | None) -> tuple[int, str]:
+    """Exit code and message of a stage's failure; the trace goes to the log."""
+    trace = "".join(traceback.format_exception(error))
+    logger.debug("%s", trace)
+    name = stage.name
+    if is_disk_full(error) or (free is not None and free < NO_ROOM and not isinstance(error, HealthError)):
+        return FAILED, f"{name}: {disk_full_message(run.run_dir, name, written)}"
+    if isinstance(error, HealthError):
+        return UNHEALTHY, f"{name}: {error}"
+    if isinstance(error, DevrfError):
+        return FAILED, f"{name}: {error}"
+    if isinstance(error, MemoryError) or "out of memory" in str(error).lower():
+        first_line = str(error).splitlines()[0] if str(error) else "MemoryError"
+        return FAILED, (
+            f"{name}: not enough memory ({first_line}); close other programs, or use "
+            "--preset tiny, or lower reconstruct.image_scale or reconstruct.resolution"
+        )
+    if isinstance(error, SystemExit):
+        return (
+            FAILED,
+            f"{name}: a library ended the program (exit {error.code}); see devrf.log in {run.run_dir}",
+        )
+    if run.talk.loudness == "verbose":
+        run.talk.err.print(trace, markup=False)
+    return FAILED, (
+        f"{name}: unexpected {type(error).__name__}: {error}. This is a fault of the program, not of your "
+        f"files; the whole trace is in {run.run_dir / 'devrf.log'}"
+    )
+
+
+def _finish(folder: Path, stage: Stage, health: list[HealthRow], made_from: dict, seconds: float) -> None:
+    """Write health and, last of all, the stamp that makes the folder complete."""
+    rows = [_finite(row.as_dict()) for row in health]
+    write_json(folder / HEALTH, {"stage": stage.name, "rows": rows})
+    stamp = {
+        "id": secrets.token_hex(8),
+        "stage": stage.name,
+        "identity": json.loads(json.dumps(made_from)),
+        "version": devrf.__version__,
+        "finished": time.strftime("%Y-%m-%d %H:%M:%S"),
+        "seconds": round(seconds, 3),
+        "peak_rss_gb": round(_peak_rss_gb(), 3),
+        "files": files_of(folder),
+    }
+    write_json(folder / STAMP, stamp)
+
+
+def _finite(row: dict) -> dict:
+    """JSON knows no infinity: say it in words."""
+    return {
+        key: str(value) if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in row.items()
+    }
+
+
+def _peak_rss_gb() -> float:
+    """Largest resident memory of this process or of one of its children so far, GB."""
+    kilobytes = max(
+        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return kilobytes * (1024 if sys.platform != "darwin" else 1) / 1e9
+
+
+def _check_disk_budget(run: Run) -> None:
+    budget = run.config.budget.disk_gb
+    if budget is None:
+        return
+    used = size_of(run.run_dir) / 1e9
+    if used > budget:
+        raise DevrfError(
+            f"budget.disk_gb: {run.run_dir} holds {used:.2f} GB, more than {budget} GB; raise it, or lower "
+            "reconstruct.image_scale"
+        )
+
+
+def _skip_line(now: Standing) -> str:
+    if now.state == "not applicable":
+        return f"{now.stage.name}: does not apply: {now.why[0]}"
+    return f"{now.stage.name}: skipped: nothing it depends on has changed"
+
+
+def _sane(progress: Progress) -> Progress:
+    """Keep fractions in [0, 1]: a bar must not be what breaks a stage."""
+
+    def clamped(fraction: float, message: str) -> None:
+        progress(min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0, message)
+
+    return clamped
+
+
+def _terminate_like_ctrl_c():
+    """Let SIGTERM end a run as Ctrl-C does. None where this is not the main thread."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        return signal.signal(signal.SIGTERM, stop)
+    except ValueError:
+        return None
+
+
+def resolve_device(wish: str) -> str:
+    """ "cpu" or "cuda" for --device.
+
+    Raises:
+        InputError: The device is not there.
+    """
+    if wish not in ("auto", "cpu", "cuda"):
+        raise InputError(f"--device {wish}: expected auto, cpu or cuda")
+    if wish == "cpu":
+        return "cpu"
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    if wish == "cuda":
+        raise InputError("--device cuda: PyTorch finds no GPU here; use --device cpu, or auto")
+    return "cpu"

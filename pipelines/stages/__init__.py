@@ -1,0 +1,160 @@
+"""The pipeline as a list: which stage reads what, on which keys it depends, and to which captures it applies.
+
+The work of each stage is in the file of its name, which is imported only when the stage runs, so that
+`status` needs neither torch nor pycolmap.
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import Stage, StageContext
+
+
+def _glue(name: str) -> Callable[[StageContext], None]:
+    """`run` of devrf.pipelines.stages.<name>, imported at the first call."""
+
+    def run(context: StageContext) -> None:
+        import_module(f"{__name__}.{name}").run(context)
+
+    return run
+
+
+NO_RAW_FILES = "a finished data set brings its own cameras"
+NO_SWEEP = "the capture has no sweep of the scene at rest"
+NO_CAMERAS = "the capture has no cameras of the moving scene (only a sweep)"
+NOTHING_MOVES = "a data set in the Blender layout shows the scene at rest"
+
+
+def _from_raw_files(config: SceneConfig) -> str | None:
+    return NO_RAW_FILES if config.kind == "dataset" else None
+
+
+def _from_the_sweep(config: SceneConfig) -> str | None:
+    return {"dataset": NO_RAW_FILES, "cameras": NO_SWEEP}.get(config.kind)
+
+
+def _from_fixed_cameras(config: SceneConfig) -> str | None:
+    return {"dataset": NO_RAW_FILES, "sweep": NO_CAMERAS}.get(config.kind)
+
+
+def _where_something_moves(config: SceneConfig) -> str | None:
+    if config.dataset is not None and config.dataset.format == "blender":
+        return NOTHING_MOVES
+    return NO_CAMERAS if config.kind == "sweep" else None
+
+
+def _where_rest_is_known(config: SceneConfig) -> str | None:
+    return NO_SWEEP if config.kind == "cameras" else None
+
+
+def _where_rest_is_known_and_something_moves(config: SceneConfig) -> str | None:
+    return NO_SWEEP if config.kind == "cameras" else _where_something_moves(config)
+
+
+def _always(config: SceneConfig) -> str | None:
+    return None
+
+
+def _truth(config: SceneConfig, scene_dir: Path) -> list[Path]:
+    truth = config.truth_path(scene_dir)
+    return [] if truth is None else [truth]
+
+
+STAGES = (
+    Stage(
+        name="ingest",
+        reads=(),
+        config_keys=("preset", "capture"),
+        applies=_from_raw_files,
+        run=_glue("ingest"),
+    ),
+    Stage(
+        name="static_poses",
+        reads=("ingest",),
+        config_keys=("calibration.static_poses",),
+        applies=_from_the_sweep,
+        run=_glue("static_poses"),
+    ),
+    Stage(
+        name="sync",
+        reads=("ingest",),
+        config_keys=("capture", "calibration.sync"),
+        applies=_from_fixed_cameras,
+        run=_glue("sync"),
+    ),
+    Stage(
+        name="rig",
+        reads=("ingest", "static_poses", "sync"),
+        config_keys=("capture", "calibration.rig"),
+        applies=_from_fixed_cameras,
+        run=_glue("rig"),
+    ),
+    Stage(
+        name="scene",
+        reads=("ingest", "static_poses", "sync", "rig"),
+        config_keys=("preset", "capture", "dataset", "reconstruct.image_scale", "evaluate.holdout_every"),
+        applies=_always,
+        run=_glue("scene"),
+    ),
+    Stage(
+        name="flow",
+        reads=("scene",),
+        config_keys=("flow",),
+        applies=_where_something_moves,
+        run=_glue("flow"),
+    ),
+    Stage(
+        name="canonical",
+        reads=("scene",),
+        config_keys=("preset", "reconstruct"),
+        applies=_where_rest_is_known,
+        run=_glue("canonical"),
+    ),
+    Stage(
+        name="deformation",
+        reads=("scene", "flow", "canonical"),
+        config_keys=("preset", "reconstruct"),
+        applies=_where_rest_is_known_and_something_moves,
+        run=_glue("deformation"),
+    ),
+    Stage(
+        name="evaluate",
+        reads=("ingest", "static_poses", "sync", "rig", "scene", "canonical", "deformation"),
+        config_keys=("evaluate", "reconstruct"),
+        applies=_where_rest_is_known,
+        run=_glue("evaluate"),
+        inputs=_truth,
+    ),
+    Stage(
+        name="render",
+        reads=("scene", "canonical", "deformation"),
+        config_keys=("preset",),
+        applies=_where_rest_is_known,
+        run=_glue("render"),
+    ),
+    Stage(
+        name="report",
+        reads=(
+            "ingest",
+            "static_poses",
+            "sync",
+            "rig",
+            "scene",
+            "flow",
+            "canonical",
+            "deformation",
+            "evaluate",
+            "render",
+        ),
+        config_keys=("name",),
+        applies=_where_rest_is_known,
+        run=_glue("report"),
+    ),
+)
+
+
+def stage_names() -> tuple[str, ...]:
+    """Names of all stages, in the order they run."""
+    return tuple(stage.name for stage in STAGES)
