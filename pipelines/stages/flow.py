@@ -10,13 +10,7 @@ from devrf.flow.clip import FlowChecks, clip_flow
 from devrf.flow.estimator import create_estimator
 from devrf.flow.store import write_flow
 from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.scene_config import SceneConfig
-from devrf.pipelines.stage import Stage, StageContext
-
-
-def applies(config: SceneConfig) -> str | None:
-    """Flow needs cameras that see the scene move."""
-    return "the capture has no moving clips" if config.kind == "sweep" else None
+from devrf.pipelines.stage import StageContext
 
 
 def run(context: StageContext) -> None:
@@ -132,12 +126,3 @@ def _time(frame: PosedFrame) -> float:
 
 def _write_json(path: Path, value: dict) -> None:
     path.write_text(json.dumps(value, indent=1) + "\n")
-
-
-STAGE = Stage(
-    name="flow",
-    reads=("scene",),
-    config_keys=("flow",),
-    applies=applies,
-    run=run,
-)

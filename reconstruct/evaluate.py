@@ -1,0 +1,265 @@
+"""Compare a model with pictures it was never trained on, and with what it would show if nothing moved.
+
+`test`: the moving scene's test pictures, every frame (the held-out sweep pictures where nothing moves).
+`test_static`: the held-out sweep pictures. `test_moving`: the moving scene's test pictures without the first
+time, only pixels near motion (`metrics.moving_pixels`). `static_baseline`: the same test pictures against
+the canonical model as if nothing moved: what motion must beat. PSNR is taken per picture and then averaged.
+No gain or offset is fitted.
+"""
+
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import ReconstructError
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
+from devrf.reconstruct.lpips import Lpips
+from devrf.reconstruct.metrics import SSIM_TAPS, moving_pixels, score
+
+Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
+"""`render(camera, time)`: RGB of a camera in the box frame at a time in [0, 1]; None: the scene at rest."""
+
+METRICS = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
+EXTRA_PICTURES = 12  # error maps and pictures at rest that are kept, spread over the views
+ERROR_GAIN = 4  # an error of a quarter of the range is the brightest colour
+SAME_TIME = 1e-6
+
+Scored = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class LpipsNets:
+    """The networks at hand by name (`vgg`, `alex`), and why the others are not."""
+
+    nets: Mapping[str, Lpips]
+    why: Mapping[str, str]
+
+    @staticmethod
+    def load(folder: Path | None, device: str = "cpu") -> "LpipsNets":
+        """Read what there is in `folder`; what is missing is said, not replaced."""
+        nets, why = {}, {}
+        for net in ("vgg", "alex"):
+            if folder is None:
+                why[net] = "no LPIPS weights are given (evaluate.lpips_weights)"
+                continue
+            try:
+                nets[net] = Lpips(net, folder, device)
+            except ReconstructError as error:
+                why[net] = str(error)
+        return LpipsNets(nets, why)
+
+
+def evaluate(
+    scene: Scene, render: Render, lpips: LpipsNets, out: Path, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Render and score all test pictures; see the module's text for the blocks of the result.
+
+    Args:
+        scene: With its cameras in any frame; they are moved into the box frame here.
+        render: The model.
+        lpips: Networks for LPIPS.
+        out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error}.png` into.
+    Returns:
+        `test`, `test_static`, `test_moving`, `static_baseline`, `per_view`, `render_fps`.
+    """
+    scene = scene.in_box_frame()
+    moving = sorted(
+        (f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.camera_name, f.time or 0.0, f.index)
+    )
+    still = [f for f in scene.static if f.split == "test"]
+    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still))
+    first = min((f.time or 0.0 for f in moving), default=0.0)
+    extra = _spread(len(moving), EXTRA_PICTURES)
+    views = [session.moving_view(f, first, n in extra) for n, f in enumerate(moving)]
+    extra = _spread(len(still), EXTRA_PICTURES)
+    still_views = [session.still_view(f, n in extra) for n, f in enumerate(still)]
+
+    nothing_held_out = "no sweep picture is held out"
+    test_static = _block([v["scores"] for v in still_views], lpips, nothing_held_out)
+    if scene.dynamic:
+        absent = "no test camera: name one under capture.test_cameras"
+        test = _block([v["scores"] for v in views], lpips, absent)
+    else:
+        absent, test = "nothing moves in this capture", test_static
+    later = [v for v in views if v["moving"] is not None]
+    parts = {
+        name: [v[name] for v in later if v[name]["psnr"] is not None] for name in ("moving", "rest_moving")
+    }
+    no_pixels = absent if not later else "no pixel differs from the scene at rest"
+    return {
+        "test": test,
+        "test_static": test_static,
+        "test_moving": _block(parts["moving"], lpips, no_pixels),
+        "static_baseline": {
+            "test": _block([v["rest_scores"] for v in views], lpips, absent),
+            "test_moving": _block(parts["rest_moving"], lpips, no_pixels),
+        },
+        "per_view": [_row(view) for view in views + still_views],
+        "render_fps": session.frames_per_second(),
+    }
+
+
+class _Session:
+    """Renders and scores one view after the other; keeps the last picture at rest of a camera that stands."""
+
+    def __init__(
+        self, scene: Scene, render: Render, lpips: LpipsNets, out: Path, progress: Progress, count: int
+    ) -> None:
+        self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
+        self.progress, self.count, self.done = progress, count, 0
+        self.seconds: list[float] = []
+        self.rest: tuple[bytes, np.ndarray] | None = None
+
+    def moving_view(self, frame: PosedFrame, first: float, extra: bool) -> dict[str, Any]:
+        """Scores of a test picture of the moving scene, of the baseline, and of both near motion."""
+        true, camera = self._true(frame)
+        rest = self._at_rest(camera)
+        rendered = self._timed(camera, frame.time)
+        true_features = self._features(true)
+        view = {
+            **_identity(frame),
+            "scores": self._scores(rendered, true, true_features),
+            "rest_scores": self._scores(rest, true, true_features),
+            "moving": None,
+            "rest_moving": None,
+            "moving_share": None,
+        }
+        if (frame.time or 0.0) > first + SAME_TIME:
+            where = moving_pixels(true, rest)
+            view["moving"] = _part(rendered, true, where)
+            view["rest_moving"] = _part(rest, true, where)
+            view["moving_share"] = round(float(where.mean()), 5)
+        pictures = {"true": true, "rendered": rendered}
+        if extra:
+            pictures |= {"rest": rest, "error": _error_map(rendered, true)}
+        view["files"] = self._save(frame, pictures)
+        return view
+
+    def still_view(self, frame: PosedFrame, extra: bool) -> dict[str, Any]:
+        """Scores of a held-out sweep picture."""
+        true, camera = self._true(frame)
+        rendered = self._timed(camera, None)
+        pictures = {"true": true, "rendered": rendered}
+        if extra:
+            pictures["error"] = _error_map(rendered, true)
+        return {
+            **_identity(frame),
+            "scores": self._scores(rendered, true, self._features(true)),
+            "files": self._save(frame, pictures),
+        }
+
+    def frames_per_second(self) -> float | None:
+        """Median over the views; the first one, which may compile, is left out where there are more."""
+        seconds = self.seconds[1:] or self.seconds
+        return round(1 / float(np.median(seconds)), 4) if seconds else None
+
+    def _true(self, frame: PosedFrame) -> tuple[np.ndarray, Camera]:
+        self.progress(self.done / max(self.count, 1), f"{self.done} of {self.count} test pictures")
+        self.done += 1
+        picture = load_image(frame, self.scene.image_scale, self.scene.background)
+        return picture.astype(np.float32) / 255, frame.camera.scaled(self.scene.image_scale)
+
+    def _at_rest(self, camera: Camera) -> np.ndarray:
+        key = camera.cam_from_world.tobytes() + camera.K.tobytes() + camera.distortion.tobytes()
+        if self.rest is None or self.rest[0] != key:
+            self.rest = (key, self.render(camera, None))
+        return self.rest[1]
+
+    def _timed(self, camera: Camera, time: float | None) -> np.ndarray:
+        begin = clock.perf_counter()
+        rendered = self.render(camera, time)
+        self.seconds.append(clock.perf_counter() - begin)
+        return rendered
+
+    def _features(self, picture: np.ndarray) -> dict[str, Any]:
+        if min(picture.shape[:2]) < LPIPS_SMALLEST_SIDE:
+            return {}
+        return {name: net.features(picture) for name, net in self.lpips.nets.items()}
+
+    def _scores(self, picture: np.ndarray, true: np.ndarray, true_features: Mapping[str, Any]) -> Scored:
+        whole = score(picture, true)
+        scores: Scored = {"psnr": whole.psnr, "ssim": whole.ssim, "lpips_vgg": None, "lpips_alex": None}
+        for name, features in self._features(picture).items():
+            scores[f"lpips_{name}"] = self.lpips.nets[name].distance(features, true_features[name])
+        return scores
+
+    def _save(self, frame: PosedFrame, pictures: Mapping[str, np.ndarray]) -> dict[str, str]:
+        folder = self.out / "views" / frame.camera_name
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {}
+        for kind, picture in pictures.items():
+            path = folder / f"{frame.index:06d}_{kind}.png"
+            eight_bits = np.clip(np.round(picture * 255), 0, 255).astype(np.uint8)
+            if not cv2.imwrite(str(path), eight_bits[..., ::-1]):
+                raise ReconstructError(f"{path}: cannot be written; check free space")
+            files[kind] = path.relative_to(self.out).as_posix()
+        return files
+
+
+def _part(picture: np.ndarray, true: np.ndarray, where: np.ndarray) -> Scored:
+    part = score(picture, true, where)
+    return {"psnr": part.psnr, "ssim": part.ssim}
+
+
+def _identity(frame: PosedFrame) -> dict[str, Any]:
+    return {
+        "camera": frame.camera_name,
+        "index": frame.index,
+        "time": frame.time,
+        "time_s": frame.time_s,
+    }
+
+
+def _row(view: dict[str, Any]) -> dict[str, Any]:
+    """A view as written to metrics.json: name, scores, files; what does not apply is left out."""
+    row = {key: view[key] for key in ("camera", "index", "time", "time_s")} | view["scores"]
+    if "rest_scores" in view:
+        row["static_baseline"] = dict(view["rest_scores"])
+    if view.get("moving"):
+        row["moving"] = {**view["moving"], "share": view["moving_share"]}
+        row["static_baseline"]["moving"] = view["rest_moving"]
+    return row | view["files"]
+
+
+def _block(scores: Sequence[Scored], lpips: LpipsNets, absent: str) -> dict[str, Any]:
+    """Means over views; a metric without any value is null and says why."""
+    block: dict[str, Any] = {}
+    why: dict[str, str] = {}
+    for metric in METRICS:
+        values = [s[metric] for s in scores if s.get(metric) is not None]
+        block[metric] = float(np.mean([v for v in values if v is not None])) if values else None
+        if not values:
+            why[metric] = _why(metric, scores[0], lpips) if scores else absent
+    block["views"] = len(scores)
+    return {**block, "why": why} if why else block
+
+
+def _why(metric: str, example: Scored, lpips: LpipsNets) -> str:
+    if metric == "ssim":
+        return f"no window of {SSIM_TAPS} pixels fits into the pictures"
+    if metric not in example:
+        return "LPIPS is defined on whole pictures only"
+    too_small = f"pictures have fewer than {LPIPS_SMALLEST_SIDE} pixels a side"
+    return lpips.why.get(metric.removeprefix("lpips_"), too_small)
+
+
+def _error_map(
+    rendered: Float[np.ndarray, "height width 3"], true: Float[np.ndarray, "height width 3"]
+) -> Float32[np.ndarray, "height width 3"]:
+    """The largest difference over channels, from black over red to yellow."""
+    size = np.clip(ERROR_GAIN * np.abs(rendered - true).max(axis=-1) * 255, 0, 255).astype(np.uint8)
+    colours = cv2.applyColorMap(size, cv2.COLORMAP_INFERNO)
+    return colours[..., ::-1].astype(np.float32) / 255
+
+
+def _spread(count: int, wanted: int) -> set[int]:
+    return {int(round(i)) for i in np.linspace(0, count - 1, min(count, wanted))} if count else set()
