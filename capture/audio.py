@@ -1,0 +1,141 @@
+"""Sound of a clip: mono, 48 kHz, float32 in [-1, 1], with the file time of its first sample.
+
+Blocks are placed by their own presentation timestamps, so a stream that starts late, the encoder's
+priming (dropped by the decoder, with the timestamps after it unchanged) and gaps keep their true times.
+Resampling is linear-phase (scipy's polyphase filter), so it delays nothing.
+"""
+
+import wave
+from dataclasses import dataclass
+from math import gcd
+from pathlib import Path
+
+import av
+import numpy as np
+from av.error import FFmpegError
+from jaxtyping import Float
+from scipy.signal import resample_poly
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.video import open_media, origin_s
+
+RATE_HZ = 48_000  # what nearly all cameras record; 21 microseconds a sample
+SILENCE_RMS = 1e-4  # -80 dB: below any real microphone's noise
+JITTER_S = 1e-3  # containers with millisecond time bases (mkv) round by half a millisecond
+INT16_MAX = 32767
+
+
+@dataclass(frozen=True)
+class Sound:
+    """Mono sound.
+
+    Attributes:
+        samples: Amplitudes [n] in [-1, 1].
+        rate_hz: Samples per second.
+        start_s: File time of sample 0, seconds.
+    """
+
+    samples: Float[np.ndarray, " n"]
+    rate_hz: int
+    start_s: float
+
+    @property
+    def end_s(self) -> float:
+        """File time of the end, seconds."""
+        return self.start_s + len(self.samples) / self.rate_hz
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing can be heard (a muted or missing microphone)."""
+        if not len(self.samples):
+            return True
+        return float(np.sqrt(np.mean(np.square(self.samples, dtype=np.float64)))) < SILENCE_RMS
+
+
+def read_sound(path: Path, rate_hz: int = RATE_HZ) -> Sound | None:
+    """Decode the first sound stream of a file as mono; None where the file has none.
+
+    Raises:
+        InputError: If the file is missing or not a media file.
+        CaptureError: If there is a sound stream of which nothing decodes.
+    """
+    with open_media(path) as container:
+        if not container.streams.audio:
+            return None
+        stream = container.streams.audio[0]
+        blocks: list[tuple[float, np.ndarray]] = []
+        native_hz, failure = 0, ""
+        try:
+            for block in container.decode(stream):
+                if block.time is None or not block.samples:
+                    continue
+                native_hz = native_hz or block.sample_rate
+                blocks.append((block.time - origin_s(container), _mono(block)))
+        except FFmpegError as error:
+            failure = f" ({error.strerror})"  # what decoded before the damage is used
+    if not blocks:
+        raise CaptureError(
+            f"{path}: has a sound stream, but nothing of it decodes{failure}; remove the stream, "
+            "or set calibration.sync.method to motion"
+        )
+    samples, start_s = _place(blocks, native_hz)
+    if native_hz != rate_hz:
+        factor = gcd(native_hz, rate_hz)
+        samples = resample_poly(samples, rate_hz // factor, native_hz // factor).astype(np.float32)
+    return Sound(samples, rate_hz, start_s)
+
+
+def write_wav(path: Path, sound: Sound) -> None:
+    """Write 16-bit mono PCM; the start time is not part of the format and must be kept beside it."""
+    pcm = np.round(np.clip(sound.samples, -1, 1) * INT16_MAX).astype("<i2")
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(sound.rate_hz)
+        file.writeframes(pcm.tobytes())
+
+
+def read_wav(path: Path, start_s: float = 0.0) -> Sound:
+    """Read what `write_wav` wrote.
+
+    Raises:
+        CaptureError: If it is not 16-bit mono PCM.
+    """
+    try:
+        with wave.open(str(path), "rb") as file:
+            layout = (file.getnchannels(), file.getsampwidth())
+            if layout != (1, 2):
+                raise CaptureError(f"{path}: {layout[0]} channels of {layout[1]} bytes, expected mono 16 bit")
+            pcm = np.frombuffer(file.readframes(file.getnframes()), dtype="<i2")
+            return Sound(pcm.astype(np.float32) / INT16_MAX, file.getframerate(), start_s)
+    except (wave.Error, EOFError) as error:
+        raise CaptureError(f"{path}: not a wav file ({error})") from None
+
+
+def _mono(block: av.AudioFrame) -> Float[np.ndarray, " n"]:
+    """Mean of the channels [n], float32 in [-1, 1]."""
+    values = block.to_ndarray()
+    if not block.format.is_planar:
+        values = values.reshape(-1, block.layout.nb_channels).T
+    if values.dtype == np.uint8:
+        return ((values.astype(np.float32) - 128) / 128).mean(axis=0)
+    if np.issubdtype(values.dtype, np.integer):
+        return (values.astype(np.float32) / float(2 ** (8 * values.itemsize - 1))).mean(axis=0)
+    return values.astype(np.float32).mean(axis=0)
+
+
+def _place(blocks: list[tuple[float, np.ndarray]], rate_hz: int) -> tuple[Float[np.ndarray, " n"], float]:
+    """Blocks joined at their own times: rounding is ignored, gaps become silence, overlaps are cut."""
+    start_s = blocks[0][0]
+    pieces: list[np.ndarray] = []
+    filled = 0
+    for time_s, values in blocks:
+        at = round((time_s - start_s) * rate_hz)
+        if at > filled + JITTER_S * rate_hz:
+            pieces.append(np.zeros(at - filled, np.float32))
+            filled = at
+        elif at < filled - JITTER_S * rate_hz:
+            values = values[filled - at :]
+        pieces.append(values)
+        filled += len(values)
+    return np.concatenate(pieces), start_s

@@ -1,0 +1,210 @@
+"""Frames on disk and what is known of each: time, sharpness, whether it is used; and how they are chosen.
+
+A `FrameSet` is the content of `ingest.json`. Times are seconds of file time, or of the common clock where
+a table of true times was given. Sharpness is the variance of the Laplacian of a grey picture brought to
+one size; only ratios between frames of one camera mean something.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from devrf.capture.errors import CaptureError
+
+Role = Literal["sweep", "camera", "test", "board", "joint"]
+
+SWEEP = "static"  # the sweep's name among the cameras
+SHARPNESS_SIDE_PX = 640  # blur of one pixel at this size matters to matching; noise of single pixels does not
+SHARP_SHARE_OF_MEDIAN = 0.5  # less than this times the neighbours' median: blurred
+SHARP_NEIGHBOURS = 7  # on each side
+VARIABLE_STEP = 0.05  # steps that differ from the usual one by more than this share, ...
+VARIABLE_STEP_S = 1.1e-3  # ... and by more than the rounding of millisecond time bases
+VARIABLE_SHARE = 0.02  # ... in more than this share of the steps: a variable rate, not single drops
+DROPPED_STEP = 1.5  # a step this many times the usual one: frames are missing
+LISTED = 4  # places named in a note
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One frame of one source.
+
+    Attributes:
+        index: Position in the clip or in the sorted folder, from 0.
+        time_s: File time or true time, seconds; None for photos and for frames without a known time.
+        sharpness: Variance of the Laplacian.
+        used: Whether later stages use it.
+        file: Picture on disk, relative to the ingest folder; None where it was not kept.
+    """
+
+    index: int
+    time_s: float | None
+    sharpness: float
+    used: bool
+    file: str | None
+
+
+@dataclass(frozen=True)
+class CameraFrames:
+    """All frames of one camera, of the sweep or of one board clip.
+
+    Attributes:
+        role: sweep, camera, test (never trained on), board or joint.
+        source: Raw file or folder, relative to scene.yaml.
+        width, height: Size of its pictures, upright, pixels.
+        fps_mean: Mean rate, None for photos; never used for times.
+        variable_rate: Whether the steps between timestamps differ.
+        has_audio: Whether there is a sound track with something to hear.
+        exif_focal_px: Focal length by EXIF, pixels, or None.
+        rotation_deg: Turn that was applied, degrees counter-clockwise.
+        frames: Every frame, used or not.
+        level: Median brightness over the clip, 0 to 255 (sRGB).
+        audio_start_s: File time of the first sample of its sound, or None.
+        notes: What is unusual, one sentence each.
+    """
+
+    role: Role
+    source: str
+    width: int
+    height: int
+    fps_mean: float | None
+    variable_rate: bool
+    has_audio: bool
+    exif_focal_px: float | None
+    rotation_deg: int
+    frames: tuple[FrameRecord, ...]
+    level: float | None = None
+    audio_start_s: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def used(self) -> tuple[FrameRecord, ...]:
+        """The frames that later stages use."""
+        return tuple(frame for frame in self.frames if frame.used)
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """Everything ingest leaves on disk.
+
+    Attributes:
+        cameras: Name -> frames: "static", the cameras, "board_<camera>", "joint_<camera>".
+        joint: Camera -> name of the entry in `cameras` that shows the board to several cameras at once.
+        true_times: Whether the cameras' times come from a table on one clock.
+    """
+
+    cameras: dict[str, CameraFrames]
+    joint: dict[str, str] = field(default_factory=dict)
+    true_times: bool = False
+
+    @property
+    def moving(self) -> dict[str, CameraFrames]:
+        """The fixed cameras that film the motion, test cameras too."""
+        return {name: c for name, c in self.cameras.items() if c.role in ("camera", "test")}
+
+    def write(self, folder: Path) -> None:
+        """Write `ingest.json` into `folder`."""
+        (folder / "ingest.json").write_text(json.dumps(asdict(self), indent=1))
+
+    @staticmethod
+    def read(folder: Path) -> "FrameSet":
+        """Read `ingest.json` of `folder`.
+
+        Raises:
+            CaptureError: If it is missing or not what `write` wrote.
+        """
+        path = folder / "ingest.json"
+        try:
+            raw = json.loads(path.read_text())
+            cameras = {name: _camera_frames(entry) for name, entry in raw["cameras"].items()}
+            return FrameSet(cameras, dict(raw["joint"]), bool(raw["true_times"]))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CaptureError(f"{path}: cannot be read ({error!r}); run again with --from ingest") from None
+
+
+def _camera_frames(raw: dict[str, Any]) -> CameraFrames:
+    frames = tuple(FrameRecord(**frame) for frame in raw["frames"])
+    return CameraFrames(**{**raw, "frames": frames, "notes": tuple(raw["notes"])})
+
+
+# --- sharpness and choice ---
+
+
+def grey_small(
+    picture: UInt8[np.ndarray, "height width channels"], side_px: int = SHARPNESS_SIDE_PX
+) -> UInt8[np.ndarray, "small_height small_width"]:
+    """Grey picture whose longer side is at most `side_px`, area-averaged."""
+    grey = cv2.cvtColor(picture[:, :, :3], cv2.COLOR_RGB2GRAY)
+    scale = side_px / max(grey.shape)
+    if scale >= 1:
+        return grey
+    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
+    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+
+
+def sharpness(grey: UInt8[np.ndarray, "height width"]) -> float:
+    """Variance of the Laplacian (Pech-Pacheco et al., ICPR 2000); comparable within one camera only."""
+    return float(cv2.Laplacian(grey, cv2.CV_64F).var())
+
+
+def window_of(index: int, count: int, windows: int) -> int:
+    """Window of frame `index` when `count` frames are cut into at most `windows` nearly equal runs."""
+    return index * min(windows, count) // count
+
+
+def sharpest_per_window(values: Sequence[float], windows: int) -> list[int]:
+    """Index of the sharpest frame of each of at most `windows` windows; all where there are fewer."""
+    best: dict[int, int] = {}
+    for i, value in enumerate(values):
+        w = window_of(i, len(values), windows)
+        if w not in best or value > values[best[w]]:
+            best[w] = i
+    return sorted(best.values())
+
+
+def sharp(values: Sequence[float]) -> Bool[np.ndarray, " n"]:
+    """Which frames [n] are at least half as sharp as the median of their neighbours."""
+    v = np.asarray(values, dtype=np.float64)
+    medians = [np.median(v[max(0, i - SHARP_NEIGHBOURS) : i + SHARP_NEIGHBOURS + 1]) for i in range(len(v))]
+    return v >= SHARP_SHARE_OF_MEDIAN * np.asarray(medians)
+
+
+# --- what timestamps tell ---
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What a clip's timestamps tell: mean rate, whether it varies, and notes in words."""
+
+    fps_mean: float | None
+    variable_rate: bool
+    notes: tuple[str, ...]
+
+
+def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
+    """Look at increasing frame times [n], seconds."""
+    if len(time_s) < 2:
+        return Timing(None, False, ())
+    steps = np.diff(time_s)
+    usual = float(np.median(steps))
+    tolerance = max(VARIABLE_STEP * usual, VARIABLE_STEP_S)
+    variable = float(np.mean(np.abs(steps - usual) > tolerance)) > VARIABLE_SHARE
+    notes = []
+    if variable:
+        notes.append(
+            f"variable rate: steps from {1e3 * steps.min():.1f} to {1e3 * steps.max():.1f} ms; "
+            "the timestamps are used"
+        )
+    gaps = np.flatnonzero(steps > max(DROPPED_STEP * usual, usual + VARIABLE_STEP_S))
+    if len(gaps):
+        missing = int(np.round(steps[gaps] / usual - 1).clip(1).sum())
+        where = ", ".join(f"{time_s[i]:.2f} s" for i in gaps[:LISTED]) + (
+            " ..." if len(gaps) > LISTED else ""
+        )
+        notes.append(f"{missing} frames missing in {len(gaps)} gaps, after {where}; the gaps are kept")
+    return Timing(float((len(time_s) - 1) / (time_s[-1] - time_s[0])), variable, tuple(notes))

@@ -1,0 +1,140 @@
+"""A whole session from raw files to `ingest.json`, frames, sound and motion energies on disk.
+
+Layout: `frames/<name>/<index>.<png or jpg>` (only frames that are used), `audio/<camera>.wav` (mono, 48 kHz,
+16 bit, sample 0 at file time `audio_start_s`), `motion/<camera>.npy` (rows: time between two frames, seconds;
+mean absolute difference, levels). The sweep is called "static", board clips "board_<camera>", clips in which
+several cameras see the board at once "joint_<camera>" unless they are the moving clips themselves.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from devrf.capture.audio import Sound, read_sound, read_wav, write_wav
+from devrf.capture.clips import Extract, Keep, extract_clip, extract_folder
+from devrf.capture.errors import CaptureError
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.session import CaptureSession, read_timestamps
+
+MAX_SWEEP_FRAMES = 120  # exhaustive matching of 120 pictures is 7140 pairs, minutes on two cores
+MAX_BOARD_FRAMES = 60  # intrinsics gain nothing from more views of one board
+MAX_JOINT_FRAMES = 300
+SOUND_ROLES: tuple[Role, ...] = ("camera", "test", "joint")  # what needs a clock
+
+
+def write_sounds(session: CaptureSession, out: Path) -> dict[str, Sound]:
+    """Decode the sound of the fixed cameras and of separate joint clips; names of silent ones are left out.
+
+    Raises:
+        InputError, CaptureError: As `read_sound`.
+    """
+    folder = out / "audio"
+    folder.mkdir(parents=True, exist_ok=True)
+    sounds = {}
+    for name, path in {**session.cameras, **_separate_joint_clips(session)}.items():
+        sound = read_sound(path)
+        if sound is not None and not sound.silent:
+            write_wav(folder / f"{name}.wav", sound)
+            sounds[name] = sound
+    return sounds
+
+
+def write_frames(
+    session: CaptureSession,
+    sounds: Mapping[str, Sound],
+    out: Path,
+    root: Path,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    progress: Progress = no_progress,
+) -> FrameSet:
+    """Extract the frames of everything in the session and write `ingest.json`.
+
+    Args:
+        session: The raw files.
+        sounds: What `write_sounds` returned.
+        out: The ingest folder.
+        root: Sources are named relative to this folder (the one of scene.yaml).
+        ranges: Camera -> (from, to), only frames in this span of the camera's own times are kept.
+        progress: Called with the share of sources that are done.
+    Raises:
+        InputError, CaptureError: Naming the file, what was found and the remedy.
+    """
+    ranges = ranges or {}
+    times = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
+    joint_clips = _separate_joint_clips(session)
+    (out / "motion").mkdir(parents=True, exist_ok=True)
+    total = (session.static is not None) + len(session.cameras) + len(session.board_clips) + len(joint_clips)
+    cameras: dict[str, CameraFrames] = {}
+
+    def step(fraction: float, message: str) -> None:
+        progress((len(cameras) + fraction) / total, message)
+
+    def extract(name: str, path: Path, role: Role, keep: Keep, camera: str | None = None) -> None:
+        source = os.path.relpath(path, root)
+        if path.is_dir():
+            cameras[name] = extract_folder(path, out, name, role, source, keep.most, step)
+            return
+        got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step)
+        cameras[name] = _with_sound(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
+        if role in SOUND_ROLES:
+            np.save(out / "motion" / f"{name}.npy", got.motion)
+
+    if session.static is not None:
+        most = None if session.static.is_dir() else MAX_SWEEP_FRAMES
+        extract(SWEEP, session.static, "sweep", Keep(most=most))
+    for name, path in session.cameras.items():
+        role: Role = "test" if name in session.test_names else "camera"
+        extract(name, path, role, Keep(range_s=ranges.get(name)), name)
+    for name, path in session.board_clips.items():
+        extract(f"board_{name}", path, "board", Keep(most=MAX_BOARD_FRAMES, suffix=".jpg"))
+    for name, path in joint_clips.items():
+        extract(name, path, "joint", Keep(most=MAX_JOINT_FRAMES, choose="every", suffix=".jpg"))
+    joint = {c: c if session.shares_joint_clip(c) else f"joint_{c}" for c in session.joint_clips}
+    frames = FrameSet(cameras, joint, bool(times))
+    frames.write(out)
+    return frames
+
+
+def read_sounds(folder: Path, frames: FrameSet) -> dict[str, Sound]:
+    """The sounds of an ingest folder: name -> sound, with start times."""
+    return {
+        name: read_wav(folder / "audio" / f"{name}.wav", camera.audio_start_s)
+        for name, camera in frames.cameras.items()
+        if camera.audio_start_s is not None
+    }
+
+
+def read_motion(folder: Path, frames: FrameSet) -> dict[str, Float[np.ndarray, "n 2"]]:
+    """The motion energies of an ingest folder: name -> (time, mean absolute difference) [n, 2].
+
+    Raises:
+        CaptureError: If a file is missing.
+    """
+    motion = {}
+    for name, camera in frames.cameras.items():
+        if camera.role in SOUND_ROLES:
+            path = folder / "motion" / f"{name}.npy"
+            try:
+                motion[name] = np.load(path)
+            except (OSError, ValueError) as error:
+                raise CaptureError(
+                    f"{path}: cannot be read ({error}); run again with --from ingest"
+                ) from None
+    return motion
+
+
+def _separate_joint_clips(session: CaptureSession) -> dict[str, Path]:
+    return {f"joint_{c}": p for c, p in session.joint_clips.items() if not session.shares_joint_clip(c)}
+
+
+def _with_sound(got: Extract, sound: Sound | None, path: Path) -> CameraFrames:
+    if sound is not None:
+        return replace(got.frames, has_audio=True, audio_start_s=sound.start_s)
+    found = read_sound(path)
+    note = "no sound track" if found is None else "the sound track is silent"
+    return replace(got.frames, notes=(*got.frames.notes, note))

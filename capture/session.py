@@ -1,0 +1,223 @@
+"""Which raw file is what: one capture session, and everything that is wrong with its files.
+
+A session is a sweep of the scene at rest, clips of fixed cameras while it moves, or both; with optional
+clips of a calibration board and an optional table of true frame times.
+"""
+
+import csv
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.pictures import list_pictures, probe_picture
+from devrf.capture.raw import is_raw
+from devrf.capture.video import check_file, probe_video
+
+Rest = Literal["start", "end", "none"]
+
+TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
+MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check
+
+
+def _no_files() -> Mapping[str, Path]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class CaptureSession:
+    """The raw files of one capture; paths are absolute or relative to the working folder.
+
+    Attributes:
+        static: The sweep: a video, or a folder of photos or RAW files; None without one.
+        cameras: Name -> clip of every fixed camera, test cameras too; the first one's clock is the session's.
+        test_names: Names of the cameras that are never trained on.
+        timestamps: CSV with camera, frame_index, time_s, or None.
+        board_clips: Name -> clip or folder of photos of the board before this camera alone.
+        joint_clips: Name -> clip of the board before several cameras at once; may be the moving clip itself.
+        range_s: (from, to) on the first camera's clock, or None for all.
+        rest: When the moving clips show the scene as in the sweep.
+    """
+
+    static: Path | None = None
+    cameras: Mapping[str, Path] = field(default_factory=_no_files)
+    test_names: tuple[str, ...] = ()
+    timestamps: Path | None = None
+    board_clips: Mapping[str, Path] = field(default_factory=_no_files)
+    joint_clips: Mapping[str, Path] = field(default_factory=_no_files)
+    range_s: tuple[float, float] | None = None
+    rest: Rest = "start"
+
+    def shares_joint_clip(self, camera: str) -> bool:
+        """Whether this camera's joint board clip is its moving clip."""
+        joint, moving = self.joint_clips.get(camera), self.cameras.get(camera)
+        return joint is not None and moving is not None and joint.resolve() == moving.resolve()
+
+    def files(self) -> list[Path]:
+        """Every raw file, photos of folders one by one, in a fixed order."""
+        out: list[Path] = []
+        for path in (self.static, *self.cameras.values(), *self.board_clips.values()):
+            if path is not None:
+                out.extend(list_pictures(path) if path.is_dir() else [path])
+        out.extend(self.joint_clips.values())
+        if self.timestamps is not None:
+            out.append(self.timestamps)
+        return list(dict.fromkeys(out))
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """True times of one camera's frames: `time_s` [n] belongs to frame `index` [n] of its clip."""
+
+    index: Int[np.ndarray, " n"]
+    time_s: Float[np.ndarray, " n"]
+
+
+def preflight(session: CaptureSession) -> list[str]:
+    """Everything that is wrong with the raw files, each with file and remedy; empty when all is well."""
+    problems: list[str] = []
+
+    def attempt(check: Callable[[], object], key: str) -> None:
+        try:
+            check()
+        except DevrfError as error:
+            problems.append(f"{key}: {error}")
+
+    if session.static is None and not session.cameras:
+        problems.append("capture: neither static nor cameras; name at least one")
+    if session.static is not None:
+        sweep = session.static
+        attempt(lambda: _check_sweep(sweep), "capture.static")
+    for name, path in session.cameras.items():
+        attempt(lambda path=path: probe_video(path), f"capture camera {name}")
+    for name, path in session.board_clips.items():
+        attempt(lambda path=path: _check_clip_or_folder(path), f"capture.board.clips.{name}")
+    for name, path in session.joint_clips.items():
+        if not session.shares_joint_clip(name):
+            attempt(lambda path=path: probe_video(path), f"capture.board.joint_clips.{name}")
+    if session.timestamps is not None:
+        table = session.timestamps
+        attempt(lambda: read_timestamps(table, session.cameras), "capture.timestamps")
+    problems += _same_file_twice(session.cameras)
+    return problems
+
+
+def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]:
+    """Read a table of true frame times.
+
+    Args:
+        path: CSV with a header and at least the columns camera, frame_index (from 0), time_s (one clock).
+        cameras: Names that must be in it.
+    Returns:
+        Camera name -> times, sorted by frame index.
+    Raises:
+        InputError: Naming the row or the camera, and what was expected.
+    """
+    check_file(path)
+    rows: dict[str, dict[int, float]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            columns = tuple(reader.fieldnames or ())
+            missing = [c for c in TIMESTAMP_COLUMNS if c not in columns]
+            if missing:
+                raise InputError(
+                    f"{path}: no column {', '.join(missing)} (it has: {', '.join(columns) or 'nothing'}); "
+                    f"expected {', '.join(TIMESTAMP_COLUMNS)}"
+                )
+            for row in reader:
+                name, index, time_s = _times_row(row, f"{path}: line {reader.line_num}")
+                if index in rows.setdefault(name, {}):
+                    raise InputError(
+                        f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice"
+                    )
+                rows[name][index] = time_s
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a CSV text file ({error})") from None
+    names = list(cameras)
+    absent = [name for name in names if name not in rows]
+    if absent:
+        raise InputError(
+            f"{path}: no rows for camera {', '.join(absent)} (it has: {', '.join(rows) or 'no rows'}); "
+            "use the names of capture.cameras"
+        )
+    out = {}
+    for name in names:
+        index = np.array(sorted(rows[name]))
+        time_s = np.array([rows[name][i] for i in index.tolist()])
+        back = np.flatnonzero(np.diff(time_s) <= 0)
+        if len(back):
+            i = int(back[0])
+            raise InputError(
+                f"{path}: camera {name}: time does not increase from frame {index[i]} ({time_s[i]:.6f} s) to "
+                f"frame {index[i + 1]} ({time_s[i + 1]:.6f} s); correct the table"
+            )
+        out[name] = FrameTimes(index, time_s)
+    return out
+
+
+def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
+    try:
+        index, time_s = int(row["frame_index"]), float(row["time_s"])
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}; "
+            "expected a whole number and seconds"
+        ) from None
+    if index < 0 or not np.isfinite(time_s):
+        raise InputError(f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite")
+    return (row["camera"] or "").strip(), index, time_s
+
+
+def _check_sweep(path: Path) -> None:
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; check the path in scene.yaml")
+    if not path.is_dir():
+        probe_video(path)
+        return
+    pictures = _check_folder(path)
+    if len(pictures) < MIN_SWEEP_FRAMES:
+        raise InputError(
+            f"{path}: {len(pictures)} picture; a sweep needs many views of the scene, at least 20"
+        )
+
+
+def _check_clip_or_folder(path: Path) -> None:
+    if path.is_dir():
+        _check_folder(path)
+    else:
+        probe_video(path)
+
+
+def _check_folder(path: Path) -> list[Path]:
+    pictures = list_pictures(path)
+    broken = []
+    for picture in pictures:
+        try:
+            if is_raw(picture):  # developing is slow: only look whether there is something
+                check_file(picture)
+            else:
+                probe_picture(picture)
+        except InputError as error:
+            broken.append(str(error))
+    if broken:
+        more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+        raise InputError(broken[0] + more)
+    return pictures
+
+
+def _same_file_twice(cameras: Mapping[str, Path]) -> list[str]:
+    seen: dict[Path, str] = {}
+    problems = []
+    for name, path in cameras.items():
+        first = seen.setdefault(path.resolve(), name)
+        if first != name:
+            problems.append(
+                f"capture camera {name}: {path} is also the clip of camera {first}; expected its own"
+            )
+    return problems
