@@ -1,0 +1,176 @@
+# ruff: noqa: UP018 (float(1.0) makes a variable in a Warp kernel, 1.0 a constant)
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportOperatorIssue=false, reportAttributeAccessIssue=false
+"""Adam's step (Kingma & Ba 2015, Algorithm 1) on voxel grids, and the total variation that rides on it.
+
+`masked_step` visits only listed vertices and skips values whose gradient is exactly zero, as DirectVoxGO
+does: a voxel no ray touched keeps its value and its moments. `dense_step` moves every value: behind the
+motion field's total variation it carries motion into space that no ray has touched, because Adam divides a
+gradient by its own size. Both clear the gradient behind them.
+"""
+
+from typing import no_type_check
+
+import torch
+import warp as wp
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from devrf.reconstruct.kernels.launch import array, launch, use_warp
+
+
+def masked_step(
+    values: Float[Tensor, "V C"],
+    grad: Float[Tensor, "V C"],
+    moment1: Float[Tensor, "V C"],
+    moment2: Float[Tensor, "V C"],
+    vertices: Int[Tensor, " A"],
+    step: int,
+    lr: float,
+    betas: tuple[float, float],
+    eps: float,
+) -> None:
+    """One step on the listed vertices, in place; `step` counts from 1."""
+    rate, root = _corrected(step, lr, betas)
+    if use_warp(values.device):
+        arguments = [array(x) for x in (values, grad, moment1, moment2, vertices)]
+        launch(_masked, len(vertices), [*arguments, rate, root, *betas, eps], values.device)
+        return
+    g = grad[vertices]
+    touched = g != 0
+    m = torch.where(touched, betas[0] * moment1[vertices] + (1 - betas[0]) * g, moment1[vertices])
+    v = torch.where(touched, betas[1] * moment2[vertices] + (1 - betas[1]) * g * g, moment2[vertices])
+    moment1[vertices], moment2[vertices] = m, v
+    values[vertices] -= torch.where(touched, rate * m / (v.sqrt() * root + eps), 0.0)
+    grad[vertices] = 0
+
+
+def dense_step(
+    values: Float[Tensor, "*shape"],
+    grad: Float[Tensor, "*shape"],
+    moment1: Float[Tensor, "*shape"],
+    moment2: Float[Tensor, "*shape"],
+    step: int,
+    lr: float,
+    betas: tuple[float, float],
+    eps: float,
+) -> None:
+    """One step on every value, in place; `step` counts from 1."""
+    rate, root = _corrected(step, lr, betas)
+    if use_warp(values.device):
+        arguments = [array(x.reshape(-1)) for x in (values, grad, moment1, moment2)]
+        launch(_dense, values.numel(), [*arguments, rate, root, *betas, eps], values.device)
+        return
+    moment1.lerp_(grad, 1 - betas[0])
+    moment2.lerp_(grad * grad, 1 - betas[1])
+    values -= rate * moment1 / (moment2.sqrt() * root + eps)
+    grad.zero_()
+
+
+def add_total_variation(
+    values: Float[Tensor, "X Y Z 3"], grad: Float[Tensor, "X Y Z 3"], weight: float, clamp: float
+) -> None:
+    """Add weight / 6 times the sum over six neighbours of (value - neighbour), held to +-clamp, to `grad`."""
+    if use_warp(values.device):
+        arguments = [array(values, wp.vec3), array(grad, wp.vec3), weight / 6.0, clamp]
+        launch(_variation, values.numel() // 3, arguments, values.device)
+        return
+    for axis in range(3):
+        n = values.shape[axis]
+        difference = (values.narrow(axis, 1, n - 1) - values.narrow(axis, 0, n - 1)).clamp(-clamp, clamp)
+        grad.narrow(axis, 1, n - 1).add_(difference, alpha=weight / 6.0)
+        grad.narrow(axis, 0, n - 1).sub_(difference, alpha=weight / 6.0)
+
+
+def _corrected(step: int, lr: float, betas: tuple[float, float]) -> tuple[float, float]:
+    """The rate with the first moment's bias taken out, and the factor that does so for the second's root."""
+    return lr / (1 - betas[0] ** step), (1 - betas[1] ** step) ** -0.5
+
+
+@wp.kernel(enable_backward=False)
+@no_type_check
+def _masked(
+    first: int,
+    values: wp.array2d(dtype=float),
+    grad: wp.array2d(dtype=float),
+    moment1: wp.array2d(dtype=float),
+    moment2: wp.array2d(dtype=float),
+    vertices: wp.array(dtype=wp.int64),
+    rate: float,
+    root: float,
+    beta1: float,
+    beta2: float,
+    eps: float,
+):
+    v = int(vertices[first + wp.tid()])
+    for c in range(values.shape[1]):
+        g = grad[v, c]
+        if g != 0.0:
+            m1 = beta1 * moment1[v, c] + (1.0 - beta1) * g
+            m2 = beta2 * moment2[v, c] + (1.0 - beta2) * g * g
+            moment1[v, c] = m1
+            moment2[v, c] = m2
+            values[v, c] = values[v, c] - rate * m1 / (wp.sqrt(m2) * root + eps)
+            grad[v, c] = 0.0
+
+
+@wp.kernel(enable_backward=False)
+@no_type_check
+def _dense(
+    first: int,
+    values: wp.array(dtype=float),
+    grad: wp.array(dtype=float),
+    moment1: wp.array(dtype=float),
+    moment2: wp.array(dtype=float),
+    rate: float,
+    root: float,
+    beta1: float,
+    beta2: float,
+    eps: float,
+):
+    n = first + wp.tid()
+    g = grad[n]
+    m1 = beta1 * moment1[n] + (1.0 - beta1) * g
+    m2 = beta2 * moment2[n] + (1.0 - beta2) * g * g
+    moment1[n] = m1
+    moment2[n] = m2
+    values[n] = values[n] - rate * m1 / (wp.sqrt(m2) * root + eps)
+    grad[n] = 0.0
+
+
+@wp.func
+@no_type_check
+def held(a: wp.vec3, b: wp.vec3, most: float) -> wp.vec3:
+    """a - b, each component held to +-most."""
+    d = a - b
+    return wp.vec3(wp.clamp(d[0], -most, most), wp.clamp(d[1], -most, most), wp.clamp(d[2], -most, most))
+
+
+@wp.kernel(enable_backward=False)
+@no_type_check
+def _variation(
+    first: int,
+    values: wp.array3d(dtype=wp.vec3),
+    grad: wp.array3d(dtype=wp.vec3),
+    weight: float,
+    most: float,
+):
+    n = first + wp.tid()
+    k = n % values.shape[2]
+    j = (n // values.shape[2]) % values.shape[1]
+    i = n // (values.shape[1] * values.shape[2])
+    here = values[i, j, k]
+    total = wp.vec3(0.0, 0.0, 0.0)
+    if i > 0:
+        total += held(here, values[i - 1, j, k], most)
+    if i < values.shape[0] - 1:
+        total += held(here, values[i + 1, j, k], most)
+    if j > 0:
+        total += held(here, values[i, j - 1, k], most)
+    if j < values.shape[1] - 1:
+        total += held(here, values[i, j + 1, k], most)
+    if k > 0:
+        total += held(here, values[i, j, k - 1], most)
+    if k < values.shape[2] - 1:
+        total += held(here, values[i, j, k + 1], most)
+    grad[i, j, k] = grad[i, j, k] + total * weight
