@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import yaml
 from annotated_types import Ge, Gt, Le, Lt
@@ -158,30 +158,36 @@ def _validate(raw: dict, say: Any) -> SceneConfig | None:
         except ValidationError as error:
             for item in error.errors(include_url=False):
                 location = _real_location(data, item["loc"])
-                if not (
-                    item["type"] == "missing" and _has(raw, location)
-                ):  # removed by a repair, said already
-                    say(".".join(str(part) for part in location), _message(item, location))
-                _repair(data, location, item["type"])
+                absent = item["type"] == "missing" and not _has(data, location)
+                if not (absent and _has(raw, location)):  # removed by a repair: said already
+                    say(".".join(str(part) for part in location), _message(item, location, data))
+                _repair(data, location, absent)
     return None
 
 
 def _real_location(data: Any, location: tuple) -> tuple:
-    """The location without the marks pydantic adds for alternatives and for keys."""
+    """The location without the marks pydantic adds for alternatives and keys, and not inside a list."""
     real = []
     for part in location:
         if part == "[key]" or (isinstance(part, str) and "[" in part) or part in _ALTERNATIVES:
             continue
+        if isinstance(data, list):
+            break
         real.append(part)
+        data = data.get(part) if isinstance(data, dict) else None
     return tuple(real)
 
 
 _ALTERNATIVES = ("bool", "literal['auto']")
 
 
-def _message(item: Any, location: tuple) -> str:
+def _message(item: Any, location: tuple, data: dict) -> str:
     kind, value, context = item["type"], item["input"], item.get("ctx", {})
     field = _field(location)
+    for part in location:
+        data = data.get(part, {}) if isinstance(data, dict) else {}
+    if isinstance(data, list) and kind != "value_error":
+        return f"{_shorten(data)}; expected {_expectation(field)}"
     if kind == "extra_forbidden":
         return f"unknown key{_suggestion(str(location[-1]), _keys(location[:-1]))}"
     if kind == "missing":
@@ -196,7 +202,7 @@ def _message(item: Any, location: tuple) -> str:
     return f"{_shorten(value)}; expected {_expectation(field)}"
 
 
-def _repair(data: dict, location: tuple, kind: str) -> None:
+def _repair(data: dict, location: tuple, absent: bool) -> None:
     """Remove what is wrong, so that its default takes its place; give a placeholder to what has none."""
     placeholders: dict[tuple, Any] = {("name",): "scene"}
     if location in placeholders:
@@ -207,7 +213,7 @@ def _repair(data: dict, location: tuple, kind: str) -> None:
         if not isinstance(here, dict) or part not in here:
             break
         here = here[part]
-    if kind == "missing" or not isinstance(here, dict) or location[-1] not in here:
+    if absent or not isinstance(here, dict) or location[-1] not in here:
         _drop(data, location[:-1])  # a section that lacks what it needs, or an item of a list
     else:
         del here[location[-1]]
@@ -247,7 +253,8 @@ def _alternatives(field: FieldInfo | None) -> tuple:
     if field is None:
         return ()
     kind = field.annotation
-    return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    return tuple(get_args(k)[0] if get_origin(k) is Annotated else k for k in kinds)
 
 
 def _field(location: tuple) -> FieldInfo | None:
@@ -305,9 +312,9 @@ def _bounds(field: FieldInfo) -> str:
 
 
 def _check_together(config: SceneConfig, raw: dict, say: Any) -> None:
-    if "capture" not in raw and "dataset" not in raw:
-        near = difflib.get_close_matches("capture", [str(key) for key in raw])
-        if not near:
+    if raw.get("capture") is None and raw.get("dataset") is None:
+        misspelt = [str(key) for key in raw if key not in SceneConfig.model_fields]
+        if not any(difflib.get_close_matches(word, ("capture", "dataset")) for word in misspelt):
             say("capture", "is missing; give capture (raw files) or dataset (a finished data set)")
         return
     if config.dataset is not None:
@@ -430,14 +437,14 @@ def _near_file(path: Path) -> str:
         names = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
     except OSError:
         names = []
-    return _suggestion(path.name, names)
+    return _suggestion(path.name, names, cutoff=0.75)
 
 
 # --- words ---
 
 
-def _suggestion(word: str, choices: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, list(choices), n=1, cutoff=0.6)
+def _suggestion(word: str, choices: Iterable[str], *, cutoff: float = 0.6) -> str:
+    near = difflib.get_close_matches(word, list(choices), n=1, cutoff=cutoff)
     return f", did you mean {near[0]}?" if near else ""
 
 
@@ -447,5 +454,5 @@ def _type(value: Any) -> str:
 
 
 def _shorten(value: Any) -> str:
-    text = repr(value)
+    text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= 80 else text[:77] + "..."

@@ -1,0 +1,358 @@
+"""The runner on small stages that write text: what runs, what is skipped, what survives.
+
+Run as a program, this file executes the same stages in a process of its own, so that it can be killed.
+"""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from devrf.capture.errors import CaptureError, HealthError, InputError
+from devrf.pipelines import plan, stamp
+from devrf.pipelines.console import Talk
+from devrf.pipelines.health import row
+from devrf.pipelines.plan import Choice, standings
+from devrf.pipelines.runner import (
+    BAD_INPUT,
+    DONE,
+    FAILED,
+    STOPPED,
+    UNHEALTHY,
+    Run,
+    check_choice,
+    dry_run,
+    execute,
+)
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.scene_file import load_scene
+from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.workspace import Workspace
+
+SCENE = """
+name: small
+output: run
+preset: tiny
+capture: {static: static.mp4, cameras: {cam0: cam0.mp4}}
+reconstruct: {rays: 100, seed: 1}
+"""
+
+
+def write(text: str) -> Callable[[StageContext], None]:
+    def work(context: StageContext) -> None:
+        context.progress(0.5, "half")
+        (context.out / "sub").mkdir()
+        (context.out / "sub" / "result.txt").write_text(text)
+        context.health.append(row("registered", 1.0, "", fail=0.4, remedy="Film more slowly."))
+
+    return work
+
+
+def stage(name: str, reads: tuple[str, ...], keys: tuple[str, ...], work: Callable | None = None) -> Stage:
+    return Stage(name, reads, keys, lambda config: None, work or write(name))
+
+
+def small_stages(**works: Callable[[StageContext], None]) -> tuple[Stage, ...]:
+    """first reads the sweep; second reads first; third reads second; other reads only the other clip."""
+    return (
+        stage("first", (), ("capture.static",), works.get("first")),
+        stage("second", ("first",), ("reconstruct.rays",), works.get("second")),
+        stage("other", (), ("capture.cameras", "reconstruct.seed"), works.get("other")),
+        stage("third", ("second",), (), works.get("third")),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "static.mp4").write_bytes(b"sweep")
+    (tmp_path / "cam0.mp4").write_bytes(b"clip")
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path
+
+
+def job(folder: Path, stages: tuple[Stage, ...], *overrides: str, choice: Choice | None = None) -> Run:
+    config = load_scene(folder / "scene.yaml", overrides)
+    return Run(config, folder, stages, choice or Choice(), Talk("quiet"))
+
+
+def executed(folder: Path, *overrides: str, choice: Choice | None = None, **works: Callable) -> list[str]:
+    run = job(folder, small_stages(**works), *overrides, choice=choice)
+    assert execute(run) == DONE
+    return run.executed
+
+
+ALL = ["first", "second", "other", "third"]
+
+
+def test_second_run_executes_nothing(folder: Path) -> None:
+    assert executed(folder) == ALL
+    assert (folder / "run/second/sub/result.txt").read_text() == "second"
+    assert executed(folder) == []
+
+
+def test_a_finished_stage_says_what_made_it(folder: Path) -> None:
+    executed(folder)
+    made = json.loads((folder / "run/second/stamp.json").read_text())
+    assert made["identity"]["config"] == {"reconstruct.rays": 100}
+    assert made["identity"]["reads"].keys() == {"first"}
+    assert made["files"] == {"sub/result.txt": len("second")}
+    health = json.loads((folder / "run/second/health.json").read_text())
+    assert health["rows"][0]["verdict"] == "ok"
+    assert not [
+        path.name for path in (folder / "run").iterdir() if path.name.startswith((".new", ".old", ".lock"))
+    ]
+
+
+def test_a_changed_key_runs_only_what_depends_on_it(folder: Path) -> None:
+    executed(folder)
+    assert executed(folder, "reconstruct.rays=200") == ["second", "third"]
+    assert executed(folder, "reconstruct.rays=200", "reconstruct.seed=2") == ["other"]
+    assert executed(folder, "reconstruct.rays=200", "reconstruct.seed=2", "evaluate.holdout_every=5") == []
+
+
+def test_touching_and_renaming_changes_nothing_but_content_does(folder: Path) -> None:
+    executed(folder)
+    os.utime(folder / "static.mp4", (1, 1))
+    assert executed(folder) == []
+    (folder / "static.mp4").rename(folder / "renamed.mp4")
+    assert executed(folder, "capture.static=renamed.mp4") == []
+    (folder / "renamed.mp4").write_bytes(b"SWEEP")
+    assert executed(folder, "capture.static=renamed.mp4") == ["first", "second", "third"]
+
+
+def test_changed_code_runs_what_uses_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    executed(folder)
+    old = stamp.code_version
+    monkeypatch.setattr(stamp, "code_version", lambda name: "new" if name.endswith("second") else old(name))
+    run = job(folder, small_stages())
+    why = {now.stage.name: now.why for now in standings(run.stages, run.config, folder, run.run_dir)}
+    assert why["first"] == ()
+    assert why["second"] == ("the code changed",)
+    assert why["third"] == ("second runs",)
+
+
+def test_a_damaged_result_is_made_again(folder: Path) -> None:
+    executed(folder)
+    (folder / "run/second/sub/result.txt").unlink()
+    assert executed(folder) == ["second", "third"]
+    (folder / "run/third/sub/result.txt").write_text("thir")
+    assert executed(folder) == ["third"]
+
+
+def test_from_until_force(folder: Path) -> None:
+    assert executed(folder, choice=Choice(last="second")) == ["first", "second"]
+    assert executed(folder, choice=Choice(first="third")) == ["third"]
+    assert executed(folder) == ["other"]
+    assert executed(folder, choice=Choice(force=("second",))) == ["second", "third"]
+    assert executed(folder, choice=Choice(force=("all",))) == ALL
+    # stages before --from are taken as they are, even where they are stale
+    assert executed(folder, "reconstruct.rays=700", choice=Choice(first="third")) == []
+
+
+def test_from_without_what_it_reads_is_refused(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    assert execute(job(folder, small_stages(), choice=Choice(first="third"))) == FAILED
+    assert "third reads second, which is not made yet; run without --from" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("choice", "expected"),
+    [
+        (Choice(first="frist"), "--from frist: no such stage; expected first"),
+        (Choice(last="x"), "--until x: no such stage"),
+        (Choice(force=("x", "y")), "--force y: no such stage"),
+        (Choice(first="third", last="first"), "the first comes after the last"),
+    ],
+)
+def test_choice_is_checked(folder: Path, choice: Choice, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        check_choice(load_scene(folder / "scene.yaml"), small_stages(), choice)
+
+
+def test_dry_run_touches_nothing(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    run = job(folder, small_stages())
+    run.talk = Talk("normal")
+    assert dry_run(run) == DONE
+    assert "first: would run: not made yet" in capsys.readouterr().out
+    assert not (folder / "run").exists()
+    executed(folder)
+    run = job(folder, small_stages(), "reconstruct.rays=500")
+    run.talk = Talk("normal")
+    dry_run(run)
+    out = capsys.readouterr().out
+    assert "first: skipped" in out
+    assert "second: would run: reconstruct.rays: 100 is now 500" in out
+    assert "third: would run: second runs" in out
+
+
+# --- failures ---
+
+
+def fail(error: BaseException) -> Callable[[StageContext], None]:
+    def work(context: StageContext) -> None:
+        (context.out / "half.txt").write_text("half")
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "expected"),
+    [
+        (CaptureError("clip.mp4: damaged at 3.2 s"), FAILED, "second: clip.mp4: damaged at 3.2 s"),
+        (InputError("clip.mp4: not a video"), FAILED, "second: clip.mp4: not a video"),
+        (HealthError("board never seen"), UNHEALTHY, "second: board never seen"),
+        (OSError(errno.ENOSPC, "No space left on device"), FAILED, "the disk is full"),
+        (RuntimeError("write: No space left on device"), FAILED, "the disk is full"),
+        (MemoryError(), FAILED, "not enough memory"),
+        (ZeroDivisionError("division"), FAILED, "unexpected ZeroDivisionError: division"),
+        (SystemExit(3), FAILED, "a library ended the program"),
+        (KeyboardInterrupt(), STOPPED, "stopped; finished stages are kept"),
+    ],
+)
+def test_a_failure_keeps_what_was_there(
+    folder: Path, error: BaseException, code: int, expected: str, capsys: pytest.CaptureFixture
+) -> None:
+    executed(folder)
+    run = job(folder, small_stages(second=fail(error)), "reconstruct.rays=200")
+    assert execute(run) == code
+    assert expected in capsys.readouterr().err
+    assert (folder / "run/second/sub/result.txt").read_text() == "second"  # the old result
+    assert not list((folder / "run").glob(".new-*"))
+    assert executed(folder, "reconstruct.rays=200") == ["second", "third"]
+
+
+def test_a_failure_is_remembered_until_it_is_mended(folder: Path) -> None:
+    run = job(folder, small_stages(second=fail(CaptureError("damaged"))))
+    assert execute(run) == FAILED
+    found = standings(run.stages, run.config, folder, run.run_dir)
+    assert [now.state for now in found] == ["fresh", "missing", "missing", "missing"]
+    assert found[1].error == "second: damaged"
+    assert "Traceback" in (folder / "run/devrf.log").read_text()
+    executed(folder)
+    assert standings(run.stages, run.config, folder, run.run_dir)[1].error is None
+
+
+def unhealthy(context: StageContext) -> None:
+    write("poor")(context)
+    context.health.append(row("registered", 0.1, "", fail=0.4, remedy="Film more slowly."))
+
+
+def test_a_failed_row_stops_the_run_and_keeps_the_result(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    run = job(folder, small_stages(second=unhealthy))
+    assert execute(run) == UNHEALTHY
+    assert run.executed == ["first", "second"]
+    assert "Film more slowly." in capsys.readouterr().err
+    again = job(folder, small_stages(second=unhealthy))
+    assert execute(again) == UNHEALTHY  # refused again, without doing it again
+    assert again.executed == []
+    assert executed(folder, choice=Choice(allow_unhealthy=True), second=unhealthy) == ["other", "third"]
+
+
+def test_output_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    (folder / "file").write_text("in the way")
+    assert execute(job(folder, small_stages(), "output=file/run")) == BAD_INPUT
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_one_run_at_a_time(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    try:
+        with Workspace(folder / "run"):
+            lock = folder / "run/.lock"
+            holder = json.loads(lock.read_text())
+        assert not lock.exists()
+        started = Path(f"/proc/{sleeper.pid}/stat").read_text().rsplit(")", 1)[1].split()[19]
+        lock.write_text(json.dumps(holder | {"pid": sleeper.pid, "started": started}))
+        assert execute(job(folder, small_stages())) == BAD_INPUT
+        assert f"another run (process {sleeper.pid}" in capsys.readouterr().err
+    finally:
+        sleeper.kill()
+        sleeper.wait()
+    assert executed(folder) == ALL  # a dead run holds nothing
+
+
+def test_a_lock_of_a_process_number_used_again_is_dead(folder: Path) -> None:
+    (folder / "run").mkdir()
+    with Workspace(folder / "run"):
+        holder = json.loads((folder / "run/.lock").read_text())
+    (folder / "run/.lock").write_text(json.dumps(holder | {"pid": os.getppid(), "started": "1"}))
+    assert executed(folder) == ALL
+
+
+def test_a_swap_half_done_is_finished_or_undone(folder: Path) -> None:
+    executed(folder)
+    run_dir = folder / "run"
+    (run_dir / "second").rename(run_dir / ".old-second-abc")  # killed between the two renames
+    (run_dir / ".new-second-1-abc").mkdir()
+    (run_dir / ".new-second-1-abc" / "half.txt").write_text("half")
+    assert executed(folder) == []  # the old one is back
+    (run_dir / "second").rename(run_dir / ".old-second-abc")
+    (run_dir / "third").rename(run_dir / ".new-third-1-abc")  # never had a name: not trusted
+    assert executed(folder) == ["third"]
+
+
+# --- killed ---
+
+
+def program(folder: Path, work_s: float) -> int:
+    def slow(name: str) -> Callable[[StageContext], None]:
+        def work(context: StageContext) -> None:
+            for n in range(20):
+                (context.out / f"{n}.txt").write_text(name)
+                time.sleep(work_s / 20)
+
+        return work
+
+    return execute(job(folder, small_stages(**{name: slow(name) for name in ALL})))
+
+
+@pytest.mark.parametrize("after", ["first", "second", "other"])
+def test_killed_at_any_point_the_next_run_goes_on(folder: Path, after: str) -> None:
+    started = subprocess.Popen([sys.executable, __file__, str(folder), "0.3"])
+    done = folder / "run" / after / "stamp.json"
+    deadline = time.monotonic() + 60
+    while not done.exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.1)  # in the middle of the next stage
+    started.send_signal(signal.SIGKILL)
+    started.wait()
+    finished = [name for name in ALL if (folder / "run" / name).exists()]
+    assert finished == ALL[: ALL.index(after) + 1]
+    assert list((folder / "run").glob(".new-*"))  # it was in the middle
+    assert executed(folder) == ALL[len(finished) :]
+    assert not list((folder / "run").glob(".new-*"))
+
+
+def test_terminated_it_cleans_up(folder: Path) -> None:
+    started = subprocess.Popen(
+        [sys.executable, __file__, str(folder), "5"], stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while not list((folder / "run").glob(".new-*")) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    started.terminate()
+    _, err = started.communicate(timeout=30)
+    assert started.returncode == STOPPED
+    assert "finished stages are kept" in err
+    assert not list((folder / "run").glob(".new-*"))
+
+
+def test_reads_of_leaves_out_what_does_not_apply(folder: Path) -> None:
+    config: SceneConfig = load_scene(folder / "scene.yaml")
+    first = Stage("first", (), (), lambda config: "no sweep", write("x"))
+    second = stage("second", ("first",), ())
+    assert plan.reads_of(second, (first, second), config) == []
+    run = job(folder, (first, second))
+    assert execute(run) == DONE
+    assert run.executed == ["second"]
+
+
+if __name__ == "__main__":
+    sys.exit(program(Path(sys.argv[1]), float(sys.argv[2])))

@@ -1,0 +1,225 @@
+"""scene.yaml: every mistake at once, each with its key, its value and what was expected."""
+
+from pathlib import Path
+
+import pytest
+
+from devrf.capture.errors import InputError
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.scene_file import ConfigError, load_scene
+
+GOOD = """
+name: kuka
+output: runs/kuka
+preset: tiny
+capture:
+  static: static.mp4
+  cameras: {cam0: cam0.mp4, cam1: cam1.mp4}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("static.mp4", "cam0.mp4", "cam1.mp4", "witness.mp4", "times.csv"):
+        (tmp_path / name).write_bytes(b"x")
+    return tmp_path
+
+
+def load(folder: Path, text: str, overrides: tuple[str, ...] = ()) -> SceneConfig:
+    (folder / "scene.yaml").write_text(text)
+    return load_scene(folder / "scene.yaml", overrides)
+
+
+def mistakes(folder: Path, text: str, overrides: tuple[str, ...] = ()) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        load(folder, text, overrides)
+    return list(caught.value.mistakes)
+
+
+def test_good_file_and_its_defaults(folder: Path) -> None:
+    config = load(folder, GOOD)
+    assert config.kind == "dynamic"
+    assert config.run_dir(folder) == (folder / "runs/kuka").resolve()
+    assert config.evaluate.holdout_every == 8
+    assert config.flow.method == "dis"
+    assert config.capture is not None and config.capture.rest == "start"
+    assert config.reconstruct.image_scale is None  # chosen by the preset
+    assert load(folder, "name: a\ncapture: {static: static.mp4}").run_dir(folder) == folder / "runs/a"
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("capture: {static: static.mp4}", "sweep"),
+        ("capture: {cameras: {a: cam0.mp4}}\ncalibration: {rig: {given: times.csv}}", "cameras"),
+        ("dataset: {format: devrf, path: .}", "dataset"),
+    ],
+)
+def test_kinds_of_capture(folder: Path, text: str, kind: str) -> None:
+    assert load(folder, f"name: x\n{text}").kind == kind
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("reconstruct: {resolutoin: 160}", "reconstruct.resolutoin: unknown key, did you mean resolution?"),
+        ("reconstrct: {}", "reconstrct: unknown key, did you mean reconstruct?"),
+        ("reconstruct: {rays: 3}", "reconstruct.rays: 3; expected a whole number from 64 to 1048576"),
+        ("reconstruct: {rays: many}", "reconstruct.rays: 'many'; expected a whole number from 64 to 1048576"),
+        ("reconstruct: {rays: 100.5}", "reconstruct.rays: 100.5; expected a whole number from 64 to 1048576"),
+        (
+            "reconstruct: {image_scale: .nan}",
+            "reconstruct.image_scale: nan; expected a number from 0.02 to 1",
+        ),
+        (
+            "reconstruct: {seed: true}",
+            "reconstruct.seed: True; expected a whole number from 0 below 2147483648",
+        ),
+        ("flow: {method: raft}", "flow.method: raft is not built yet; use dis"),
+        (
+            "calibration: {sync: {method: sound}}",
+            "calibration.sync.method: 'sound'; expected auto, audio, motion, flash, timestamps, none",
+        ),
+        (
+            "calibration: {sync: {method: timestamps}}",
+            "capture.timestamps: is missing; sync.method: timestamps needs the CSV file",
+        ),
+        (
+            "calibration: {rig: {given: rig.json}}",
+            "calibration.rig.given: 'rig.json': no such file or folder",
+        ),
+        ("evaluate: [8]", "evaluate: [8]; expected a section with the keys holdout_every"),
+        ("budget: {memory_gb: 0}", "budget.memory_gb: 0; expected a number above 0"),
+        ("dataset: {format: devrf, path: .}", "capture: does not go with dataset; remove one of them"),
+    ],
+)
+def test_one_mistake(folder: Path, line: str, expected: str) -> None:
+    found = mistakes(folder, GOOD + line)
+    assert len(found) == 1
+    assert found[0].startswith(f"scene.yaml: {expected}"), found[0]
+
+
+@pytest.mark.parametrize(
+    ("capture", "expected"),
+    [
+        ("{static: statik.mp4}", "capture.static: 'statik.mp4': no such file or folder"),
+        ("{static: statik.mp4}", "did you mean static.mp4?"),
+        ("{cameras: {cam0: cam0.mp4}}", "capture.static: is missing, and without a sweep"),
+        ("{static: static.mp4, cameras: {cam0: gone.mp4}}", "capture.cameras.cam0: 'gone.mp4'"),
+        ("{static: static.mp4, cameras: {0: cam0.mp4}}", "the key 0 is a number; names are text"),
+        ("{static: static.mp4, cameras: {a/b: cam0.mp4}}", "'a/b' cannot be a camera's name"),
+        ("{static: static.mp4, cameras: {static: cam0.mp4}}", "'static' is a name that the run folder needs"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4, b: cam0.mp4}}", "a, b name the same file"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [b]}", "'b' is not in cameras"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [a]}", "every camera is a test camera"),
+        ("{static: static.mp4, test_cameras: {a: cam0.mp4}}", "every camera is a test camera"),
+        ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; expected [from, to]"),
+        ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; expected a list of two numbers"),
+        ("{static: static.mp4, mattes: chroma}", "capture.mattes: mattes are not built yet"),
+        ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board.square_m: is missing"),
+        ("{static: static.mp4, board: {squares: [8, 6], square_m: 1}}", "capture.board: marker_m is missing"),
+        (
+            "{static: static.mp4, board: {squares: [8, 6], square_m: 1, marker_m: 2}}",
+            "capture.board: marker_m 2.0 is not smaller than square_m 1.0",
+        ),
+        (
+            "{static: static.mp4, cameras: {cam0: cam0.mp4}, "
+            "board: {squares: [8, 6], square_m: 2, marker_m: 1, clips: {cam1: cam1.mp4}}}",
+            "capture.board.clips.cam1: no camera has this name, did you mean cam0?",
+        ),
+        ("{}", "capture: names no material"),
+        ("null", "capture: is missing"),
+    ],
+)
+def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> None:
+    found = mistakes(folder, f"name: x\ncapture: {capture}")
+    assert any(expected in line for line in found), found
+
+
+def test_every_mistake_at_once(folder: Path) -> None:
+    found = mistakes(
+        folder,
+        """
+outptu: runs/x
+preset: tinny
+capture: {static: gone.mp4, cameras: {cam0: cam0.mp4, cam1: gone1.mp4}, test_cameras: [cam9]}
+reconstruct: {resolutoin: 160, rays: 3}
+flow: {method: raft}
+""",
+        ("evaluate.holdout=3", "nonsense"),
+    )
+    text = "\n".join(found)
+    for part in (
+        "scene.yaml: name: is missing",
+        "scene.yaml: outptu: unknown key, did you mean output?",
+        "scene.yaml: preset: 'tinny'; expected tiny, fast, reference, did you mean tiny?",
+        "scene.yaml: capture.static: 'gone.mp4'",
+        "scene.yaml: capture.cameras.cam1: 'gone1.mp4'",
+        "scene.yaml: capture.test_cameras: 'cam9' is not in cameras, did you mean cam1?",
+        "scene.yaml: reconstruct.resolutoin: unknown key",
+        "scene.yaml: reconstruct.rays: 3",
+        "scene.yaml: flow.method: raft",
+        "--set evaluate.holdout: unknown key, did you mean holdout_every?",
+        "--set nonsense: expected key=value",
+    ):
+        assert part in text, f"{part!r} not in\n{text}"
+    assert len(found) == 11
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("name: [1, 2\npreset: fast", "line 2"),
+        ("name: a\nname: b", "scene.yaml: line 2, column 1: key 'name' is given twice (first in line 1)"),
+        ("reconstruct: {rays: 100, rays: 200}", "key 'rays' is given twice"),
+        ("", "scene.yaml: is empty"),
+        ("- a\n- b", "scene.yaml: holds a list"),
+        ("name: !!python/object:os.system x", "could not determine a constructor"),
+        ("\x00", "scene.yaml: "),
+    ],
+)
+def test_not_a_scene_file(folder: Path, text: str, expected: str) -> None:
+    found = mistakes(folder, text)
+    assert len(found) == 1 and expected in found[0], found
+
+
+def test_missing_scene_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("name: x")
+    with pytest.raises(InputError, match="scen.yaml: no such file, did you mean scene.yaml?"):
+        load_scene(tmp_path / "scen.yaml")
+
+
+def test_overrides_are_yaml(folder: Path) -> None:
+    config = load(
+        folder,
+        GOOD,
+        ("reconstruct.rays=4096", "capture.range_s=[0, 1.5]", "reconstruct.image_scale=5e-1", "preset=fast"),
+    )
+    assert config.reconstruct.rays == 4096
+    assert config.reconstruct.image_scale == 0.5
+    assert config.capture is not None and config.capture.range_s == (0, 1.5)
+    assert config.preset == "fast"
+
+
+def test_test_cameras_as_names_or_clips(folder: Path) -> None:
+    named = load(folder, GOOD + "  test_cameras: [cam1]\n").capture
+    own = load(folder, GOOD + "  test_cameras: {witness: witness.mp4}\n").capture
+    assert named is not None and own is not None
+    assert named.test_names == ("cam1",) and list(named.training_cameras) == ["cam0"]
+    assert own.test_names == ("witness",) and list(own.training_cameras) == ["cam0", "cam1"]
+    assert list(own.all_cameras) == ["cam0", "cam1", "witness"]
+
+
+def test_every_field_is_described() -> None:
+    """A key without a docstring line is a key nobody can look up."""
+    import ast
+    import inspect
+
+    from devrf.pipelines import scene_config
+
+    tree = ast.parse(inspect.getsource(scene_config))
+    for section in (node for node in tree.body if isinstance(node, ast.ClassDef)):
+        for here, following in zip(section.body, [*section.body[1:], None], strict=True):
+            if isinstance(here, ast.AnnAssign):
+                described = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+                assert described, f"{section.name}.{ast.unparse(here.target)} has no docstring line"
