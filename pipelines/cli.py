@@ -116,19 +116,22 @@ def render(
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write the session into")],
-    scene: Annotated[str, typer.Option(help="Name of the scene to simulate")] = "room",
-    cameras: Annotated[int, typer.Option(help="Fixed cameras")] = 4,
+    scene: Annotated[str, typer.Option(help="What moves: sheet or column")] = "sheet",
+    protocol: Annotated[str, typer.Option(help="session: raw clips as a crew brings them home")] = "session",
+    cameras: Annotated[int, typer.Option(help="Fixed cameras, without the witness")] = 4,
     seed: Annotated[int, typer.Option(help="Another seed, another session")] = 0,
-    size: Annotated[str, typer.Option(help="Size of the pictures, WIDTHxHEIGHT")] = "400x400",
-    overrides: SetOption = None,
+    size: Annotated[str, typer.Option(help="Size of the pictures, WIDTHxHEIGHT")] = "480x360",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Option of the session: fps=24 (repeatable)")
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Render a raw session with known truth (needs the extra `simulate`)."""
-    from devrf.pipelines.simulate_command import simulate_session
+    from devrf.pipelines import simulate_command
 
     talk = _talk(quiet, False)
     try:
-        simulate_session(talk, out, scene, cameras, seed, size, overrides or [])
+        simulate_command.simulate(talk, out, scene, protocol, cameras, seed, size, settings or [])
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None

@@ -31,6 +31,8 @@ class Talk:
 
     def __init__(self, loudness: Loudness = "normal") -> None:
         self.loudness: Loudness = loudness
+        if not logger.handlers:
+            logger.addHandler(logging.NullHandler())  # or Python prints what is logged a second time
         self.out = Console(file=sys.stdout, highlight=False, soft_wrap=True)
         self.err = Console(file=sys.stderr, highlight=False, soft_wrap=True)
 
