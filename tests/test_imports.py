@@ -1,0 +1,97 @@
+"""Imports point one way: pipelines -> reconstruct -> flow -> calibration -> capture."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+ORDER = ("capture", "calibration", "flow", "reconstruct", "pipelines")  # each may import those before it
+
+
+def wrong_way(room: str, source: str) -> list[str]:
+    """Imports in a file of a room that point the wrong way."""
+    allowed = ORDER[: ORDER.index(room) + 1]
+    return [
+        name for name in imported(source) if name.split(".")[1] in ORDER and name.split(".")[1] not in allowed
+    ]
+
+
+def imported(source: str) -> list[str]:
+    """Every devrf.* module that a source names in an import, at any depth."""
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return [name for name in names if name.startswith("devrf.")]
+
+
+@pytest.mark.parametrize("room", ORDER)
+def test_imports_point_one_way(room: str) -> None:
+    for path in sorted((REPOSITORY / room).rglob("*.py")):
+        assert wrong_way(room, path.read_text()) == [], (
+            f"{path.relative_to(REPOSITORY)} imports the wrong way"
+        )
+
+
+def test_the_rule_can_fail() -> None:
+    assert wrong_way("capture", "import devrf.flow.store") == ["devrf.flow.store"]
+    assert wrong_way("flow", "def f():\n    from devrf import pipelines") == ["devrf.pipelines"]
+    assert wrong_way("calibration", "from devrf.reconstruct.rays import x") == ["devrf.reconstruct.rays.x"]
+    assert wrong_way("pipelines", "from devrf.capture.camera import Camera") == []
+
+
+def test_domain_folders_know_nothing_of_yaml_or_the_command_line() -> None:
+    for room in ORDER[:-1]:
+        for path in (REPOSITORY / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                known = {name.split(".")[0] for name in names} & {"yaml", "typer", "rich"}
+                assert not known, f"{path.relative_to(REPOSITORY)} imports {known}"
+
+
+def test_pycolmap_is_imported_in_one_place_and_after_zlib() -> None:
+    """Imported before zlib it corrupts the heap; imported beside torch it may end the process."""
+    users = []
+    for room in ORDER:
+        for path in (REPOSITORY / room).rglob("*.py"):
+            lines = path.read_text().splitlines()
+            found = [
+                n
+                for n, line in enumerate(lines)
+                if line.strip().startswith(("import pycolmap", "from pycolmap"))
+            ]
+            if found:
+                users.append(path.name)
+                zlib = [n for n, line in enumerate(lines) if line.strip().startswith("import zlib")]
+                assert zlib and zlib[0] < found[0], f"{path} imports pycolmap before zlib"
+    assert len(users) == 1, users
+
+
+@pytest.mark.parametrize("command", [["--version"], ["run", "--help"]])
+def test_the_command_line_starts_without_heavy_libraries(command: list[str]) -> None:
+    program = (
+        "import sys\n"
+        "from devrf.pipelines.cli import app\n"
+        f"try: app({command!r})\n"
+        "except SystemExit: pass\n"
+        "heavy = {'torch', 'pycolmap', 'cv2', 'warp', 'scipy', 'mitsuba', 'av', 'matplotlib'}\n"
+        "heavy &= set(sys.modules)\n"
+        "sys.exit(f'imports {heavy}' if heavy else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("room", ORDER)
+def test_a_room_is_not_imported_by_its_bare_name(room: str) -> None:
+    """`import capture` from the repository root would make second copies of every class."""
+    result = subprocess.run(
+        [sys.executable, "-c", f"import {room}"], cwd=REPOSITORY, capture_output=True, text=True
+    )
+    assert f"import devrf.{room}, not {room}" in result.stderr
