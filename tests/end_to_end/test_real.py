@@ -1,0 +1,200 @@
+"""Real captures through the real command line: photos, webcams with a board, portrait clips, a data set."""
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+
+def write_scene(folder: Path, **value: object) -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump({"output": str(folder / "run"), "preset": "tiny"} | value))
+    return path
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+# --- fox_static: 50 photos, a scene at rest ---
+
+
+@pytest.fixture(scope="module")
+def fox(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of the fox, from photos to the report."""
+    folder = tmp_path_factory.mktemp("fox")
+    scene = write_scene(folder, name="fox", capture={"static": str(data_dir / "fox_static" / "images")})
+    result = devrf("run", scene)
+    assert result.code == 0, result.said
+    return folder
+
+
+def test_fox_is_a_scene_at_rest(devrf: Callable, fox: Path) -> None:
+    result = devrf("status", fox, "--json")
+    stages = {stage["stage"]: stage for stage in json.loads(result.out)["stages"]}
+    for name in ("sync", "rig", "flow", "deformation"):
+        assert stages[name]["state"] == "not applicable"
+        assert "no cameras of the moving scene" in stages[name]["why"][0]
+    assert all(stage["state"] == "fresh" for name, stage in stages.items() if not stage["why"])
+    assert (fox / "run/report/index.html").is_file()
+    assert list((fox / "run/render").glob("*.mp4"))
+
+
+def test_fox_poses_agree_with_the_reference(fox: Path, data_dir: Path) -> None:
+    poses = read(fox / "run/static_poses/static_poses.json")
+    assert poses["given"] == 50
+    assert poses["registered"] >= 48
+    ingest = read(fox / "run/ingest/ingest.json")["cameras"]["static"]
+    reference = {
+        Path(frame["file_path"]).name: np.array(frame["transform_matrix"])[:3, :3] @ np.diag([1.0, -1, -1])
+        for frame in read(data_dir / "fox_static/transforms.json")["frames"]
+    }
+    sources = fox_sources(ingest, data_dir)
+    ours, theirs = [], []
+    for name, frame in poses["frames"].items():
+        index = int(Path(name).stem)
+        ours.append(np.array(frame["camera_from_world"])[:, :3].T)
+        theirs.append(reference[sources[index]])
+    angles = rotation_errors_deg(np.array(ours), np.array(theirs))
+    assert np.median(angles) <= 0.5
+
+
+def fox_sources(ingest: dict[str, Any], data_dir: Path) -> dict[int, str]:
+    """Frame index -> name of the photo: natural order of the folder."""
+    names = sorted((data_dir / "fox_static/images").iterdir(), key=lambda p: int(p.stem))
+    assert len(names) == len(ingest["frames"])
+    return {frame["index"]: name.name for frame, name in zip(ingest["frames"], names, strict=True)}
+
+
+def rotation_errors_deg(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Angles between world-from-camera rotations after the rotation that brings both worlds together."""
+    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", theirs, ours))
+    align = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    relative = np.einsum("nji,njk->nik", align @ ours, theirs)
+    cos = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
+    return np.degrees(np.arccos(np.clip(cos, -1, 1)))
+
+
+def test_fox_held_out_photos(fox: Path) -> None:
+    metrics = read(fox / "run/evaluate/metrics.json")
+    assert metrics["test"]["psnr"] >= 20.0
+    assert metrics["test_static"]["psnr"] == pytest.approx(metrics["test"]["psnr"])
+
+
+# --- caliscope: four webcams, no sweep; true times in a table; an inverted board before all at once ---
+
+
+def caliscope(folder: Path, data_dir: Path, **changes: object) -> Path:
+    source = data_dir / "caliscope_post_optimization" / "calibration" / "extrinsic"
+    clips = {f"cam{n}": str(source / f"cam_{n}.mp4") for n in range(4)}
+    times = folder / "times.csv"
+    times.write_text(caliscope_times(source / "timestamps.csv"))
+    board = {
+        "type": "charuco",
+        "squares": [4, 5],
+        "square_m": 0.054,
+        "marker_m": 0.0405,
+        "dictionary": "DICT_4X4_1000",
+        "joint_clips": clips,
+    }
+    capture = {"cameras": clips, "timestamps": str(times), "board": board}
+    return write_scene(folder, name="webcams", capture=capture, **changes)
+
+
+def caliscope_times(table: Path) -> str:
+    """Their columns cam_id, frame_index, frame_time as camera, frame_index, time_s."""
+    with table.open(newline="") as file:
+        rows = [f"cam{r['cam_id']},{r['frame_index']},{r['frame_time']}" for r in csv.DictReader(file)]
+    return "\n".join(["camera,frame_index,time_s", *rows]) + "\n"
+
+
+@pytest.fixture(scope="module")
+def webcams(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The run folder of the webcams up to flow, and what was said."""
+    folder = tmp_path_factory.mktemp("webcams")
+    result = devrf("run", caliscope(folder, data_dir), "--until", "flow", "--verbose")
+    assert result.code == 0, result.said
+    return folder / "run", result.said
+
+
+def test_webcams_rig_comes_from_the_board(webcams: tuple[Path, str], data_dir: Path) -> None:
+    rig = read(webcams[0] / "rig/rig.json")
+    assert len(rig["cameras"]) == 4
+    assert rig["scale"]["metric"] is True
+    assert "board" in rig["scale"]["source"]
+
+
+def test_webcams_clocks_come_from_the_table(webcams: tuple[Path, str]) -> None:
+    sync = read(webcams[0] / "sync/sync.json")
+    assert {camera["method"] for camera in sync["cameras"].values()} == {"timestamps"}
+
+
+def test_webcams_unequal_exposure_is_reported(webcams: tuple[Path, str]) -> None:
+    assert "exposure" in webcams[1]
+
+
+def test_webcams_have_flow(webcams: tuple[Path, str]) -> None:
+    assert len(list((webcams[0] / "flow").glob("*.npz"))) == 4
+
+
+def test_webcams_without_until_are_refused(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
+    result = devrf("run", caliscope(tmp_path, data_dir))
+    assert result.code == 2
+    assert "--until flow" in result.err
+
+
+# --- pose2sim: portrait clips of two sizes, two codecs ---
+
+
+def test_portrait_clips_of_two_sizes(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
+    """Works with the calibration that comes with them, or refuses it by name."""
+    source = data_dir / "pose2sim_single"
+    clips = {path.stem: str(path) for path in sorted((source / "videos").glob("cam*.mp4"))}
+    assert len(clips) == 4
+    scene = write_scene(
+        tmp_path,
+        name="portrait",
+        capture={"cameras": clips, "range_s": [0, 0.4]},
+        calibration={
+            "rig": {"given": str(source / "calibration" / "Calib.qca.txt")},
+            "sync": {"method": "none"},
+        },
+    )
+    result = devrf("run", scene, "--until", "flow")
+    assert "Traceback" not in result.said
+    assert result.code in (0, 1, 2, 3)
+    ingest = read(tmp_path / "run/ingest/ingest.json")["cameras"]
+    assert {(camera["width"], camera["height"]) for camera in ingest.values()} == {(1080, 1920), (1088, 1920)}
+    if result.code == 0:
+        assert len(list((tmp_path / "run/flow").glob("*.npz"))) == 4
+    else:
+        assert "Calib.qca.txt" in result.err or "cam0" in result.err
+
+
+# --- devrf_cloth: a finished data set ---
+
+
+@pytest.fixture(scope="module")
+def cloth(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of the waving sheet, to its metrics."""
+    folder = tmp_path_factory.mktemp("cloth")
+    dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 2}
+    scene = write_scene(folder, name="cloth", dataset=dataset)
+    result = devrf("run", scene, "--until", "evaluate")
+    assert result.code == 0, result.said
+    return folder / "run"
+
+
+def test_cloth_motion_beats_standing_still(cloth: Path) -> None:
+    metrics = read(cloth / "evaluate/metrics.json")
+    gain = metrics["test_moving"]["psnr"] - metrics["static_baseline"]["test_moving"]["psnr"]
+    assert gain >= 3.0
+
+
+def test_cloth_needs_no_raw_files(cloth: Path) -> None:
+    assert not any((cloth / name).exists() for name in ("ingest", "static_poses", "sync", "rig"))

@@ -1,0 +1,305 @@
+"""Bad input through the real command line: which exit code, what is said, and that nothing made is lost.
+
+The inputs are made here: a corner of a room whose three walls are textured planes, drawn by homographies.
+"""
+
+import os
+import shutil
+import subprocess
+import wave
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from devrf.capture.video_writer import write_video
+
+SIZE = (320, 240)
+K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
+SWEEP_FRAMES = 14
+CLIP_FRAMES = 12
+
+
+# --- drawing ---
+
+
+def texture(rng: np.random.Generator, side: int = 700) -> np.ndarray:
+    """Noise of many sizes: every place looks different from near and from far."""
+    picture = np.zeros((side, side, 3))
+    for cells in (6, 18, 50, 140, 350):
+        noise = rng.random((cells, cells, 3))
+        picture += cv2.resize(noise, (side, side), interpolation=cv2.INTER_CUBIC)
+    picture -= picture.min()
+    return (255 * picture / picture.max()).astype(np.uint8)
+
+
+def draw(textures: list[np.ndarray], centre: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The corner of three walls (planes x = 0, y = 0, z = 0, sides of 2 m) seen from a place, z up."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    picture = np.full((SIZE[1], SIZE[0], 3), 127, np.uint8)
+    axes = np.eye(3) * 2.0
+    for n, image in enumerate(textures):
+        u, v = axes[(n + 1) % 3], axes[(n + 2) % 3]
+        side = image.shape[0]
+        plane = np.column_stack([u / side, v / side, np.zeros(3)])
+        H = K @ (rotation @ plane - np.outer(rotation @ centre, [0, 0, 1]))
+        ones = np.full((side, side), 255, np.uint8)
+        wall = cv2.warpPerspective(image, H, SIZE, flags=cv2.INTER_AREA)
+        inside = cv2.warpPerspective(ones, H, SIZE, flags=cv2.INTER_NEAREST) > 0
+        picture[inside] = wall[inside]
+    return picture
+
+
+def places(count: int) -> list[np.ndarray]:
+    """Camera centres on an arc before the corner, at changing height."""
+    angles = np.radians(np.linspace(22, 68, count))
+    heights = 1.6 + 0.35 * np.sin(np.linspace(0, 6, count))
+    return [np.array([2.6 * np.cos(a), 2.6 * np.sin(a), h]) for a, h in zip(angles, heights, strict=True)]
+
+
+def clip(path: Path, pictures: list[np.ndarray], fps: float = 10.0, sound: bool = True) -> None:
+    """An mp4, with a second track of noise and one click where it is to have sound."""
+    write_video(path, pictures, fps)
+    if not sound:
+        return
+    silent = path.with_suffix(".silent.mp4")
+    path.rename(silent)
+    rate, rng = 48_000, np.random.default_rng(len(path.name))
+    samples = rng.normal(0, 200, int(rate * len(pictures) / fps))
+    samples[rate // 3 : rate // 3 + 900] += rng.normal(0, 12_000, 900)
+    with av.open(str(silent)) as source, av.open(str(path), "w") as target:
+        video = source.streams.video[0]
+        copy = target.add_stream_from_template(video)
+        audio = target.add_stream("aac", rate=rate, layout="mono")
+        for packet in source.demux(video):
+            if packet.dts is not None:
+                packet.stream = copy
+                target.mux(packet)
+        frame = av.AudioFrame.from_ndarray(
+            samples.clip(-32_000, 32_000).astype(np.int16)[None], format="s16", layout="mono"
+        )
+        frame.sample_rate = rate
+        target.mux(audio.encode(frame))
+        target.mux(audio.encode(None))
+    silent.unlink()
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A good sweep and two good clips of the corner, and material that is wrong in one way each."""
+    folder = tmp_path_factory.mktemp("material")
+    rng = np.random.default_rng(0)
+    walls = [texture(rng) for _ in range(3)]
+    target = np.array([0.35, 0.35, 0.6])
+    clip(folder / "sweep.mp4", [draw(walls, place, target) for place in places(SWEEP_FRAMES)], sound=False)
+    for name, place in (("cam0", places(7)[2]), ("cam1", places(7)[4])):
+        view = draw(walls, place, target)
+        frames = []
+        for n in range(CLIP_FRAMES):
+            frame = view.copy()
+            cv2.circle(frame, (90 + 10 * n, 140), 18, (230, 60, 40), -1)
+            frames.append(frame)
+        clip(folder / f"{name}.mp4", frames)
+        clip(folder / f"silent_{name}.mp4", frames, sound=False)
+    blank = [np.full((SIZE[1], SIZE[0], 3), 200 + n % 3, np.uint8) for n in range(SWEEP_FRAMES)]
+    clip(folder / "blank.mp4", blank, sound=False)
+    elsewhere = [texture(rng)[: SIZE[1], : SIZE[0]]] * CLIP_FRAMES
+    clip(folder / "elsewhere.mp4", elsewhere)
+    (folder / "text.mp4").write_text("This is no video.\n" * 50)
+    (folder / "empty.mp4").write_bytes(b"")
+    whole = (folder / "cam1.mp4").read_bytes()
+    (folder / "truncated.mp4").write_bytes(whole[: len(whole) // 2])
+    long = [texture(np.random.default_rng(n))[: SIZE[1], : SIZE[0]] for n in range(6)]
+    clip(folder / "long.mp4", long, sound=False)
+    bytes_ = (folder / "long.mp4").read_bytes()  # its index is in front: it opens, and then ends
+    (folder / "ends_early.mp4").write_bytes(bytes_[: len(bytes_) * 2 // 3])
+    only_sound(folder / "only_sound.mp4")
+    return folder
+
+
+def only_sound(path: Path) -> None:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=48_000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 48_000), np.int16), format="s16", layout="mono")
+        frame.sample_rate = 48_000
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def scene(folder: Path, material: Path, **capture: object) -> Path:
+    """scene.yaml of a capture of the corner; `capture` replaces or adds keys, None removes."""
+    cameras = {name: str(material / f"{name}.mp4") for name in ("cam0", "cam1")}
+    given = {"static": str(material / "sweep.mp4"), "cameras": cameras} | capture
+    keys = {key: value for key, value in given.items() if value is not None}
+    value = {"name": "corner", "output": str(folder / "run"), "preset": "tiny", "capture": keys}
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(value))
+    return path
+
+
+def cameras(material: Path, second: str) -> dict[str, str]:
+    return {"cam0": str(material / "cam0.mp4"), "cam1": str(material / second)}
+
+
+# --- seen before anything is started: 2 ---
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("gone.mp4", "no such file"),
+        ("text.mp4", "text.mp4"),
+        ("empty.mp4", "empty.mp4"),
+        ("truncated.mp4", "truncated.mp4"),
+        ("only_sound.mp4", "only_sound.mp4"),
+    ],
+)
+def test_a_clip_that_is_none(devrf: Callable, tmp_path: Path, material: Path, name: str, says: str) -> None:
+    result = devrf("run", scene(tmp_path, material, cameras=cameras(material, name)))
+    assert result.code == 2, result.said
+    assert says in result.err and name in result.err and "cam1" in result.err
+    assert "Traceback" not in result.said
+    assert not (tmp_path / "run" / "ingest").exists()
+
+
+def test_all_wrong_clips_at_once(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    wrong = {"cam0": str(material / "text.mp4"), "cam1": str(material / "only_sound.mp4")}
+    result = devrf("run", scene(tmp_path, material, cameras=wrong, static=str(material / "empty.mp4")))
+    assert result.code == 2
+    assert all(name in result.err for name in ("text.mp4", "only_sound.mp4", "empty.mp4")), result.err
+
+
+def test_misspelt_unknown_and_out_of_range_keys(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    path = scene(tmp_path, material)
+    path.write_text(path.read_text() + "reconstruct: {resolutoin: 160, rays: -5}\nfrobnicate: 1\n")
+    result = devrf("run", path)
+    assert result.code == 2
+    assert "scene.yaml: reconstruct.resolutoin: unknown key, did you mean resolution?" in result.err
+    assert "scene.yaml: reconstruct.rays: -5; expected a whole number from 64" in result.err
+    assert "scene.yaml: frobnicate: unknown key" in result.err
+
+
+def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    output = tmp_path / "file" / "run"
+    result = devrf("run", scene(tmp_path, material), "--set", f"output={output}", "--until", "ingest")
+    assert result.code == 2
+    assert str(output) in result.err and "cannot be written" in result.err and "output:" in result.err
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="the administrator may write anywhere"
+)
+def test_an_output_without_permission(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    (tmp_path / "locked").mkdir(mode=0o500)
+    result = devrf("run", scene(tmp_path, material), "--set", f"output={tmp_path / 'locked' / 'run'}")
+    assert result.code == 2 and "cannot be written" in result.err
+
+
+# --- found while a stage runs: 1, or 3 where the material itself is at fault ---
+
+
+def test_a_clip_that_ends_early(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    """Its index promises more than there is: refused, before or while reading, never taken for whole."""
+    path = scene(tmp_path, material, cameras=cameras(material, "ends_early.mp4"))
+    result = devrf("run", path, "--until", "ingest")
+    assert result.code in (1, 2), result.said
+    assert "ends_early.mp4" in result.err
+    assert "Traceback" not in result.said
+
+
+def test_clips_without_sound_fall_back_to_motion(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    silent = {name: str(material / f"silent_{name}.mp4") for name in ("cam0", "cam1")}
+    path = scene(tmp_path, material, cameras=silent)
+    result = devrf("run", path, "--until", "sync", "--allow-unhealthy")
+    assert result.code in (0, 3), result.said
+    assert "sound" in result.said
+    asked = devrf("run", path, "--until", "sync", "--set", "calibration.sync.method=audio")
+    assert asked.code in (1, 3), asked.said
+    assert "cam0" in asked.said and "sound" in asked.said
+
+
+def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    path = scene(tmp_path, material, static=str(material / "blank.mp4"), cameras=None)
+    result = devrf("run", path, "--until", "static_poses")
+    assert result.code == 3, result.said
+    assert "static_poses" in result.err and "texture" in result.err
+    assert (tmp_path / "run" / "ingest" / "stamp.json").exists()
+
+
+def test_a_board_that_is_never_seen(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    board = {
+        "squares": [8, 6],
+        "square_m": 0.06,
+        "marker_m": 0.045,
+        "clips": {"cam0": str(material / "elsewhere.mp4")},
+    }
+    path = scene(tmp_path, material, board=board)
+    result = devrf("run", path, "--until", "rig")
+    assert result.code == 3, result.said
+    assert "cam0" in result.err and "board" in result.err
+
+
+def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    path = scene(tmp_path, material, cameras=cameras(material, "elsewhere.mp4"))
+    result = devrf("run", path, "--until", "rig")
+    assert result.code == 3, result.said
+    assert "cam1" in result.err and "sweep" in result.err
+    assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
+
+
+# --- a full disk ---
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 2 MB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = shutil.which("mount")
+    command = [str(mount), "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
+    if mount is None or subprocess.run(command, capture_output=True).returncode != 0:
+        pytest.skip("a small disk can be mounted only by the administrator")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], capture_output=True)
+
+
+def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk: Path) -> None:
+    """The message names folder and remedy; what was made is kept; with room again the run goes on."""
+    path = scene(tmp_path, material)
+    output = f"output={small_disk / 'run'}"
+    filler = small_disk / "filler"
+    first = devrf("run", path, "--set", output, "--until", "ingest")
+    if first.code == 0:  # it fitted: leave no room for the next stage
+        with filler.open("wb") as file:
+            try:
+                while file.write(b"0" * 4096):
+                    file.flush()
+            except OSError:
+                pass
+        result = devrf("run", path, "--set", output, "--until", "static_poses")
+        assert (small_disk / "run/ingest/stamp.json").exists()
+    else:
+        result = first
+    assert result.code == 1, result.said
+    assert "the disk is full" in result.err and str(small_disk) in result.err and "free" in result.err
+    assert "Traceback" not in result.said
+    assert not list((small_disk / "run").glob(".new-*"))
+
+
+def test_wave_files_are_not_videos(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    path = tmp_path / "sound.wav"
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, 8000, 0, "NONE", ""))
+        file.writeframes(b"\0\0" * 800)
+    result = devrf("run", scene(tmp_path, material, static=str(path), cameras=None))
+    assert result.code == 2 and "sound.wav" in result.err
