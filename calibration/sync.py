@@ -205,8 +205,8 @@ def _watch(
         )
         if not found.accepted:
             out.notes.append(
-                f"{a} and {b}: motion not trusted (correlation {found.correlation:.2f}, {found.score:.1f} standard "
-                f"deviations from chance, {found.margin:.2f} above the next best)"
+                f"{a} and {b}: motion not trusted (correlation {found.correlation:.2f}, {found.score:.1f} "
+                f"standard deviations from chance, {found.margin:.2f} above the next best)"
             )
         guess = not found.accepted and found.score >= GUESS_SCORE and found.margin > 0
         moment = (found.first_s, found.first_s - found.delay_s)

@@ -169,6 +169,8 @@ def extract_clip(
         rotation_deg=info.rotation_deg,
         frames=tuple(records),
         level=float(np.median(levels)),
+        missing_frames=seen.missing_frames,
+        ended_early=reader.ended_early,
         notes=tuple(notes),
     )
     return Extract(frames, np.array(motion).reshape(-1, 2))

@@ -65,6 +65,8 @@ class CameraFrames:
         frames: Every frame, used or not.
         level: Median brightness over the clip, 0 to 255 (sRGB).
         audio_start_s: File time of the first sample of its sound, or None.
+        missing_frames: Frames that its timestamps say were dropped.
+        ended_early: Where a damaged or truncated file ended, in words; None for a whole one.
         notes: What is unusual, one sentence each.
     """
 
@@ -80,6 +82,8 @@ class CameraFrames:
     frames: tuple[FrameRecord, ...]
     level: float | None = None
     audio_start_s: float | None = None
+    missing_frames: int = 0
+    ended_early: str | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -179,17 +183,18 @@ def sharp(values: Sequence[float]) -> Bool[np.ndarray, " n"]:
 
 @dataclass(frozen=True)
 class Timing:
-    """What a clip's timestamps tell: mean rate, whether it varies, and notes in words."""
+    """What a clip's timestamps tell: mean rate, whether it varies, frames dropped, and notes in words."""
 
     fps_mean: float | None
     variable_rate: bool
+    missing_frames: int
     notes: tuple[str, ...]
 
 
 def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
     """Look at increasing frame times [n], seconds."""
     if len(time_s) < 2:
-        return Timing(None, False, ())
+        return Timing(None, False, 0, ())
     steps = np.diff(time_s)
     usual = float(np.median(steps))
     tolerance = max(VARIABLE_STEP * usual, VARIABLE_STEP_S)
@@ -201,10 +206,12 @@ def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
             "the timestamps are used"
         )
     gaps = np.flatnonzero(steps > max(DROPPED_STEP * usual, usual + VARIABLE_STEP_S))
+    missing = 0
     if len(gaps):
         missing = int(np.round(steps[gaps] / usual - 1).clip(1).sum())
         where = ", ".join(f"{time_s[i]:.2f} s" for i in gaps[:LISTED]) + (
             " ..." if len(gaps) > LISTED else ""
         )
         notes.append(f"{missing} frames missing in {len(gaps)} gaps, after {where}; the gaps are kept")
-    return Timing(float((len(time_s) - 1) / (time_s[-1] - time_s[0])), variable, tuple(notes))
+    fps_mean = float((len(time_s) - 1) / (time_s[-1] - time_s[0]))
+    return Timing(fps_mean, variable, missing, tuple(notes))

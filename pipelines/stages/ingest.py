@@ -1,0 +1,150 @@
+"""Stage `ingest`: raw files to frames with their times, sound and motion energies."""
+
+import math
+
+import numpy as np
+
+from devrf.calibration.sync import synchronise
+from devrf.capture.audio import Sound
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp
+from devrf.capture.ingest import write_frames, write_sounds
+from devrf.capture.raw import linear_from_srgb
+from devrf.capture.session import CaptureSession
+from devrf.pipelines.health import HealthRow, note, row
+from devrf.pipelines.preflight import capture_session
+from devrf.pipelines.stage import StageContext
+
+RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet
+TRUSTED = 0.5  # confidence from which a clock limits what is kept
+
+
+def run(context: StageContext) -> None:
+    """Write `ingest.json`, `frames/`, `audio/` and `motion/`."""
+    session = capture_session(context.config, context.scene_dir)
+    context.progress(0.0, "sound")
+    sounds = write_sounds(session, context.out)
+    ranges = file_ranges(session, sounds, context.config.calibration.sync.method)
+    frames = write_frames(session, sounds, context.out, context.scene_dir, ranges, context.progress)
+    context.health.extend(health(frames))
+
+
+def file_ranges(
+    session: CaptureSession, sounds: dict[str, Sound], method: str
+) -> dict[str, tuple[float, float]]:
+    """`capture.range_s` in each camera's own times, as far as that is known before the clocks are.
+
+    Cameras whose clocks cannot be had from sound are left out: all their frames are kept, and the scene
+    stage cuts them to the range by their final times.
+    """
+    if session.range_s is None or not session.cameras:
+        return {}
+    names, (from_s, to_s) = list(session.cameras), session.range_s
+    if session.timestamps is not None or method in ("none", "timestamps"):
+        return dict.fromkeys(names, session.range_s)
+    ranges = {names[0]: session.range_s}
+    heard = [name for name in names if name in sounds]
+    if method == "motion" or len(heard) < 2 or heard[0] != names[0]:
+        return ranges
+    spans = {name: (sounds[name].start_s, sounds[name].end_s) for name in heard}
+    for name, clock in synchronise(spans, sounds, {}, "audio").cameras.items():
+        if name != names[0] and clock.confidence >= TRUSTED:
+            rate = 1 + 1e-6 * clock.drift_ppm
+            ranges[name] = (
+                (from_s - clock.offset_s) / rate - RANGE_MARGIN_S,
+                (to_s - clock.offset_s) / rate + RANGE_MARGIN_S,
+            )
+    return ranges
+
+
+def health(frames: FrameSet) -> list[HealthRow]:
+    """Rows about the sweep, the moving cameras and what they have in common."""
+    rows: list[HealthRow] = []
+    if SWEEP in frames.cameras:
+        rows += _sweep(frames.cameras[SWEEP])
+    if frames.moving:
+        rows += _moving(frames.moving)
+    for name, camera in frames.cameras.items():
+        if camera.ended_early is not None:
+            remedy = f"{camera.source} is damaged or cut short: copy it from the camera again."
+            rows.append(note(f"ingest: {name} is whole", camera.ended_early, verdict="warn", remedy=remedy))
+        if camera.notes:
+            rows.append(note(f"ingest: {name}", "; ".join(camera.notes)))
+    return rows
+
+
+def _sweep(sweep: CameraFrames) -> list[HealthRow]:
+    share = float(sharp([frame.sharpness for frame in sweep.used]).mean())
+    sizes = [text for text in sweep.notes if text.startswith("mixed sizes")]
+    rows = [
+        row(
+            "ingest: pictures of the sweep",
+            len(sweep.used),
+            "",
+            warn=20,
+            fail=3,
+            remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
+        ),
+        row(
+            "ingest: sharp share of the sweep",
+            share,
+            "",
+            warn=0.8,
+            fail=0.3,
+            remedy="Walk more slowly, or use a shorter shutter and more light.",
+        ),
+    ]
+    if sizes:
+        remedy = "Keep one camera in one mode (size and orientation) for the whole sweep."
+        rows.append(note("ingest: sizes in the sweep", sizes[0], verdict="warn", remedy=remedy))
+    return rows
+
+
+def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
+    fewest = min(cameras, key=lambda name: len(cameras[name].used))
+    gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
+    worst = max(gaps, key=lambda name: gaps[name])
+    silent = [name for name, c in cameras.items() if not c.has_audio]
+    rows = [
+        row(
+            f"ingest: frames of a moving camera, fewest ({fewest})",
+            len(cameras[fewest].used),
+            "",
+            warn=10,
+            fail=2,
+            remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
+        ),
+        row(
+            f"ingest: share of frames dropped while filming, worst camera ({worst})",
+            gaps[worst],
+            "",
+            warn=0.02,
+            fail=0.5,
+            low_is_bad=False,
+            remedy=f"{cameras[worst].source} has gaps: use a faster card, or a lower resolution or bit rate.",
+        ),
+        _exposure(cameras),
+        note("ingest: sound", f"silent: {', '.join(silent)}" if silent else "in every camera"),
+    ]
+    sizes = {(c.width, c.height) for c in cameras.values()}
+    if len(sizes) > 1:
+        text = ", ".join(f"{name}: {c.width}x{c.height}" for name, c in cameras.items())
+        rows.append(note("ingest: sizes of the moving cameras", f"{text}; each keeps its own"))
+    return rows
+
+
+def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:
+    """Spread of the median brightness between cameras, in stops: views differ a little, settings a lot."""
+    stops = {
+        name: math.log2(max(1e-3, float(linear_from_srgb(np.array(c.level / 255)))))
+        for name, c in cameras.items()
+        if c.level is not None
+    }
+    dark, bright = (f(stops, key=lambda name: stops[name]) for f in (min, max))
+    return row(
+        f"ingest: exposure between cameras, {bright} against {dark}",
+        stops[bright] - stops[dark],
+        "stops",
+        warn=0.7,
+        low_is_bad=False,
+        remedy="Mixed exposure: set the same exposure, gain and white balance by hand on all cameras.",
+    )
