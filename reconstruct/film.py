@@ -16,7 +16,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
 from devrf.reconstruct.evaluate import Render
 
-FULL_TURN_GAP = np.radians(75)  # cameras that leave no larger gap than this are all around
+FULL_TURN_GAP = np.radians(100)  # cameras that leave no larger gap than this are all around
 SMOOTHING = 0.15  # of the span in azimuth: how far a camera's distance and elevation reach along the path
 MARGIN = 0.06  # of the span: left out at both ends of a swing, where views are seen from one side only
 ZOOM = 1.0  # focal length against the cameras' median, relative to the picture's larger side

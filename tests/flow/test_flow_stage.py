@@ -1,0 +1,89 @@
+"""The flow stage through its entry point: what it computes, stores and says of a small scene."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.capture.camera import Camera
+from devrf.capture.formats import write_scene
+from devrf.capture.progress import no_progress
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.flow.store import read_flows
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import flow
+
+STEP = 4  # pixels to the right per frame
+
+
+@pytest.fixture
+def context(tmp_path) -> StageContext:
+    """Two training cameras and a witness see a textured picture slide; cam1 lost the frame at 0.3 s."""
+    rng = np.random.default_rng(0)
+    wide = cv2.resize(rng.integers(20, 235, (16, 40, 3)).astype(np.uint8), (200, 80))
+    camera = Camera(128, 80, np.array([[90.0, 0, 64], [0, 90, 40], [0, 0, 1]]), np.eye(4)[:3])
+    frames = []
+    for name in ("cam0", "cam1", "witness"):
+        for n in range(5):
+            if name == "cam1" and n == 3:
+                continue
+            path = tmp_path / f"{name}{n}.png"
+            cv2.imwrite(str(path), wide[:, 60 - STEP * n : 188 - STEP * n])
+            split = "test" if name == "witness" else "train"
+            frames.append(PosedFrame(path, camera, name, 10 + n, 0.1 * n, n / 4, split))
+    scene = Scene(
+        static=(),
+        dynamic=tuple(reversed(frames)),  # the order in the file is not the order in time
+        box_from_world=np.eye(4),
+        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
+        near=0.1,
+        far=3.0,
+        kind="inward",
+        background="shell",
+        t0_s=0.0,
+        t1_s=0.4,
+        rest_time=None,
+        image_scale=0.5,
+    )
+    for folder in ("scene", "flow"):
+        (tmp_path / folder).mkdir()
+    write_scene(tmp_path / "scene", scene)
+    config = SceneConfig.model_validate({"name": "x", "dataset": {"format": "nerfstudio", "path": "x"}})
+    return StageContext(config, tmp_path, tmp_path, tmp_path / "flow", no_progress, "cpu")
+
+
+def test_training_cameras_only_backward_and_scaled(context: StageContext):
+    flow.run(context)
+    flows = read_flows(context.out)
+    assert flows.keys() == {"cam0", "cam1"}
+    assert flows["cam0"].index.tolist() == [11, 12, 13, 14] and flows["cam0"].flow.shape == (4, 40, 64, 2)
+    inner = flows["cam0"].flow[:, 8:-8, 8:-8].astype(np.float32)
+    np.testing.assert_allclose(np.median(inner, axis=(0, 1, 2)), [-STEP / 2, 0], atol=0.05)
+    checks = json.loads((Path(context.out) / "flow.json").read_text())
+    assert checks["method"] == "dis" and checks["cameras"]["cam0"]["pairs"] == 4
+
+
+def test_the_gap_is_found_and_told(context: StageContext):
+    flow.run(context)
+    cam1 = read_flows(context.out)["cam1"]
+    assert cam1.index.tolist() == [11, 12, 14]
+    assert cam1.valid[:2].any(axis=(1, 2)).all() and not cam1.valid[2].any()
+    by_check = {row.check: row for row in context.health}
+    gaps = by_check["flow: gaps in the clips"]
+    assert gaps.verdict == "warn" and "cam1: 1" in str(gaps.value)
+    assert all(row.verdict == "ok" for row in context.health if row is not gaps)
+
+
+def test_mixed_up_frames_fail_the_checks(context: StageContext):
+    rng = np.random.default_rng(1)
+    for n in range(5):  # cam0's pictures have nothing to do with each other
+        cv2.imwrite(
+            str(context.run_dir / f"cam0{n}.png"), rng.integers(0, 255, (80, 128, 3)).astype(np.uint8)
+        )
+    flow.run(context)
+    failed = [row for row in context.health if row.verdict != "ok" and "cam0" in row.check]
+    assert any("can be followed" in row.check for row in failed)
+    assert any("warping" in row.check for row in failed) and all(row.remedy for row in failed)
