@@ -1,0 +1,142 @@
+"""The report's calibration sections: the sweep's poses and the rig with their doubts, and the clocks."""
+
+from typing import Any
+
+from devrf.pipelines.report_html import absent, number, section, table, text
+from devrf.pipelines.report_run import RunFolder, at
+
+POSES, RIG, SYNC, METRICS = (
+    "static_poses/static_poses.json",
+    "rig/rig.json",
+    "sync/sync.json",
+    "evaluate/metrics.json",
+)
+CURVES = "sync/curves.json"
+TRUTH = (
+    ("pose_rotation_deg", "sweep, rotation", "°", 3),
+    ("pose_position_m", "sweep, position", "m", 4),
+    ("rig_rotation_deg", "fixed cameras, rotation", "°", 3),
+    ("rig_position_m", "fixed cameras, position", "m", 4),
+    ("sync_ms", "clocks", "ms", 3),
+)
+
+
+def rig_section(run: RunFolder) -> str:
+    """Structure from motion of the sweep, fixed cameras, scale, and the truth where there is one."""
+    lead = (
+        "How well the cameras are known. Standard deviations are the solver's own; "
+        "a truth exists only for simulated sessions."
+    )
+    body = _sweep(run) + _rig(run) + _truth(run)
+    return section("rig", "Poses and rig", lead, body)
+
+
+def sync_section(run: RunFolder) -> str:
+    """Each camera's clock against cam0's, and the curves they were read from."""
+    lead = (
+        "True time = offset + (1 + drift) × file time, on the first camera's clock. "
+        "A single clear peak in the correlation is what makes an offset sure."
+    )
+    cameras = run.cameras(SYNC)
+    if not cameras:
+        return section("sync", "Clocks", lead, absent(run.why_absent("sync")))
+    rows = []
+    for name, clock in cameras.items():
+        key = f"cameras.{name}"
+        rows.append(
+            [
+                f"<strong>{text(name)}</strong>",
+                number(clock.get("offset_s"), "s", 4, file=SYNC, key=f"{key}.offset_s", sign=True),
+                number(clock.get("drift_ppm"), "ppm", 1, file=SYNC, key=f"{key}.drift_ppm", sign=True),
+                number(clock.get("std_s"), "ms", 3, file=SYNC, key=f"{key}.std_s", scale=1000.0),
+                text(clock.get("method", "")),
+                number(clock.get("confidence"), "", 2, file=SYNC, key=f"{key}.confidence"),
+            ]
+        )
+    head = ("camera", "offset", "drift", "std. deviation", "cue", "confidence")
+    return section(
+        "sync", "Clocks", lead, table(head, rows, source=SYNC, numeric=(1, 2, 3, 5)) + _sync_curves(run)
+    )
+
+
+def _sweep(run: RunFolder) -> str:
+    poses = run.object(POSES)
+    if not poses:
+        return f"<h3>Sweep</h3>{absent(run.why_absent('static_poses'))}"
+    models = poses.get("models") or []
+    rows = [
+        [
+            f"{number(poses.get('registered'), '', 0, file=POSES, key='registered')} of "
+            f"{number(poses.get('given'), '', 0, file=POSES, key='given')}",
+            number(poses.get("mean_reprojection_px"), "px", 2, file=POSES, key="mean_reprojection_px"),
+            number(poses.get("mean_track_length"), "", 1, file=POSES, key="mean_track_length"),
+            number(
+                poses.get("median_triangulation_angle_deg"),
+                "°",
+                1,
+                file=POSES,
+                key="median_triangulation_angle_deg",
+            ),
+            number(poses.get("points"), "", 0, file=POSES, key="points"),
+            text(f"{poses.get('mapper', '')}, {len(models)} model{'s' if len(models) != 1 else ''}"),
+        ]
+    ]
+    head = ("registered", "reprojection error", "track length", "triangulation angle", "points", "mapper")
+    lost = [str(f) for f in poses.get("unregistered") or []]
+    lost_line = f"<p>Not registered: {text(', '.join(lost))}</p>" if lost else ""
+    return f"<h3>Sweep</h3>{table(head, rows, source=POSES, numeric=(0, 1, 2, 3, 4))}{lost_line}"
+
+
+def _rig(run: RunFolder) -> str:
+    rig = run.object(RIG)
+    cameras = run.cameras(RIG)
+    if not cameras:
+        return f"<h3>Fixed cameras</h3>{absent(run.why_absent('rig'))}"
+    metric = bool(at(rig, "scale.metric"))
+    unit = "m" if metric else "units"
+    rows = []
+    for name, camera in cameras.items():
+        key = f"cameras.{name}"
+        focal = camera["K"][0][0] if camera.get("K") else None
+        rows.append(
+            [
+                f"<strong>{text(name)}</strong>",
+                f"{text(camera.get('width', '?'))} × {text(camera.get('height', '?'))}",
+                text(camera.get("model", "")),
+                number(focal, "px", 1, file=RIG, key=f"{key}.K.0.0"),
+                number(at(camera, "std.rotation_deg"), "°", 3, file=RIG, key=f"{key}.std.rotation_deg"),
+                number(_largest(at(camera, "std.position")), unit, 4, file=RIG, key=f"{key}.std.position"),
+            ]
+        )
+    scale = rig.get("scale") or {}
+    words = "Metric scale" if metric else "Arbitrary scale"
+    spread = (
+        number(scale.get("std"), "", 4, file=RIG, key="scale.std") if scale.get("std") is not None else ""
+    )
+    scale_line = f"{words}; source: {text(scale.get('source', 'not said'))}" + (
+        f"; std. deviation {spread}" if spread else ""
+    )
+    head = ("camera", "size, px", "lens model", "focal length", "std. rotation", "std. position")
+    return f"<h3>Fixed cameras</h3>{table(head, rows, source=RIG, numeric=(1, 3, 4, 5))}<p>{scale_line}.</p>"
+
+
+def _truth(run: RunFolder) -> str:
+    truth = at(run.object(METRICS), "truth")
+    if not isinstance(truth, dict):
+        return ""
+    rows = [
+        [text(label), number(truth.get(key), unit, digits, file=METRICS, key=f"truth.{key}")]
+        for key, label, unit, digits in TRUTH
+        if key in truth
+    ]
+    return "<h3>Against the truth</h3><p>Largest error over the cameras.</p>" + table(
+        ("what", "error"), rows, source=METRICS, numeric=(1,), narrow=True
+    )
+
+
+def _sync_curves(run: RunFolder) -> str:
+    return ""
+
+
+def _largest(value: Any) -> Any:
+    return max(value) if isinstance(value, list) and value else value

@@ -1,0 +1,118 @@
+"""The report's capture section: what each camera recorded, and a few of its pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from devrf.capture.errors import DevrfError
+from devrf.capture.formats import read_transforms
+from devrf.capture.scene import PosedFrame
+from devrf.pipelines.report_html import absent, figure, number, section, table, text
+from devrf.pipelines.report_pictures import picture_uri, read_picture
+from devrf.pipelines.report_run import RunFolder, evenly
+
+THUMBNAIL_WIDTH = 200
+SWEEP_THUMBNAILS, CAMERA_THUMBNAILS = 8, 3
+MAX_THUMBNAIL_CAMERAS = 12  # keeps the page small for a capture of forty cameras
+INGEST = "ingest/ingest.json"
+ROLES = {"sweep": "sweep", "camera": "moving", "test": "test, never trained on", "board": "board"}
+
+
+def capture_section(run: RunFolder) -> str:
+    """Cameras table and contact strip."""
+    lead = "What was filmed, as the decoder found it."
+    cameras = run.cameras(INGEST)
+    if cameras:
+        body = _cameras_table(cameras) + _strip(_ingest_pictures(run.path, cameras))
+        return section("capture", "Capture", lead, body)
+    pictures = _dataset_pictures(run.path)
+    if not pictures:
+        return section("capture", "Capture", lead, absent(run.why_absent("ingest")))
+    lead = "A finished data set: its pictures came with cameras and times, so nothing was ingested."
+    return section("capture", "Capture", lead, _strip(pictures))
+
+
+def _cameras_table(cameras: dict[str, Any]) -> str:
+    rows = []
+    for name, camera in cameras.items():
+        key = f"cameras.{name}"
+        frames = camera.get("frames") or []
+        used = sum(bool(f.get("used")) for f in frames)
+        rate = number(camera.get("fps_mean"), "", 2, file=INGEST, key=f"{key}.fps_mean", why="pictures")
+        notes = list(camera.get("notes") or [])
+        if camera.get("rotation_deg"):
+            notes.insert(0, f"turned by {camera['rotation_deg']}°")
+        if camera.get("variable_rate"):
+            notes.insert(0, "variable frame rate")
+        rows.append(
+            [
+                f"<strong>{text(name)}</strong><br><code>{text(camera.get('source', ''))}</code>",
+                text(ROLES.get(str(camera.get("role")), camera.get("role", ""))),
+                f"{text(camera.get('width', '?'))} × {text(camera.get('height', '?'))}",
+                rate if camera.get("fps_mean") else '<span class="none">pictures</span>',
+                f"{used} of {len(frames)}",
+                "yes" if camera.get("has_audio") else "no",
+                text("; ".join(map(str, notes))),
+            ]
+        )
+    head = ("camera", "role", "size, px", "frames/s", "frames used", "sound", "notes")
+    return table(head, rows, source=INGEST, numeric=(2, 3, 4))
+
+
+def _ingest_pictures(run_dir: Path, cameras: dict[str, Any]) -> list[tuple[str, list[tuple[Path, str]]]]:
+    """Per camera its name and (file, caption) of a few frames."""
+    rows = []
+    for name, camera in list(cameras.items())[:MAX_THUMBNAIL_CAMERAS]:
+        frames = [f for f in camera.get("frames") or [] if f.get("file")]
+        count = SWEEP_THUMBNAILS if camera.get("role") == "sweep" else CAMERA_THUMBNAILS
+        rows.append(
+            (
+                name,
+                [
+                    (run_dir / "ingest" / _below_ingest(f["file"]), _caption(f.get("index"), f.get("time_s")))
+                    for f in evenly(frames, count)
+                ],
+            )
+        )
+    return rows
+
+
+def _below_ingest(file: str) -> str:
+    return file.removeprefix("ingest/")
+
+
+def _dataset_pictures(run_dir: Path) -> list[tuple[str, list[tuple[Path, str]]]]:
+    rows = []
+    for part, count in (("static", SWEEP_THUMBNAILS), ("dynamic", CAMERA_THUMBNAILS)):
+        path = run_dir / "scene" / part / "transforms.json"
+        if not path.is_file():
+            continue
+        try:
+            frames = read_transforms(path)
+        except (DevrfError, OSError, ValueError, KeyError):
+            continue
+        by_camera: dict[str, list[PosedFrame]] = {}
+        for frame in frames:
+            by_camera.setdefault(frame.camera_name, []).append(frame)
+        for name, of_camera in list(by_camera.items())[:MAX_THUMBNAIL_CAMERAS]:
+            rows.append((name, [(f.path, _caption(f.index, f.time_s)) for f in evenly(of_camera, count)]))
+    return rows
+
+
+def _caption(index: object, time_s: object) -> str:
+    time = f", {time_s:.3f} s" if isinstance(time_s, (int, float)) else ""
+    return f"frame {index}{time}"
+
+
+def _strip(rows: Sequence[tuple[str, list[tuple[Path, str]]]]) -> str:
+    out = []
+    for name, pictures in rows:
+        figures = []
+        for path, caption in pictures:
+            image = read_picture(path)
+            if image is not None:
+                uri = picture_uri(image, THUMBNAIL_WIDTH)
+                figures.append(figure(uri, text(caption), f"{name}, {caption}"))
+        if figures:
+            out.append(f'<h3>{text(name)}</h3><div class="strip">{"".join(figures)}</div>')
+    return "".join(out)

@@ -1,0 +1,190 @@
+"""Line charts for the report, as inline SVG. Pure functions.
+
+A chart takes its colours from the page (`--s0`, `--s1`, ... in report.css), so it follows the light and
+the dark theme.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+COLOURS = 6  # --s0 .. --s5 in report.css
+CHART_WIDTH, CHART_HEIGHT = 480, 250  # text stays readable when a phone shows the chart at 340 px
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 56, 12, 10, 44
+MAX_CHART_POINTS = 400  # more cannot be seen on 480 units, and only make the page heavy
+
+
+@dataclass(frozen=True)
+class Series:
+    """One line of a chart; y may hold NaN where there is no value."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    colour: int = 0
+    dashed: bool = False
+    markers: bool = False
+
+
+def line_chart(
+    series: Sequence[Series],
+    x_label: str,
+    y_label: str,
+    *,
+    log_y: bool = False,
+    x_marks: Sequence[tuple[float, str]] = (),
+) -> str:
+    """A line chart with axes, grid and a legend, as one <figure>; empty text when nothing can be drawn.
+
+    Args:
+        series: Lines; points that are not finite (or not positive with `log_y`) break the line.
+        x_label, y_label: Axis titles with units.
+        log_y: Logarithmic y axis.
+        x_marks: Vertical lines with a word each (for example where a level begins).
+    """
+    lines = [(s, [_drawable(x, y, log_y) for x, y in zip(s.x, s.y, strict=True)]) for s in series]
+    points = [p for _, ps in lines for p in ps if p is not None]
+    if not points:
+        return ""
+    x_ticks = ticks(min(p[0] for p in points), max(p[0] for p in points), 5)
+    y_all = [p[1] for p in points]
+    y_ticks = _log_ticks(min(y_all), max(y_all)) if log_y else ticks(min(y_all), max(y_all), 5)
+    x_low, x_high = min(p[0] for p in points), max(p[0] for p in points)
+    x_high = x_high if x_high > x_low else x_low + 1.0
+    y_low, y_high = y_ticks[0], y_ticks[-1]
+
+    def px(x: float) -> float:
+        return MARGIN_LEFT + (x - x_low) / (x_high - x_low) * (CHART_WIDTH - MARGIN_LEFT - MARGIN_RIGHT)
+
+    def py(y: float) -> float:
+        height = CHART_HEIGHT - MARGIN_TOP - MARGIN_BOTTOM
+        return MARGIN_TOP + height - (y - y_low) / (y_high - y_low) * height
+
+    parts = [
+        f'<line class="grid" x1="{MARGIN_LEFT}" x2="{CHART_WIDTH - MARGIN_RIGHT}" '
+        f'y1="{py(y):.1f}" y2="{py(y):.1f}"/>'
+        f'<text class="tick" x="{MARGIN_LEFT - 7}" y="{py(y) + 4:.1f}" text-anchor="end">'
+        f"{_power_text(y) if log_y else _tick_text(y, y_ticks)}</text>"
+        for y in y_ticks
+    ]
+    bottom = CHART_HEIGHT - MARGIN_BOTTOM
+    parts += [
+        f'<text class="tick" x="{px(x):.1f}" y="{bottom + 17}" text-anchor="middle">'
+        f"{_tick_text(x, x_ticks)}</text>"
+        for x in x_ticks
+        if x_low <= x <= x_high
+    ]
+    for x, word in x_marks:
+        if x_low <= x <= x_high:
+            parts.append(
+                f'<line class="mark" x1="{px(x):.1f}" x2="{px(x):.1f}" y1="{MARGIN_TOP}" y2="{bottom}"/>'
+                f'<text class="markword" x="{px(x) + 3:.1f}" y="{MARGIN_TOP + 10}">{escape(word)}</text>'
+            )
+    for s, ps in lines:
+        parts.append(_line(s, [None if p is None else (px(p[0]), py(p[1])) for p in _thin(ps)]))
+    parts.append(
+        f'<line class="axis" x1="{MARGIN_LEFT}" x2="{CHART_WIDTH - MARGIN_RIGHT}" '
+        f'y1="{bottom}" y2="{bottom}"/>'
+        f'<text class="label" x="{(MARGIN_LEFT + CHART_WIDTH - MARGIN_RIGHT) / 2}" y="{CHART_HEIGHT - 8}" '
+        f'text-anchor="middle">{escape(x_label)}</text>'
+        f'<text class="label" transform="translate(13 {(MARGIN_TOP + bottom) / 2}) rotate(-90)" '
+        f'text-anchor="middle">{escape(y_label)}</text>'
+    )
+    title = f"{y_label} against {x_label}"
+    svg = (
+        f'<svg viewBox="0 0 {CHART_WIDTH} {CHART_HEIGHT}" role="img" aria-label="{escape(title)}">'
+        f"{''.join(parts)}</svg>"
+    )
+    return f'<figure class="chart">{_legend(series)}{svg}</figure>'
+
+
+def ticks(low: float, high: float, count: int) -> list[float]:
+    """About `count` round numbers from at or below `low` to at or above `high`."""
+    if not high > low:
+        pad = abs(low) * 0.1 or 1.0
+        low, high = low - pad, high + pad
+    raw = (high - low) / count
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= raw * (1 - 1e-9))
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return [n * step for n in range(first, last + 1)]
+
+
+def _drawable(x: float | None, y: float | None, log_y: bool) -> tuple[float, float] | None:
+    if x is None or y is None or not math.isfinite(x) or not math.isfinite(y) or (log_y and y <= 0):
+        return None
+    return float(x), math.log10(y) if log_y else float(y)
+
+
+def _log_ticks(low: float, high: float) -> list[float]:
+    """Exponents of round numbers around [low, high]: powers of ten, or 1-2-5 where there are few of them."""
+    first, last = math.floor(low), math.ceil(high)
+    if high - low >= 2:
+        step = max(1, math.ceil((last - first) / 6))
+        return [float(n) for n in range(first, last + step, step)]
+    fine = [n + math.log10(m) for n in range(first - 1, last + 2) for m in (1, 2, 5)]
+    below = [t for t in fine if t <= low + 1e-9]
+    above = [t for t in fine if t >= high - 1e-9]
+    return [t for t in fine if below[-1] <= t <= max(above[0], below[-1] + 0.1)]
+
+
+def _power_text(exponent: float) -> str:
+    value = 10.0**exponent
+    return f"{value:.0e}" if value < 1e-4 or value >= 1e5 else f"{value:.6g}"
+
+
+def _tick_text(value: float, all_ticks: Sequence[float]) -> str:
+    if abs(value) >= 1e5:
+        return f"{value:g}"
+    return f"{value:.{_decimals(all_ticks)}f}"
+
+
+def _decimals(all_ticks: Sequence[float]) -> int:
+    step = all_ticks[1] - all_ticks[0] if len(all_ticks) > 1 else 1.0
+    return next((d for d in range(5) if abs(round(step, d) - step) < 1e-9 * max(1.0, abs(step))), 5)
+
+
+def _thin(
+    points: list[tuple[float, float] | None],
+) -> list[tuple[float, float] | None]:
+    """At most MAX_CHART_POINTS: of each stretch its lowest and highest, so that spikes stay visible."""
+    if len(points) <= MAX_CHART_POINTS:
+        return points
+    size = math.ceil(2 * len(points) / MAX_CHART_POINTS)
+    out: list[tuple[float, float] | None] = []
+    for start in range(0, len(points), size):
+        there = [p for p in points[start : start + size] if p is not None]
+        if not there:
+            out.append(None)
+            continue
+        out += sorted({min(there, key=lambda p: p[1]), max(there, key=lambda p: p[1])})
+    return out
+
+
+def _line(series: Series, points: list[tuple[float, float] | None]) -> str:
+    commands, pen_down = [], False
+    for p in points:
+        if p is not None:
+            commands.append(f"{'L' if pen_down else 'M'}{p[0]:.1f} {p[1]:.1f}")
+        pen_down = p is not None
+    style = f"stroke:var(--s{series.colour % COLOURS})"
+    dash = ' stroke-dasharray="5 4"' if series.dashed else ""
+    path = f'<path class="line" style="{style}"{dash} d="{"".join(commands)}"/>'
+    if series.markers:
+        fill = f"fill:var(--s{series.colour % COLOURS})"
+        path += "".join(
+            f'<circle style="{fill}" cx="{p[0]:.1f}" cy="{p[1]:.1f}" r="3"/>' for p in points if p is not None
+        )
+    return path
+
+
+def _legend(series: Sequence[Series]) -> str:
+    if len(series) < 2:
+        return ""
+    items = "".join(
+        f'<span class="key{" dashed" if s.dashed else ""}" style="--c:var(--s{s.colour % COLOURS})">'
+        f"{escape(s.name)}</span>"
+        for s in series
+    )
+    return f'<figcaption class="legend">{items}</figcaption>'

@@ -1,0 +1,90 @@
+"""Pictures for the report: small, as data URIs, and flow and error as colour. uint8 RGB [H, W, 3]."""
+
+import base64
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+ERROR_FULL_SCALE = 0.25  # colour difference (RGB in [0, 1]) shown at full brightness
+JPEG_QUALITY = 82
+
+
+def picture_uri(image: UInt8[np.ndarray, "h w 3"], max_width: int) -> str:
+    """A JPEG data URI of the picture, made smaller (never larger) to `max_width`."""
+    ok, data = cv2.imencode(
+        ".jpg", shrink(image, max_width)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    )
+    if not ok:
+        raise ValueError(f"picture of shape {image.shape} cannot be encoded as JPEG")
+    return data_uri(data.tobytes(), "image/jpeg")
+
+
+def png_bytes(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """The picture as PNG, for drawings with sharp edges."""
+    ok, data = cv2.imencode(".png", image[..., ::-1])
+    if not ok:
+        raise ValueError(f"picture of shape {image.shape} cannot be encoded as PNG")
+    return data.tobytes()
+
+
+def shrink(image: UInt8[np.ndarray, "h w 3"], max_width: int) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """The picture at most `max_width` wide, resized by area."""
+    height, width = image.shape[:2]
+    if width <= max_width:
+        return np.ascontiguousarray(image)
+    size = (max_width, max(1, round(height * max_width / width)))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def data_uri(data: bytes, mime: str) -> str:
+    """Bytes as a data URI."""
+    return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def read_picture(path: Path) -> UInt8[np.ndarray, "h w 3"] | None:
+    """A picture file as RGB, transparent parts on white; None where it cannot be read."""
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        return None
+    if image.dtype == np.uint16:
+        image = (image // 257).astype(np.uint8)
+    if image.ndim == 2:
+        return np.repeat(image[..., None], 3, axis=2)
+    if image.shape[2] == 4:
+        alpha = image[..., 3:] / 255.0
+        image = (image[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
+    return np.ascontiguousarray(image[..., 2::-1])
+
+
+def error_picture(
+    true: UInt8[np.ndarray, "h w 3"], rendered: UInt8[np.ndarray, "h w 3"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Largest colour difference over channels, black to yellow; yellow from ERROR_FULL_SCALE on."""
+    difference = np.abs(true.astype(np.float32) - rendered.astype(np.float32)).max(2) / 255
+    level = (np.clip(difference / ERROR_FULL_SCALE, 0, 1) * 255).astype(np.uint8)
+    return np.ascontiguousarray(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1])
+
+
+def flow_picture(
+    flow: Float[np.ndarray, "h w 2"], valid: Bool[np.ndarray, "h w"], full_scale_px: float
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Flow as colour: hue is the direction, saturation the length up to `full_scale_px`; invalid is grey."""
+    x, y = np.nan_to_num(flow[..., 0].astype(np.float32)), np.nan_to_num(flow[..., 1].astype(np.float32))
+    length, angle = np.hypot(x, y), np.degrees(np.arctan2(y, x)) % 360
+    hsv = np.stack([angle, np.clip(length / full_scale_px, 0, 1), np.ones_like(length)], axis=-1)
+    rgb = cv2.cvtColor(hsv.astype(np.float32), cv2.COLOR_HSV2RGB)
+    picture = (rgb * 255).round().astype(np.uint8)
+    picture[~valid] = 120
+    return picture
+
+
+def flow_wheel(size: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The key to `flow_picture`: every direction, up to the full scale at the rim; white outside."""
+    axis = (np.arange(size) + 0.5) / size * 2 - 1
+    flow = np.stack(np.meshgrid(axis, axis), axis=-1)
+    inside = np.hypot(flow[..., 0], flow[..., 1]) <= 1
+    wheel = flow_picture(flow, np.ones_like(inside), 1.0)
+    wheel[~inside] = 255
+    return wheel

@@ -1,0 +1,52 @@
+"""Stage `report`: one self-contained HTML page about all that the other stages left."""
+
+from pathlib import Path
+
+from devrf.pipelines.health import note
+from devrf.pipelines.plan import last_error
+from devrf.pipelines.report import build_report
+from devrf.pipelines.report_run import RunFolder
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import STAGES
+
+PAGE = "index.html"
+KINDS = {
+    "sweep": "a scene at rest",
+    "cameras": "moving cameras without a sweep",
+    "dynamic": "a scene in motion",
+    "dataset": "a finished data set",
+}
+
+
+def run(context: StageContext) -> None:
+    """Write `index.html`."""
+    unreadable = write_report(context.config, context.run_dir, context.out)
+    context.progress(1.0, PAGE)
+    if unreadable:
+        names = ", ".join(unreadable)
+        context.health.append(
+            note(
+                "report: files that could not be read",
+                names,
+                verdict="warn",
+                remedy="Run the stages that wrote them again with --force.",
+            )
+        )
+
+
+def write_report(config: SceneConfig, run_dir: Path, out: Path) -> dict[str, str]:
+    """Write the page about `run_dir`, at whatever state it is, into the folder `out`.
+
+    Returns:
+        Files that are there but could not be read, with the reason.
+    """
+    reasons = {stage.name: why for stage in STAGES if (why := stage.applies(config)) is not None}
+    names = [stage.name for stage in STAGES]
+    others = [name for name in names if name != "report"]
+    errors = {name: error for name in others if (error := last_error(run_dir, name)) is not None}
+    run_folder = RunFolder(run_dir, names, reasons, errors)
+    facts = [KINDS[config.kind], f"preset {config.preset}"]
+    page = build_report(run_folder, config.name, facts)
+    (out / PAGE).write_text(page, encoding="utf-8")
+    return run_folder.unreadable

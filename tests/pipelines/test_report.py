@@ -1,0 +1,353 @@
+"""The report: complete, self-contained, escaped, true to its files, and made from whatever there is."""
+
+import json
+import re
+import struct
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.capture.camera import Camera
+from devrf.capture.formats import write_scene
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.flow.store import CameraFlow, write_flow
+from devrf.pipelines.report import SECTIONS, build_report
+from devrf.pipelines.report_run import RunFolder
+from devrf.pipelines.stages import STAGES, stage_names
+
+NASTY = "<script>alert('x')</script> & \"friends\""
+WIDTH, HEIGHT = 48, 36
+
+
+class Page(HTMLParser):
+    """Ids, links, quoted numbers, open tags at the end, and the text outside scripts and styles."""
+
+    VOID = {"meta", "img", "br", "input", "line", "circle", "path"}
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.ids: set[str] = set()
+        self.addresses: list[str] = []
+        self.numbers: list[tuple[str, str, float]] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.scripts: list[str] = []
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        self.ids.update([values["id"]] if values.get("id") else [])
+        self.addresses += [str(values[k]) for k in ("src", "href", "srcset", "action", "data") if k in values]
+        if "data-key" in values:
+            self.numbers.append((values["data-file"], values["data-key"], float(values["data-value"])))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        inside = self.open[-1] if self.open else ""
+        (self.scripts if inside in ("script", "style") else self.words).append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def full_run(tmp_path_factory) -> Path:
+    """A run folder with every artifact, as docs/formats.md describes them."""
+    run = tmp_path_factory.mktemp("report") / "run"
+    rng = np.random.default_rng(0)
+    cameras = {"static": 6, "cam0": 4, "wit<b>ness": 4}
+    frames: dict[str, list[Path]] = {}
+    for name, count in cameras.items():
+        folder = run / "ingest" / "frames" / name
+        folder.mkdir(parents=True)
+        frames[name] = [folder / f"{n:06d}.png" for n in range(count)]
+        for path in frames[name]:
+            cv2.imwrite(str(path), rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+    _json(
+        run / "ingest/ingest.json",
+        {
+            "cameras": {
+                name: {
+                    "role": "sweep" if name == "static" else "camera",
+                    "source": f"raw/{name}.mp4",
+                    "width": WIDTH,
+                    "height": HEIGHT,
+                    "fps_mean": 29.97,
+                    "variable_rate": name == "cam0",
+                    "has_audio": True,
+                    "exif_focal_px": None,
+                    "rotation_deg": 0,
+                    "frames": [
+                        {"index": n, "time_s": n / 30, "sharpness": 1.0, "used": True,
+                         "file": f"frames/{name}/{n:06d}.png"}
+                        for n in range(count)
+                    ],
+                    "notes": [NASTY],
+                }
+                for name, count in cameras.items()
+            }
+        },
+    )  # fmt: skip
+    _json(
+        run / "static_poses/static_poses.json",
+        {"registered": 6, "given": 7, "mean_reprojection_px": 0.512, "mean_track_length": 4.2,
+         "median_triangulation_angle_deg": 8.5, "points": 3, "models": [6], "mapper": "incremental",
+         "frames": {}, "cameras": {}, "unregistered": ["static/000006.png"]},
+    )  # fmt: skip
+    points = struct.pack("<Q", 3)
+    for n in range(3):
+        points += struct.pack("<QdddBBBdQ", n, n, 0.0, 1.0, 9, 8, 7, 0.3, 0)
+    (run / "static_poses/colmap").mkdir()
+    (run / "static_poses/colmap/points3D.bin").write_bytes(points)
+    write_scene(run / "scene", _scene(frames))
+    _json(
+        run / "rig/rig.json",
+        {
+            "cameras": {
+                "cam0": {"model": "OPENCV", "K": [[50.0, 0, 24], [0, 50.0, 18], [0, 0, 1]],
+                         "distortion": [0] * 5, "width": WIDTH, "height": HEIGHT,
+                         "std": {"rotation_deg": 0.031, "position": 0.0021}}
+            },
+            "scale": {"metric": True, "source": "board", "std": 0.004},
+        },
+    )  # fmt: skip
+    flow = np.zeros((3, HEIGHT, WIDTH, 2), np.float16)
+    flow[1, 5:20, 5:20] = (3.0, -1.0)
+    valid = np.ones((3, HEIGHT, WIDTH), bool)
+    (run / "flow").mkdir()
+    write_flow(run / "flow", CameraFlow("cam0", np.arange(1, 4, dtype=np.int32), flow, valid))
+    _json(
+        run / "flow/flow.json",
+        {"method": "dis", "cameras": {"cam0": {"pairs": 3, "gaps": 0, "supported": 0.9, "valid": 0.81,
+                                               "moving": 0.1, "moving_valid": 0.7, "round_trip_px": 0.2,
+                                               "warp_ratio": 0.4, "large": 0.0}}},
+    )  # fmt: skip
+    _write_evaluate(run, rng)
+    (run / "render").mkdir()
+    (run / "render/orbit.mp4").write_bytes(b"not really a film")
+    for stage in stage_names():
+        if (run / stage).is_dir():
+            _json(run / stage / "stamp.json", {"id": "1", "identity": {}, "seconds": 12.5})
+            _json(run / stage / "health.json", {"stage": stage, "rows": [_row("ok"), _row("warn")]})
+    return run
+
+
+def _scene(frames: dict[str, list[Path]]) -> Scene:
+    K = np.array([[50.0, 0, 24], [0, 50.0, 18], [0, 0, 1]])
+
+    def posed(name: str, n: int, split: str, time: float | None) -> PosedFrame:
+        pose = np.column_stack([np.eye(3), [0.1 * n, 0.0, 2.0]])
+        camera = Camera(WIDTH, HEIGHT, K, pose)
+        return PosedFrame(frames[name][n], camera, name, n, time, time, split)  # type: ignore[arg-type]
+
+    return Scene(
+        static=tuple(posed("static", n, "test" if n == 0 else "train", None) for n in range(6)),
+        dynamic=tuple(
+            posed(name, n, "train" if name == "cam0" else "test", n / 3)
+            for name in frames
+            if name != "static"
+            for n in range(4)
+        ),
+        box_from_world=np.diag([2.0, 2.0, 2.0, 1.0]),
+        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
+        near=0.5,
+        far=6.0,
+        kind="inward",
+        background="shell",
+        t0_s=0.0,
+        t1_s=1.0,
+        rest_time=0.0,
+        image_scale=1.0,
+        metric=True,
+    )
+
+
+def _write_evaluate(run: Path, rng: np.random.Generator) -> None:
+    views = []
+    for camera, n, time in [("wit<b>ness", 0, 0.0), ("wit<b>ness", 1, 0.5), ("static", 0, None)]:
+        files = {}
+        for kind in ("true", "rendered", "error", "rest"):
+            path = run / "evaluate" / "views" / camera / f"{n:06d}_{kind}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+            files[kind] = path.relative_to(run / "evaluate").as_posix()
+        view = {"camera": camera, "index": n, "time": time, "time_s": time, "psnr": 24.5 + n, "ssim": 0.812}
+        if time is not None:
+            view["static_baseline"] = {"psnr": 19.25, "ssim": 0.7}
+        views.append({**view, **files})
+    block = {
+        "psnr": 25.0625,
+        "ssim": 0.8125,
+        "lpips_vgg": None,
+        "views": 2,
+        "why": {"lpips_vgg": "no weights"},
+    }
+    _json(
+        run / "evaluate/metrics.json",
+        {
+            "test": block,
+            "test_static": {**block, "psnr": 27.375},
+            "test_moving": {"psnr": 22.75, "ssim": 0.75},
+            "static_baseline": {"test": {"psnr": 21.0}, "test_moving": {"psnr": 17.5}},
+            "per_view": views,
+            "train": {"canonical_s": 100.5, "deformation_s": 200.25, "total_s": 300.75, "iterations": 1000,
+                      "rays_per_s": 12345.6, "peak_gpu_gb": None, "peak_rss_gb": 1.25, "device": "cpu"},
+            "model_mb": 12.25,
+            "render_fps": 0.125,
+            "versions": {"devrf": "0.1.0"},
+            "seed": 7,
+            "truth": {"pose_rotation_deg": 0.0625, "rig_position_m": 0.0078125, "sync_ms": 0.25},
+        },
+    )  # fmt: skip
+
+
+def _row(verdict: str) -> dict:
+    return {"check": f"a check {NASTY}", "value": 0.5, "unit": "px", "warn": 0.4, "fail": None,
+            "verdict": verdict, "remedy": "" if verdict == "ok" else "Hold the camera still."}  # fmt: skip
+
+
+def _json(path: Path, value: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value))
+
+
+def _page(run: Path, reasons: dict[str, str] | None = None, name: str = NASTY) -> tuple[str, Page]:
+    html = build_report(RunFolder(run, stage_names(), reasons or {}), name)
+    page = Page(html)
+    assert page.open == [], f"never closed: {page.open}"
+    return html, page
+
+
+def test_every_section_is_there_and_none_is_empty(full_run):
+    _, page = _page(full_run)
+    assert {key for key, _, _ in SECTIONS} <= page.ids
+    for words in ("orbit.mp4", "Hold the camera still.", "not registered", "Metric scale"):
+        assert words.lower() in page.text.lower()
+
+
+def test_needs_nothing_from_outside(full_run):
+    html, page = _page(full_run)
+    for address in page.addresses:
+        assert address.startswith(("data:", "../", "#")), address[:80]
+    outside_data = re.sub(r"data:[\w/]+;base64,[A-Za-z0-9+/=]+", "", html)
+    assert "http" not in outside_data
+    assert "@import" not in html and "url(" not in html
+
+
+def test_linked_files_exist(full_run):
+    _, page = _page(full_run)
+    for address in page.addresses:
+        if address.startswith("../"):
+            assert (full_run / address[3:]).is_file(), address
+
+
+def test_names_are_escaped(full_run):
+    html, page = _page(full_run)
+    assert "alert('x')" not in "".join(page.scripts)
+    assert "<script>alert" not in html and "<b>ness" not in html
+    assert NASTY in page.text  # shown as it was written
+
+
+def test_numbers_are_those_of_the_files(full_run):
+    _, page = _page(full_run)
+    quoted = {(file, key) for file, key, _ in page.numbers}
+    for key in (
+        "test.psnr",
+        "test_moving.psnr",
+        "static_baseline.test_moving.psnr",
+        "train.total_s",
+        "model_mb",
+    ):
+        assert ("evaluate/metrics.json", key) in quoted
+    for file, key, value in page.numbers:
+        assert value == _entry(json.loads((full_run / file).read_text()), key), (file, key)
+
+
+def _entry(value, key: str):
+    if isinstance(value, dict) and "rows" in value and key[0].isdigit():
+        value = value["rows"]
+    while key:
+        name = (
+            next((k for k in value if key == k or key.startswith(f"{k}.")), None)
+            if isinstance(value, dict)
+            else None
+        )
+        head = name if name is not None else key.split(".")[0]
+        value = value[head] if name is not None else value[int(head)]
+        key = key[len(head) + 1 :]
+    return value
+
+
+def test_an_empty_run_folder_says_what_is_missing(tmp_path):
+    _, page = _page(tmp_path, name="empty")
+    assert page.text.count("has not run") >= len(SECTIONS)
+    assert not page.numbers
+
+
+def test_stages_that_do_not_apply_say_why(tmp_path):
+    reasons = {
+        "sync": "only a sweep",
+        "rig": "only a sweep",
+        "flow": "only a sweep",
+        "deformation": "only a sweep",
+    }
+    _, page = _page(tmp_path, reasons)
+    assert page.text.lower().count("does not apply: only a sweep") >= 2 * len(reasons)
+
+
+FILES = (
+    "ingest/ingest.json",
+    "static_poses/static_poses.json",
+    "sync/sync.json",
+    "rig/rig.json",
+    "scene/scene.json",
+    "flow/flow.json",
+    "canonical/metrics.json",
+    "deformation/metrics.json",
+    "evaluate/metrics.json",
+    "scene/health.json",
+    "scene/stamp.json",
+)
+
+
+@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("content", ["{", "[]", "{}", "null", '{"cameras": []}'])
+def test_no_damaged_file_stops_it(full_run, tmp_path, file, content):
+    for entry in full_run.iterdir():
+        (tmp_path / entry.name).symlink_to(entry)
+    stage, name = file.split("/")
+    (tmp_path / stage).unlink(missing_ok=True)
+    (tmp_path / stage).mkdir()
+    for entry in (full_run / stage).iterdir() if (full_run / stage).is_dir() else []:
+        (tmp_path / stage / entry.name).symlink_to(entry)
+    (tmp_path / file).unlink(missing_ok=True)
+    (tmp_path / file).write_text(content)
+    _, page = _page(tmp_path)
+    if content == "{":
+        named = f"{file} cannot be read" in page.text or f"{stage}/ cannot be read" in page.text
+        assert named or stage in ("canonical", "deformation")
+
+
+def test_size_stays_small(full_run):
+    html, _ = _page(full_run)
+    assert len(html) < 1_000_000
+
+
+def test_stage_is_in_the_pipeline():
+    stage = next(s for s in STAGES if s.name == "report")
+    assert set(stage.reads) == set(stage_names()) - {"report"}
