@@ -107,10 +107,12 @@ def caliscope(folder: Path, data_dir: Path, **changes: object) -> Path:
 
 
 def caliscope_times(table: Path) -> str:
-    """Their columns cam_id, frame_index, frame_time as camera, frame_index, time_s."""
+    """Their columns sync_index (one per frame), cam_id, frame_time as camera, frame_index, time_s."""
     with table.open(newline="") as file:
-        rows = [f"cam{r['cam_id']},{r['frame_index']},{r['frame_time']}" for r in csv.DictReader(file)]
-    return "\n".join(["camera,frame_index,time_s", *rows]) + "\n"
+        rows = list(csv.DictReader(file))
+    first = min(int(row["sync_index"]) for row in rows)
+    lines = [f"cam{r['cam_id']},{int(r['sync_index']) - first},{r['frame_time']}" for r in rows]
+    return "\n".join(["camera,frame_index,time_s", *lines]) + "\n"
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,116 @@
+"""The list of stages agrees with the contract, with the configuration and with what each stage does."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from devrf.pipelines.code_version import code_version, sources
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import Stage
+from devrf.pipelines.stages import STAGES, stage_names
+
+CONTRACT = (
+    "ingest static_poses sync rig scene flow canonical deformation evaluate render report".split()  # noqa: SIM905
+)
+BY_NAME = {stage.name: stage for stage in STAGES}
+
+
+def config(**keys: object) -> SceneConfig:
+    return SceneConfig.model_validate({"name": "x"} | keys)
+
+
+SWEEP = config(capture={"static": "s.mp4"})
+CAMERAS = config(capture={"cameras": {"a": "a.mp4"}})
+DYNAMIC = config(capture={"static": "s.mp4", "cameras": {"a": "a.mp4"}})
+DATASET = config(dataset={"format": "devrf", "path": "d"})
+AT_REST = config(dataset={"format": "blender", "path": "d"})
+
+
+def applying(scene: SceneConfig) -> list[str]:
+    return [stage.name for stage in STAGES if stage.applies(scene) is None]
+
+
+def test_order_is_the_contract() -> None:
+    assert list(stage_names()) == CONTRACT
+
+
+def test_every_stage_reads_only_what_was_made_before() -> None:
+    made: set[str] = set()
+    for stage in STAGES:
+        assert set(stage.reads) <= made, stage.name
+        made.add(stage.name)
+
+
+def test_what_applies() -> None:
+    assert applying(DYNAMIC) == CONTRACT
+    rest = [name for name in CONTRACT if name not in ("sync", "rig", "flow", "deformation")]
+    assert applying(SWEEP) == rest
+    assert applying(CAMERAS) == ["ingest", "sync", "rig", "scene", "flow"]
+    assert applying(DATASET) == CONTRACT[4:]
+    assert applying(AT_REST) == ["scene", "canonical", "evaluate", "render", "report"]
+    for scene in (SWEEP, CAMERAS, DATASET, AT_REST):
+        assert all(stage.applies(scene) is None or len(str(stage.applies(scene))) > 10 for stage in STAGES)
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=stage_names())
+def test_config_keys_exist(stage: Stage) -> None:
+    for key in stage.config_keys:
+        model = SceneConfig
+        for part in key.split("."):
+            assert part in model.model_fields, key
+            kinds = [model.model_fields[part].annotation]
+            kinds += list(getattr(kinds[0], "__args__", ()))
+            model = next(
+                (k for k in kinds if isinstance(k, type) and hasattr(k, "model_fields")), SceneConfig
+            )
+
+
+def text_of(stage: Stage) -> str:
+    """The stage's own file and the other pipelines files that only stages use."""
+    files = sources(f"devrf.pipelines.stages.{stage.name}")
+    return "\n".join(
+        path.read_text()
+        for name, path in files.items()
+        if name.startswith("devrf.pipelines.") and ":" not in name and "preflight" not in name
+    )
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=stage_names())
+def test_a_stage_uses_only_the_keys_it_declares(stage: Stage) -> None:
+    """A key that is used but not declared could change without the stage being run again."""
+    used = set(re.findall(r"\bconfig\.([a-z_]+(?:\.[a-z_]+)*)", text_of(stage)))
+    used = {u for u in used if u.split(".")[0] in SceneConfig.model_fields}
+    for key in used:
+        covered = any(key == own or key.startswith(own + ".") for own in stage.config_keys)
+        assert covered, f"{stage.name} uses {key}, which is not in its config_keys"
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=stage_names())
+def test_a_stage_reads_only_the_stages_it_declares(stage: Stage) -> None:
+    read = set(re.findall(r"""run_dir\s*/\s*["']([a-z_]+)""", text_of(stage)))
+    assert read & set(CONTRACT) <= set(stage.reads), stage.name
+
+
+def test_code_version_follows_imports() -> None:
+    flow = sources("devrf.pipelines.stages.flow")
+    assert {"devrf.pipelines.stages.flow", "devrf.flow.dis", "devrf.capture.scene"} <= flow.keys()
+    assert not any(name.startswith(("devrf.reconstruct", "devrf.pipelines.scene_config")) for name in flow)
+    report = sources("devrf.pipelines.stages.report")
+    assert any(name.endswith(":report.css") for name in report)  # a file beside the code counts too
+
+
+def test_code_version_changes_with_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from devrf.pipelines import code_version as module
+
+    for room in ("flow", "capture"):
+        (tmp_path / room).mkdir()
+    (tmp_path / "flow/a.py").write_text("def f():\n    from devrf.capture import b\n")
+    (tmp_path / "capture/b.py").write_text("x = 1\n")
+    (tmp_path / "capture/c.py").write_text("x = 1\n")
+    monkeypatch.setattr(module, "_room", lambda room: tmp_path / room)
+    before = code_version("devrf.flow.a")
+    (tmp_path / "capture/c.py").write_text("x = 2\n")
+    assert code_version("devrf.flow.a") == before
+    (tmp_path / "capture/b.py").write_text("x = 2\n")
+    assert code_version("devrf.flow.a") != before
