@@ -1,0 +1,68 @@
+"""What a simulated session may vary: one frozen, checked value per field."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class SessionOptions(BaseModel):
+    """Options of a simulated session; every one has a default that gives a good small session."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+    sweep_frames: int = Field(default=72, ge=2, le=2000)
+    """Pictures of the sweep: two rings at two heights and, last, an arc before the board."""
+    sweep_fps: float = Field(default=4.0, gt=0, le=120)
+    """Frame rate of the sweep's video, hertz."""
+    sweep_radius_m: float = Field(default=1.5, gt=0.8, le=1.75)
+    """Distance of the sweep's path from the middle of the room."""
+    fps: float = Field(default=16.0, gt=0, le=240)
+    """Frame rate of the fixed cameras, hertz."""
+    duration_s: float = Field(default=2.7, gt=0.1, le=600)
+    """Length of every fixed camera's clip."""
+    pts_jitter_ms: float = Field(default=0.0, ge=0, le=20)
+    """Largest deviation of a frame's time from an even rate (variable frame rate), milliseconds."""
+    rest_s: float = Field(default=0.3, ge=0, le=60)
+    """The object moves after this time on cam0's clock."""
+    motion_scale: float = Field(default=1.0, ge=0, le=3)
+    """Amplitude of the motion, relative."""
+    motion_speed: float = Field(default=1.0, gt=0, le=10)
+    """Speed of the motion, relative."""
+    spread_deg: float = Field(default=130.0, ge=0, le=180)
+    """Angle around the object between the first and the last fixed camera, degrees."""
+    camera_distance_m: float = Field(default=1.65, ge=1.0, le=1.8)
+    """Distance of the fixed cameras from where the hands clap, before jitter."""
+    jitter_m: float = Field(default=0.03, ge=0, le=0.1)
+    """Largest deviation of a camera from its even place."""
+    offset_range_s: float = Field(default=0.15, ge=0, le=10)
+    """Clips start within this time before or after cam0's, to a fraction of a frame."""
+    drift_range_ppm: float = Field(default=60.0, ge=0, le=5000)
+    """Largest deviation of a clock from cam0's rate, parts per million."""
+    fov_deg: float = Field(default=60.0, ge=20, le=90)
+    """Width of the fixed cameras' view, degrees, before jitter of 1.5 %; the sweep's is a tenth wider."""
+    k1: float = Field(default=-0.06, ge=-0.2, le=0.2)
+    """First radial distortion coefficient, before jitter of 20 %."""
+    gain_range: float = Field(default=0.06, ge=0, le=0.9)
+    """Largest deviation of a camera's exposure from the sweep's, relative, in linear light."""
+    noise: float = Field(default=0.006, ge=0, le=0.2)
+    """Standard deviation of the sensor's noise at mid grey, relative to full scale."""
+    texture_contrast: float = Field(default=1.0, ge=0, le=1.5)
+    """Contrast of all textures of the room and of the object; 0 gives blank walls."""
+    spp: int = Field(default=16, ge=4, le=1024)
+    """Light paths per pixel."""
+    crf: int = Field(default=17, ge=0, le=51)
+    """Quality of the H.264 pictures: 0 is lossless, 17 is very good, 35 is poor."""
+    claps: int = Field(default=5, ge=0, le=100)
+    """Claps at irregular times within what all cameras record."""
+    sound_noise: float = Field(default=0.01, ge=0, le=10)
+    """Standard deviation of the background noise, relative to a clap's peak."""
+    reverb: float = Field(default=0.25, ge=0, le=1)
+    """Loudness of the first echo, relative to the clap."""
+    sound: bool = True
+    """Whether the clips carry sound at all."""
+    board: bool = True
+    """Whether there is a ChArUco board: a clip per camera, and standing in the room."""
+    board_frames: int = Field(default=18, ge=4, le=500)
+    """Pictures of every board clip."""
+    board_squares: tuple[int, int] = (8, 6)
+    """Columns and rows of the board."""
+    board_square_m: float = Field(default=0.06, gt=0.005, le=0.2)
+    """Side of a square; the markers are three quarters of it."""

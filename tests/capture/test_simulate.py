@@ -1,0 +1,170 @@
+"""A tiny session through the real entry point: what is written is what ground_truth.json says."""
+
+import json
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from devrf.capture.errors import InputError
+from devrf.capture.simulate import SCENES, simulate_session
+from devrf.capture.simulate_options import SessionOptions
+from devrf.capture.simulate_sound import SAMPLE_RATE_HZ, SPEED_OF_SOUND_M_S
+
+SIZE = (96, 72)
+TINY = SessionOptions(
+    sweep_frames=4,
+    fps=12,
+    duration_s=0.9,
+    rest_s=0.3,
+    motion_speed=2,
+    pts_jitter_ms=4,
+    claps=2,
+    spp=8,
+    board_frames=4,
+)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("mitsuba")
+    out = tmp_path_factory.mktemp("simulate") / "session"
+    told: list[float] = []
+    path = simulate_session(
+        out, "sheet", cameras=1, seed=3, size=SIZE, options=TINY, progress=lambda f, m: told.append(f)
+    )
+    assert path == out / "scene.yaml"
+    assert told == sorted(told) and told[-1] == pytest.approx(1)
+    return out
+
+
+def _truth(session: Path) -> dict:
+    return json.loads((session / "ground_truth.json").read_text(encoding="utf-8"))
+
+
+def _pictures(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    with av.open(str(path)) as container:
+        frames = list(container.decode(video=0))
+    return np.array([f.time for f in frames]), np.stack([f.to_ndarray(format="rgb24") for f in frames])
+
+
+def _sound(path: Path) -> np.ndarray:
+    with av.open(str(path)) as container:
+        frames = list(container.decode(audio=0))
+    assert frames[0].time == 0 and frames[0].sample_rate == SAMPLE_RATE_HZ
+    return np.concatenate([f.to_ndarray().ravel() for f in frames])
+
+
+def test_truth_has_what_the_contract_names(session: Path) -> None:
+    truth = _truth(session)
+    assert (truth["width"], truth["height"]) == SIZE
+    assert len(truth["static"]) == TINY.sweep_frames
+    assert list(truth["cams"]) == ["cam0", "witness"]
+    for camera in truth["cams"].values():
+        pose = np.array(camera["pose"])
+        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+        assert abs(camera["offset_s"]) <= TINY.offset_range_s
+        assert abs(camera["drift_ppm"]) <= TINY.drift_range_ppm
+    assert truth["cams"]["cam0"]["offset_s"] == truth["cams"]["cam0"]["drift_ppm"] == 0
+    assert truth["cams"]["witness"]["offset_s"] != 0 and truth["cams"]["witness"]["drift_ppm"] != 0
+    assert truth["board"]["squares"] == list(TINY.board_squares)
+
+
+def test_scene_yaml_names_files_that_exist(session: Path) -> None:
+    config = yaml.safe_load((session / "scene.yaml").read_text(encoding="utf-8"))
+    capture = config["capture"]
+    assert capture["rest"] == "start" and config["preset"] == "tiny"
+    assert list(capture["cameras"]) == ["cam0"] and list(capture["test_cameras"]) == ["witness"]
+    files = [capture["static"], *capture["cameras"].values(), *capture["test_cameras"].values()]
+    files += [*capture["board"]["clips"].values(), config["evaluate"]["truth"]]
+    assert all((session / file).is_file() for file in files)
+
+
+def test_presentation_times_are_the_true_file_times(session: Path) -> None:
+    truth = _truth(session)
+    for name, camera in truth["cams"].items():
+        times, pictures = _pictures(session / f"{name}.mp4")
+        assert pictures.shape[1:] == (SIZE[1], SIZE[0], 3)
+        np.testing.assert_allclose(times, camera["file_times_s"], atol=1e-6)
+        assert times[0] == 0 and np.ptp(np.diff(times)) > 1e-3  # jitter was asked for
+    times, _ = _pictures(session / "static.mp4")
+    np.testing.assert_allclose(times, np.arange(TINY.sweep_frames) / TINY.sweep_fps, atol=1e-6)
+
+
+def test_pictures_are_at_rest_until_the_motion_begins(session: Path) -> None:
+    for name, camera in _truth(session)["cams"].items():
+        times, pictures = _pictures(session / f"{name}.mp4")
+        true_s = camera["offset_s"] + (1 + 1e-6 * camera["drift_ppm"]) * times
+        change = np.abs(pictures.astype(float) - pictures[0]).mean(axis=(1, 2, 3))
+        at_rest = change[1:][true_s[1:] <= TINY.rest_s]
+        assert len(at_rest) >= 1 and at_rest.max() < 3.0  # grey levels: noise of pixels and of light paths
+        assert change[true_s > TINY.rest_s + 0.3].min() > 2 * at_rest.max()
+
+
+def test_claps_are_heard_when_the_truth_says(session: Path) -> None:
+    truth = _truth(session)
+    for name, camera in truth["cams"].items():
+        loud = np.abs(_sound(session / f"{name}.mp4"))
+        heard_s = np.array(truth["claps"]["times_s"]) + camera["clapper_distance_m"] / SPEED_OF_SOUND_M_S
+        for file_s in (heard_s - camera["offset_s"]) / (1 + 1e-6 * camera["drift_ppm"]):
+            first = round((file_s - 0.003) * SAMPLE_RATE_HZ)
+            window = loud[first : first + 480]
+            onset_s = (first + np.argmax(window > 0.25 * window.max())) / SAMPLE_RATE_HZ
+            assert 0 <= onset_s - file_s < 0.001  # the burst needs 0.4 ms to grow
+
+
+def test_same_seed_same_session(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    options = SessionOptions(sweep_frames=2, fps=5, duration_s=0.5, spp=4, board=False, claps=1)
+    for name in ("a", "b"):
+        simulate_session(tmp_path / name, "column", cameras=1, seed=1, size=(32, 24), options=options)
+    for file in ("static.mp4", "cam0.mp4", "witness.mp4", "ground_truth.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    assert _truth(tmp_path / "a")["board"] is None
+    assert "board" not in yaml.safe_load((tmp_path / "a" / "scene.yaml").read_text())["capture"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scene": "flagg"}, "flagg.*sheet, column"),
+        ({"protocol": "devrf"}, "devrf.*not built yet"),
+        ({"cameras": 0}, "cameras 0"),
+        ({"size": (63, 48)}, "63x48.*even"),
+        ({"options": SessionOptions(duration_s=0.2)}, "duration_s 0.2.*overlap"),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_is_written(
+    tmp_path: Path, change: dict, message: str
+) -> None:
+    arguments = {"scene": "sheet", "size": SIZE, "options": TINY, **change}
+    with pytest.raises(InputError, match=message):
+        simulate_session(tmp_path / "out", **arguments)
+    assert not (tmp_path / "out").exists()
+
+
+def test_folder_with_files_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("precious")
+    with pytest.raises(InputError, match="not an empty folder"):
+        simulate_session(tmp_path, "sheet", options=TINY)
+    assert (tmp_path / "mine.txt").read_text() == "precious"
+
+
+def test_missing_renderer_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    with pytest.raises(InputError, match=r"pip install devrf\[simulate\]"):
+        simulate_session(tmp_path / "out", "sheet", size=SIZE, options=TINY)
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_are_strict_and_documented() -> None:
+    with pytest.raises(ValidationError, match="sweep_frame"):
+        SessionOptions.model_validate({"sweep_frame": 70})
+    with pytest.raises(ValidationError, match="noise"):
+        SessionOptions(noise=-0.1)
+    assert all(field.description for field in SessionOptions.model_fields.values())
+    assert len(SCENES) >= 2

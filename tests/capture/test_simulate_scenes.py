@@ -1,0 +1,87 @@
+"""Objects that deform: at rest exactly until the motion begins, and moving as real things do."""
+
+import numpy as np
+import pytest
+
+from devrf.capture.simulate_scenes import (
+    CENTRE,
+    OBJECTS,
+    ROOM_HALF_M,
+    SHEET_HEIGHT_M,
+    SHEET_TOP_M,
+    WALLS,
+    make_object,
+    room,
+    texture,
+)
+
+TIMES_S = np.linspace(0.05, 2.5, 12)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_object_is_at_rest_until_it_moves_by_a_visible_amount(name: str) -> None:
+    thing = make_object(name, np.random.default_rng(0), 1.0, 1.0)
+    for time_s in (-1.0, 0.0):
+        np.testing.assert_array_equal(thing.vertices_at(time_s), thing.rest.vertices)
+    way = np.stack([thing.vertices_at(t) - thing.rest.vertices for t in TIMES_S])
+    largest_m = np.linalg.norm(way, axis=-1).max()
+    assert 0.1 < largest_m < 0.5
+    assert np.abs(thing.vertices_at(1e-3) - thing.rest.vertices).max() < 1e-4  # it does not jump
+    lo, hi = (thing.rest.vertices + way).min((0, 1)), (thing.rest.vertices + way).max((0, 1))
+    assert (hi - lo < 1.5).all() and lo[2] > 0.3  # above the platform
+    assert np.abs((lo + hi) / 2 - CENTRE)[:2].max() < 0.2
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_motion_is_not_rigid(name: str) -> None:
+    thing = make_object(name, np.random.default_rng(0), 1.0, 1.0)
+    a, b = thing.rest.vertices, thing.vertices_at(1.3)
+    u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    R = vt.T @ np.diag([1, 1, np.linalg.det(vt.T @ u.T)]) @ u.T  # Kabsch: the best rigid motion
+    left_m = np.linalg.norm((b - b.mean(0)) - (a - a.mean(0)) @ R.T, axis=1)
+    assert left_m.max() > 0.02
+
+
+def test_motion_scale_zero_stays_at_rest() -> None:
+    thing = make_object("sheet", np.random.default_rng(0), 1.0, 0.0)
+    np.testing.assert_array_equal(thing.vertices_at(1.7), thing.rest.vertices)
+
+
+def test_threads_of_the_sheet_hang_from_the_bar_and_keep_their_length() -> None:
+    thing = make_object("sheet", np.random.default_rng(0), 1.0, 1.0)
+    for time_s in (0.0, 0.9, 2.1):
+        threads = thing.vertices_at(time_s).reshape(64, 68, 3)
+        np.testing.assert_allclose(threads[0, :, 2], SHEET_TOP_M)
+        length_m = np.linalg.norm(np.diff(threads, axis=0), axis=-1).sum(0)
+        # steps are means of neighbouring unit vectors, so a bent thread is a little shorter, never longer
+        assert (length_m <= SHEET_HEIGHT_M + 1e-9).all() and (length_m > 0.998 * SHEET_HEIGHT_M).all()
+
+
+def test_foot_and_seam_of_the_column() -> None:
+    thing = make_object("column", np.random.default_rng(0), 1.0, 1.0)
+    moved = thing.vertices_at(1.4).reshape(56, 72, 3)
+    np.testing.assert_allclose(moved[:, 0], moved[:, -1], atol=1e-12)  # closed around
+    assert np.linalg.norm(moved[-1] - moved[-1, 0], axis=-1).max() < 1e-6  # closed at the top
+    rest = thing.rest.vertices.reshape(56, 72, 3)
+    assert np.abs(moved[0].mean(0) - rest[0].mean(0)).max() < 0.01
+
+
+def test_faces_look_outward_or_into_the_room() -> None:
+    column = make_object("column", np.random.default_rng(0), 1.0, 1.0).rest
+    a, b, c = (column.vertices[column.faces[:, i]] for i in range(3))
+    outward = (np.cross(b - a, c - a)[:, :2] * ((a + b + c) / 3 - CENTRE)[:, :2]).sum(1)
+    assert (outward >= -1e-9).mean() > 0.97  # bulges turn a few the other way in plan
+    for wall in room(np.random.default_rng(0), 1.0)[:4]:
+        a, b, c = wall.vertices[wall.faces[0]]
+        middle = wall.vertices.mean(0)
+        assert np.isclose(np.abs(middle[:2]).max(), ROOM_HALF_M)
+        assert np.cross(b - a, c - a)[:2] @ middle[:2] < 0
+
+
+def test_textures_differ_by_seed_and_vanish_without_contrast() -> None:
+    def make(seed: int, contrast: float) -> np.ndarray:
+        return texture(np.random.default_rng(seed), 60, 80, 0.006, contrast, paint=WALLS[0])
+
+    np.testing.assert_array_equal(make(0, 1.0), make(0, 1.0))
+    assert np.abs(make(0, 1.0).astype(int) - make(1, 1.0)).mean() > 10
+    np.testing.assert_array_equal(make(0, 0.0), np.broadcast_to(WALLS[0].tint, (60, 80, 3)))
