@@ -103,8 +103,12 @@ def test_similarity_without_reflection():
     move = random_similarity()
     target = source @ move[:3, :3].T + move[:3, 3]
     np.testing.assert_allclose(similarity(source, target), move, atol=1e-12)
-    mirrored = similarity(source, source * [1, 1, -1])
-    assert np.linalg.det(mirrored[:3, :3]) > 0
+    target = source * [1, 1, -1]
+    mirrored = similarity(source, target)
+    scale = np.cbrt(np.linalg.det(mirrored[:3, :3]))
+    s, t = source - source.mean(0), target - target.mean(0)
+    best = ((s @ mirrored[:3, :3].T / scale) * t).sum() / (s * s).sum()  # least squares for that turn
+    assert scale > 0 and scale == pytest.approx(best)
 
 
 @pytest.mark.parametrize("angle", [1e-6, 0.1, 90.0, 179.0])
