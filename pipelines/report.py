@@ -14,7 +14,7 @@ from devrf.pipelines.report_calibration import rig_section, sync_section
 from devrf.pipelines.report_capture import capture_section
 from devrf.pipelines.report_flow import flow_section
 from devrf.pipelines.report_html import absent, duration, link, number, readable, section, table, text
-from devrf.pipelines.report_pictures import data_uri
+from devrf.pipelines.report_pictures import data_uri, picture_uri, read_picture
 from devrf.pipelines.report_run import RunFolder, at
 from devrf.pipelines.report_space import space_section
 from devrf.pipelines.report_training import training_section
@@ -23,6 +23,7 @@ from devrf.pipelines.report_views import views_section
 logger = logging.getLogger(__name__)
 
 METRICS = "evaluate/metrics.json"
+POSTER_WIDTH = 800
 MAX_FILM_BYTES = 8_000_000  # base64 makes it a third larger; a bigger film is linked instead
 SECTIONS = (
     ("capture", "Capture", capture_section),
@@ -53,14 +54,13 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
         f'<header id="top"><p class="kind">Run report</p><h1>{text(name)}</h1>'
         f"{facts_line}{verdict(run)}{numbers}</header>"  # the verdict last: it also names unreadable files
     )
-    page = (
+    return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{text(name)}: run report</title><style>{_asset('report.css')}</style></head><body>{top}"
-        f'<nav aria-label="Sections"><div>{nav}</div></nav><main>{sections}</main>{_footer(run)}'
+        f"<title>{text(name)}: run report</title><style>{_asset('report.css')}</style></head><body>"
+        f'<nav aria-label="Sections"><div>{nav}</div></nav>{top}<main>{sections}</main>{_footer(run)}'
         f"<script>{_asset('report.js')}</script></body></html>"
     )
-    return page
 
 
 def _made(run: RunFolder, key: str, title: str, make: Callable[[RunFolder], str]) -> str:
@@ -141,10 +141,12 @@ def film(run: RunFolder) -> str:
     file = f"render/{films[0].name}"
     small = films[0].stat().st_size <= MAX_FILM_BYTES
     source = data_uri(films[0].read_bytes(), "video/mp4") if small else f"../{file}"
+    still = read_picture(run.path / "render" / "poster.png")
+    poster = f' poster="{picture_uri(still, POSTER_WIDTH)}"' if still is not None else ""
     others = "".join(f", {link(f'render/{other.name}')}" for other in films[1:])
     return (
-        '<figure class="film"><video controls muted loop playsinline preload="metadata" '
-        f'src="{text(source)}"></video>'
+        '<figure class="film"><video controls muted loop playsinline preload="metadata"'
+        f'{poster} src="{text(source)}"></video>'
         f"<figcaption>Rendered film: {link(file)}{others}</figcaption></figure>"
     )
 
@@ -170,7 +172,7 @@ def stages_table(run: RunFolder) -> str:
     checks = [
         [
             text(stage),
-            text(row.get("check", "")),
+            text(_check_name(stage, row)),
             _health_value(stage, n, row),
             _bound(row.get("warn"), row.get("unit")),
             _bound(row.get("fail"), row.get("unit")),
@@ -203,11 +205,13 @@ def _remedy(stage: str, row: dict[str, Any]) -> str:
         if isinstance(value, (int, float))
         else ("not measured" if value is None else value)
     )
-    return (
-        f"<li><strong>{text(stage)}</strong>: {text(row.get('check', ''))}: {text(shown)} "
-        f"{text(row.get('unit', ''))}. "
-        f"{text(row.get('remedy', ''))}</li>"
-    )
+    found = f"{_check_name(stage, row)}: {shown} {row.get('unit') or ''}".strip()
+    return f"<li><strong>{text(stage)}</strong>: {text(found)}. {text(row.get('remedy', ''))}</li>"
+
+
+def _check_name(stage: str, row: dict[str, Any]) -> str:
+    """The check without the stage's name in front: the table and the list say it already."""
+    return str(row.get("check", "")).removeprefix(f"{stage}: ")
 
 
 def _health_value(stage: str, n: int, row: dict[str, Any]) -> str:

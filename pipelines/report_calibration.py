@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from devrf.pipelines.report_html import absent, number, section, table, text
+from devrf.pipelines.report_charts import Series, line_chart
+from devrf.pipelines.report_html import absent, link, number, section, table, text
 from devrf.pipelines.report_run import RunFolder, at
 
 POSES, RIG, SYNC, METRICS = (
@@ -12,6 +13,7 @@ POSES, RIG, SYNC, METRICS = (
     "evaluate/metrics.json",
 )
 CURVES = "sync/curves.json"
+MAX_CURVES = 9
 TRUTH = (
     ("pose_rotation_deg", "sweep, rotation", "°", 3),
     ("pose_position_m", "sweep, position", "m", 4),
@@ -35,7 +37,7 @@ def sync_section(run: RunFolder) -> str:
     """Each camera's clock against cam0's, and the curves they were read from."""
     lead = (
         "True time = offset + (1 + drift) × file time, on the first camera's clock. "
-        "A single clear peak in the correlation is what makes an offset sure."
+        "One clear peak in the correlation is what makes an offset sure."
     )
     cameras = run.cameras(SYNC)
     if not cameras:
@@ -49,7 +51,7 @@ def sync_section(run: RunFolder) -> str:
                 number(clock.get("offset_s"), "s", 4, file=SYNC, key=f"{key}.offset_s", sign=True),
                 number(clock.get("drift_ppm"), "ppm", 1, file=SYNC, key=f"{key}.drift_ppm", sign=True),
                 number(clock.get("std_s"), "ms", 3, file=SYNC, key=f"{key}.std_s", scale=1000.0),
-                text(clock.get("method", "")),
+                f'<span title="{text(clock.get("basis") or "")}">{text(clock.get("method", ""))}</span>',
                 number(clock.get("confidence"), "", 2, file=SYNC, key=f"{key}.confidence"),
             ]
         )
@@ -135,7 +137,29 @@ def _truth(run: RunFolder) -> str:
 
 
 def _sync_curves(run: RunFolder) -> str:
-    return ""
+    """How well pairs of cameras match, against the delay between them: those that were accepted first."""
+    curves = run.object(CURVES).get("curves")
+    curves = [c for c in curves if isinstance(c, dict)] if isinstance(curves, list) else []
+    curves.sort(key=lambda c: not c.get("accepted"))
+    charts = [chart for curve in curves[:MAX_CURVES] if (chart := _sync_curve(curve))]
+    if not charts:
+        return ""
+    some = f" {len(charts)} of {len(curves)} pairs are drawn." if len(charts) < len(curves) else ""
+    return (
+        f'<h3>Correlation</h3><div class="charts three">{"".join(charts)}</div>'
+        f'<p class="source">Source: {link(CURVES)}.{some}</p>'
+    )
+
+
+def _sync_curve(curve: dict[str, Any]) -> str:
+    lags, values, delay = curve.get("lags_s") or [], curve.get("values") or [], curve.get("delay_s")
+    if len(lags) < 2 or len(lags) != len(values):
+        return ""
+    marks = [(float(delay), f"{delay:.4f} s")] if isinstance(delay, (int, float)) else []
+    title = f"{curve.get('first')} and {curve.get('second')}: {curve.get('method')}"
+    title += "" if curve.get("accepted") else ", not used"
+    series = [Series(title, [float(x) for x in lags], [float(y) for y in values])]
+    return line_chart(series, "delay, s", "correlation", x_marks=marks, title=title, small=True)
 
 
 def _largest(value: Any) -> Any:

@@ -15,7 +15,13 @@ THUMBNAIL_WIDTH = 200
 SWEEP_THUMBNAILS, CAMERA_THUMBNAILS = 8, 3
 MAX_THUMBNAIL_CAMERAS = 12  # keeps the page small for a capture of forty cameras
 INGEST = "ingest/ingest.json"
-ROLES = {"sweep": "sweep", "camera": "moving", "test": "test, never trained on", "board": "board"}
+ROLES = {
+    "sweep": "sweep",
+    "camera": "moving",
+    "test": "test, never trained on",
+    "board": "board",
+    "joint": "board, several cameras",
+}
 
 
 def capture_section(run: RunFolder) -> str:
@@ -114,5 +120,7 @@ def _strip(rows: Sequence[tuple[str, list[tuple[Path, str]]]]) -> str:
                 uri = picture_uri(image, THUMBNAIL_WIDTH)
                 figures.append(figure(uri, text(caption), f"{name}, {caption}"))
         if figures:
-            out.append(f'<h3>{text(name)}</h3><div class="strip">{"".join(figures)}</div>')
-    return "".join(out)
+            wide = " wide" if len(figures) > CAMERA_THUMBNAILS else ""
+            strip = f'<div class="strip">{"".join(figures)}</div>'
+            out.append(f'<div class="reel{wide}"><h3>{text(name)}</h3>{strip}</div>')
+    return f'<div class="reels">{"".join(out)}</div>'

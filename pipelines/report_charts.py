@@ -11,6 +11,7 @@ from html import escape
 
 COLOURS = 6  # --s0 .. --s5 in report.css
 CHART_WIDTH, CHART_HEIGHT = 480, 250  # text stays readable when a phone shows the chart at 340 px
+SMALL_WIDTH, SMALL_HEIGHT = 340, 190  # for three charts in a row
 MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 56, 12, 10, 44
 MAX_CHART_POINTS = 400  # more cannot be seen on 480 units, and only make the page heavy
 
@@ -34,6 +35,8 @@ def line_chart(
     *,
     log_y: bool = False,
     x_marks: Sequence[tuple[float, str]] = (),
+    title: str = "",
+    small: bool = False,
 ) -> str:
     """A line chart with axes, grid and a legend, as one <figure>; empty text when nothing can be drawn.
 
@@ -42,7 +45,10 @@ def line_chart(
         x_label, y_label: Axis titles with units.
         log_y: Logarithmic y axis.
         x_marks: Vertical lines with a word each (for example where a level begins).
+        title: Words above the chart.
+        small: For rows of three.
     """
+    width, height = (SMALL_WIDTH, SMALL_HEIGHT) if small else (CHART_WIDTH, CHART_HEIGHT)
     lines = [(s, [_drawable(x, y, log_y) for x, y in zip(s.x, s.y, strict=True)]) for s in series]
     points = [p for _, ps in lines for p in ps if p is not None]
     if not points:
@@ -53,22 +59,21 @@ def line_chart(
     x_low, x_high = min(p[0] for p in points), max(p[0] for p in points)
     x_high = x_high if x_high > x_low else x_low + 1.0
     y_low, y_high = y_ticks[0], y_ticks[-1]
+    bottom = height - MARGIN_BOTTOM
 
     def px(x: float) -> float:
-        return MARGIN_LEFT + (x - x_low) / (x_high - x_low) * (CHART_WIDTH - MARGIN_LEFT - MARGIN_RIGHT)
+        return MARGIN_LEFT + (x - x_low) / (x_high - x_low) * (width - MARGIN_LEFT - MARGIN_RIGHT)
 
     def py(y: float) -> float:
-        height = CHART_HEIGHT - MARGIN_TOP - MARGIN_BOTTOM
-        return MARGIN_TOP + height - (y - y_low) / (y_high - y_low) * height
+        return bottom - (y - y_low) / (y_high - y_low) * (bottom - MARGIN_TOP)
 
     parts = [
-        f'<line class="grid" x1="{MARGIN_LEFT}" x2="{CHART_WIDTH - MARGIN_RIGHT}" '
+        f'<line class="grid" x1="{MARGIN_LEFT}" x2="{width - MARGIN_RIGHT}" '
         f'y1="{py(y):.1f}" y2="{py(y):.1f}"/>'
         f'<text class="tick" x="{MARGIN_LEFT - 7}" y="{py(y) + 4:.1f}" text-anchor="end">'
         f"{_power_text(y) if log_y else _tick_text(y, y_ticks)}</text>"
         for y in y_ticks
     ]
-    bottom = CHART_HEIGHT - MARGIN_BOTTOM
     parts += [
         f'<text class="tick" x="{px(x):.1f}" y="{bottom + 17}" text-anchor="middle">'
         f"{_tick_text(x, x_ticks)}</text>"
@@ -84,19 +89,20 @@ def line_chart(
     for s, ps in lines:
         parts.append(_line(s, [None if p is None else (px(p[0]), py(p[1])) for p in _thin(ps)]))
     parts.append(
-        f'<line class="axis" x1="{MARGIN_LEFT}" x2="{CHART_WIDTH - MARGIN_RIGHT}" '
+        f'<line class="axis" x1="{MARGIN_LEFT}" x2="{width - MARGIN_RIGHT}" '
         f'y1="{bottom}" y2="{bottom}"/>'
-        f'<text class="label" x="{(MARGIN_LEFT + CHART_WIDTH - MARGIN_RIGHT) / 2}" y="{CHART_HEIGHT - 8}" '
+        f'<text class="label" x="{(MARGIN_LEFT + width - MARGIN_RIGHT) / 2}" y="{height - 8}" '
         f'text-anchor="middle">{escape(x_label)}</text>'
         f'<text class="label" transform="translate(13 {(MARGIN_TOP + bottom) / 2}) rotate(-90)" '
         f'text-anchor="middle">{escape(y_label)}</text>'
     )
-    title = f"{y_label} against {x_label}"
+    described = f"{title} {y_label} against {x_label}".strip()
     svg = (
-        f'<svg viewBox="0 0 {CHART_WIDTH} {CHART_HEIGHT}" role="img" aria-label="{escape(title)}">'
+        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(described)}">'
         f"{''.join(parts)}</svg>"
     )
-    return f'<figure class="chart">{_legend(series)}{svg}</figure>'
+    above = f'<figcaption class="legend">{escape(title)}</figcaption>' if title else _legend(series)
+    return f'<figure class="chart">{above}{svg}</figure>'
 
 
 def ticks(low: float, high: float, count: int) -> list[float]:

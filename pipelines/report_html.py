@@ -46,7 +46,8 @@ def number(
     shown = readable(float(value) * scale, digits)
     if sign and value > 0:
         shown = f"+{shown}"
-    tail = f'<span class="unit"> {text(unit)}</span>' if unit else ""
+    space = "" if unit == "°" else " "
+    tail = f'<span class="unit">{space}{text(unit)}</span>' if unit else ""
     return (
         f'<a class="n" href="{UP}{quote(file)}" title="{text(file)}: {text(key)}" data-file="{text(file)}" '
         f'data-key="{text(key)}" data-value="{float(value)!r}">{shown}</a>{tail}'

@@ -88,3 +88,8 @@ def evenly(items: Sequence[Any], count: int) -> list[Any]:
     if count == 1:
         return [items[len(items) // 2]]
     return [items[round(n * (len(items) - 1) / (count - 1))] for n in range(count)]
+
+
+def as_float(value: Any) -> float:
+    """A number of a file; NaN where there is none, which breaks a line in a chart."""
+    return float(value) if isinstance(value, (int, float)) else float("nan")

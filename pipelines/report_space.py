@@ -42,7 +42,7 @@ def space_section(run: RunFolder) -> str:
     switches += _switch("box", "scene box", "--muted")
     unit = "metres" if scene.metric else "arbitrary scale"
     caption = (
-        f"{len(scene.static)} sweep pictures, {len({f.camera_name for f in scene.dynamic})} moving views; "
+        f"{len(scene.static)} sweep pictures, {len({f.camera_name for f in scene.dynamic})} views of it in motion; "
         f"world units: {unit}. {note}"
     )
     body = (

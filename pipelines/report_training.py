@@ -1,7 +1,8 @@
 """The report's training section: what the two stages learned over time, and what it cost."""
 
+from devrf.pipelines.report_charts import COLOURS, Series, line_chart
 from devrf.pipelines.report_html import absent, link, number, section, table, text
-from devrf.pipelines.report_run import RunFolder, at
+from devrf.pipelines.report_run import RunFolder, as_float, at
 
 METRICS = "evaluate/metrics.json"
 COSTS = (
@@ -13,9 +14,18 @@ COSTS = (
     ("peak_rss_gb", "peak main memory", "GB", 2),
     ("peak_gpu_gb", "peak GPU memory", "GB", 2),
 )
+LABELS = ("iteration", "seconds", "psnr", "samples", "level", "key", "time")  # of a row; the rest are losses
+LOSSES = {
+    "mse": "re-rendering (mean squared error)",
+    "entropy": "background entropy",
+    "per_point": "colour per point",
+    "cycle": "cycle",
+    "flow": "flow",
+    "variation": "total variation",
+}
 LEAD = (
-    "Losses on the rays of each iteration, as the stages logged them. A curve that still falls at its end "
-    "was stopped early; one that rises was trained too fast."
+    "Means over the rays of the iterations since the point before. A curve that still rises at its end would "
+    "gain from more iterations."
 )
 
 
@@ -31,7 +41,26 @@ def training_section(run: RunFolder) -> str:
 
 
 def _charts(run: RunFolder, stage: str) -> str:
-    return ""
+    """PSNR and losses of the rays that were trained on, against iterations."""
+    curve = run.object(f"{stage}/metrics.json").get("curve")
+    rows = [row for row in curve if isinstance(row, dict)] if isinstance(curve, list) else []
+    if not rows:
+        return ""
+    iterations = [as_float(row.get("iteration")) for row in rows]
+    losses = [key for key in rows[0] if key not in LABELS and isinstance(rows[0][key], (int, float))]
+    marks = [
+        (as_float(row.get("iteration")), f"level {row['level']:.0f}")
+        for before, row in zip(rows, rows[1:], strict=False)
+        if isinstance(row.get("level"), (int, float)) and row["level"] != before.get("level")
+    ]
+    psnr = Series("PSNR", iterations, [as_float(row.get("psnr")) for row in rows])
+    lines = [
+        Series(LOSSES.get(key, key), iterations, [as_float(row.get(key)) for row in rows], n)
+        for n, key in enumerate(losses[:COLOURS])
+    ]
+    return line_chart([psnr], "iteration", "PSNR of training rays, dB", x_marks=marks) + line_chart(
+        lines, "iteration", "loss, before its weight", log_y=True, x_marks=marks
+    )
 
 
 def _cost(run: RunFolder) -> str:

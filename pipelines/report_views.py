@@ -8,7 +8,7 @@ from typing import Any
 from devrf.pipelines.report_charts import Series, line_chart
 from devrf.pipelines.report_html import absent, link, number, section, text
 from devrf.pipelines.report_pictures import ERROR_FULL_SCALE, error_picture, picture_uri, read_picture
-from devrf.pipelines.report_run import RunFolder, at, evenly
+from devrf.pipelines.report_run import RunFolder, as_float, at, evenly
 
 METRICS = "evaluate/metrics.json"
 VIEW_WIDTH = 560
@@ -65,8 +65,8 @@ def _over_time(views: Sequence[View]) -> str:
     for n, camera in enumerate(cameras[:3]):
         mine = [v.row for v in views if str(v.row.get("camera")) == camera]
         times = [_time(row) for row in mine]
-        series.append(Series(f"{camera}, result", times, [_float(row.get("psnr")) for row in mine], 2 * n))
-        still = [_float(at(row, "static_baseline.psnr")) for row in mine]
+        series.append(Series(f"{camera}, result", times, [as_float(row.get("psnr")) for row in mine], 2 * n))
+        still = [as_float(at(row, "static_baseline.psnr")) for row in mine]
         series.append(Series(f"{camera}, standing still", times, still, 2 * n + 1, dashed=True))
     series = [s for s in series if any(y == y for y in s.y)]
     unit = "time, s" if views[0].row.get("time_s") is not None else "time (0 to 1)"
@@ -150,8 +150,4 @@ def _long_name(row: dict[str, Any]) -> str:
 
 
 def _time(row: dict[str, Any]) -> float:
-    return _float(row.get("time_s") if row.get("time_s") is not None else row.get("time"))
-
-
-def _float(value: Any) -> float:
-    return float(value) if isinstance(value, (int, float)) else float("nan")
+    return as_float(row.get("time_s") if row.get("time_s") is not None else row.get("time"))
