@@ -1,0 +1,147 @@
+"""Stage `evaluate`: the model against pictures it was never trained on, and against the truth where known."""
+
+import json
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_truth
+from devrf.capture.formats import read_scene
+from devrf.capture.scene import Scene
+from devrf.pipelines.health import HealthRow, row
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.trained_model import load_renderer, model_files
+from devrf.reconstruct.evaluate import LpipsNets, evaluate
+
+PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
+LEAST_GAIN_DB = 1.0  # motion that gains less than this over standing still is not worth its name
+
+
+def run(context: StageContext) -> None:
+    """Write `metrics.json` and `views/`."""
+    config = context.config
+    scene = read_scene(context.run_dir / "scene")
+    weights = config.evaluate.lpips_weights
+    lpips = LpipsNets.load(config.path(context.scene_dir, weights) if weights else None, context.device)
+    render = load_renderer(context.run_dir, context.device)
+    metrics = evaluate(scene, render, lpips, context.out, context.progress)
+    metrics |= {
+        "train": training(context.run_dir),
+        "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
+        "versions": versions(),
+        "seed": config.reconstruct.seed,
+    }
+    truth_file = config.truth_path(context.scene_dir)
+    if truth_file is not None:
+        metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
+    context.health.extend(health(metrics, scene))
+    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+
+
+def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
+    """The `truth` block: recovered cameras and clocks against the true ones."""
+    centre = np.linalg.inv(scene.box_from_world)[:3, 3]
+    cameras = compare_cameras(
+        truth,
+        {frame.index: frame.camera for frame in scene.static},
+        {frame.camera_name: frame.camera for frame in scene.dynamic},
+        centre,
+    )
+    sync, ingest = (_read(run_dir / name / f"{name}.json").get("cameras", {}) for name in ("sync", "ingest"))
+    clocks = {name: Clock(float(c["offset_s"]), float(c["drift_ppm"])) for name, c in sync.items()}
+    times = {name: [f["time_s"] for f in c["frames"]] for name, c in ingest.items() if name in clocks}
+    errors = compare_clocks(truth, clocks, {name: (t[0], t[-1]) for name, t in times.items() if t})
+    return {
+        **cameras,
+        "sync_ms": max(errors.values()) if errors else None,
+        "sync_ms_median": float(np.median(list(errors.values()))) if errors else None,
+    }
+
+
+def training(run_dir: Path) -> dict[str, Any]:
+    """What both training stages took, from their metrics.json."""
+    stages = {name: _read(run_dir / name / "metrics.json") for name in ("canonical", "deformation")}
+    seconds = {f"{name}_s": stage.get("seconds") for name, stage in stages.items()}
+    iterations = sum(stage.get("iterations") or 0 for stage in stages.values())
+    total = sum(value or 0.0 for value in seconds.values())
+    rays = sum(stage.get("rays") or 0 for stage in stages.values())
+    return {
+        **seconds,
+        "total_s": total,
+        "iterations": iterations,
+        "rays_per_s": rays / total if total else None,
+        "peak_gpu_gb": max((s.get("peak_gpu_gb") or 0.0 for s in stages.values()), default=0.0) or None,
+        "peak_rss_gb": max((s.get("peak_rss_gb") or 0.0 for s in stages.values()), default=0.0) or None,
+        "device": stages["canonical"].get("device"),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that the numbers depend on."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
+    """Is the result any good, and does motion earn its keep?"""
+    rows = []
+    if any(frame.split == "test" for frame in scene.static):
+        rows.append(
+            row(
+                "evaluate: PSNR of held-out sweep pictures",
+                metrics["test_static"]["psnr"],
+                "dB",
+                warn=18.0,
+                fail=8.0,
+                remedy="The scene at rest is not recovered: take more, sharper sweep pictures with more "
+                "overlap, and lock exposure and white balance.",
+            )
+        )
+    if any(frame.split == "test" for frame in scene.dynamic):
+        moving, still = metrics["test_moving"]["psnr"], metrics["static_baseline"]["test_moving"]["psnr"]
+        rows.append(
+            row(
+                "evaluate: PSNR of test views",
+                metrics["test"]["psnr"],
+                "dB",
+                warn=18.0,
+                remedy="Test views are far from the truth: compare the look and the exposure of the cameras "
+                "with the sweep's, and check the rig.",
+            )
+        )
+        rows.append(
+            row(
+                "evaluate: what motion gains over the scene at rest, where it moves",
+                None if moving is None or still is None else moving - still,
+                "dB",
+                warn=LEAST_GAIN_DB,
+                remedy="The motion field explains little: check that the clips begin as the sweep shows the "
+                "scene (capture.rest), the clocks, and that cameras stand around the subject.",
+            )
+        )
+    limits = (("rig_rotation_deg", "°", 0.15), ("rig_position_percent", "%", 0.4), ("sync_ms", "ms", 1.0))
+    for name, unit, limit in limits if "truth" in metrics else ():
+        if metrics["truth"][name] is not None:
+            rows.append(
+                row(
+                    f"evaluate: largest error against the truth, {name}",
+                    metrics["truth"][name],
+                    unit,
+                    warn=limit,
+                    low_is_bad=False,
+                    remedy="The calibration of this simulated session is worse than usual.",
+                )
+            )
+    return rows
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text()) if path.is_file() else {}

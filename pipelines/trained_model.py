@@ -1,0 +1,28 @@
+"""The trained model of a run folder, ready to render: with motion where that stage ran, else at rest."""
+
+from pathlib import Path
+
+import numpy as np
+
+from devrf.capture.camera import Camera
+from devrf.reconstruct.evaluate import Render
+
+MODEL = "model.safetensors"
+
+
+def model_files(run_dir: Path) -> list[Path]:
+    """The files a viewer needs: the canonical model and, where there is one, the motion."""
+    return [path for name in ("canonical", "deformation") if (path := run_dir / name / MODEL).is_file()]
+
+
+def load_renderer(run_dir: Path, device: str) -> Render:
+    """`render(camera, time)` of the run's model; cameras are in the box frame."""
+    from devrf.reconstruct.model_io import load_model
+    from devrf.reconstruct.render import render_view
+
+    model = load_model(run_dir, device)
+
+    def render(camera: Camera, time: float | None) -> np.ndarray:
+        return render_view(model, camera, time)
+
+    return render

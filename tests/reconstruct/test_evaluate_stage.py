@@ -1,0 +1,177 @@
+"""The evaluate and render stages through their entry points, with a model that is known."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from devrf.capture.camera import Camera
+from devrf.capture.formats import write_scene
+from devrf.capture.progress import no_progress
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import evaluate, render
+
+K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
+MOVE = np.diag([2.0, 2.0, 2.0, 1.0])  # the recovered world is twice as large as the true one
+TIMES = (0.0, 0.5, 1.0)
+
+
+def _camera(degrees: float, height: float) -> Camera:
+    angle = np.radians(degrees)
+    position = np.array([2 * np.cos(angle), 2 * np.sin(angle), height])
+    z = -position / np.linalg.norm(position)
+    x = np.cross(z, [0, 0, 1.0])
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    return Camera(64, 48, K, np.column_stack([R, -R @ position]))
+
+
+def _picture(time: float | None) -> np.ndarray:
+    picture = np.full((48, 64, 3), 0.25, np.float32)
+    x = 8 + int(30 * (time or 0))
+    picture[10:30, x : x + 12] = 0.75
+    return picture
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> StageContext:
+    """A run folder as the stages before leave it, true poses and clocks beside scene.yaml."""
+    run = tmp_path / "run"
+    sweep = [_camera(30.0 * n, 0.5 + 0.05 * (n % 3)) for n in range(12)]
+    fixed = {"cam0": _camera(-40.0, 1.0), "cam1": _camera(40.0, 1.2), "witness": _camera(0.0, 1.1)}
+
+    def frame(name: str, camera: Camera, index: int, time: float | None, split) -> PosedFrame:
+        path = tmp_path / f"{name}{index}.png"
+        cv2.imwrite(str(path), np.round(_picture(time) * 255).astype(np.uint8))
+        return PosedFrame(
+            path, camera.moved(MOVE), name, index, None if time is None else 2 * time, time, split
+        )
+
+    scene = Scene(
+        static=tuple(
+            frame("static", c, n, None, "test" if n % 4 == 0 else "train") for n, c in enumerate(sweep)
+        ),
+        dynamic=tuple(
+            frame(name, c, n, t, "test" if name == "witness" else "train")
+            for name, c in fixed.items()
+            for n, t in enumerate(TIMES)
+        ),
+        box_from_world=np.diag([0.5, 0.5, 0.5, 1.0]),
+        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
+        near=0.1,
+        far=4.0,
+        kind="inward",
+        background="shell",
+        t0_s=0.0,
+        t1_s=2.0,
+        rest_time=0.0,
+        image_scale=1.0,
+    )
+    for name in ("scene", "canonical", "deformation", "sync", "ingest", "evaluate", "render"):
+        (run / name).mkdir(parents=True)
+    write_scene(run / "scene", scene)
+    cost = {"seconds": 10.0, "iterations": 100, "rays": 5000, "peak_rss_gb": 1.0, "peak_gpu_gb": None}
+    _json(run / "canonical/metrics.json", {**cost, "device": "cpu"})
+    _json(run / "deformation/metrics.json", {**cost, "seconds": 30.0, "peak_rss_gb": 2.0, "device": "cpu"})
+    for name in ("canonical", "deformation"):
+        (run / name / "model.safetensors").write_bytes(b"x" * 500_000)
+    clock = {"std_s": 0.0, "method": "audio", "confidence": 1.0}
+    found = {"cam0": (0.0, 0.0), "cam1": (0.1004, 0.0), "witness": (-0.2, 0.0)}
+    clocks = {n: {"offset_s": a, "drift_ppm": b, **clock} for n, (a, b) in found.items()}
+    _json(run / "sync/sync.json", {"cameras": clocks})
+    times = [{"index": n, "time_s": 0.5 * n} for n in range(5)]
+    _json(run / "ingest/ingest.json", {"cameras": {name: {"frames": times} for name in found}})
+    true_clocks = {"cam0": (0.0, 0.0), "cam1": (0.1, 0.0), "witness": (-0.2, 0.0)}
+    truth = {
+        "static": [c.world_from_cam.tolist() for c in sweep],
+        "cams": {
+            n: {"pose": c.world_from_cam.tolist(), "offset_s": true_clocks[n][0], "drift_ppm": 0}
+            for n, c in fixed.items()
+        },
+    }
+    _json(tmp_path / "ground_truth.json", truth)
+    config = SceneConfig.model_validate(
+        {"name": "x", "preset": "tiny", "capture": {"static": "s.mp4", "cameras": {"cam0": "c.mp4"}}}
+    )
+    return StageContext(config, tmp_path, run, run / "evaluate", no_progress, "cpu")
+
+
+def _json(path: Path, value: dict) -> None:
+    path.write_text(json.dumps(value))
+
+
+def _known(moves: bool = True) -> Callable:
+    def render(camera: Camera, time: float | None) -> np.ndarray:
+        picture = _picture(time if moves else None) + np.float32(0.01)
+        return cv2.resize(picture, (camera.width, camera.height))
+
+    return lambda run_dir, device: render
+
+
+def _run(context: StageContext, monkeypatch, moves: bool = True) -> dict:
+    monkeypatch.setattr(evaluate, "load_renderer", _known(moves))
+    evaluate.run(context)
+    return json.loads((context.out / "metrics.json").read_text())
+
+
+def test_every_block_of_the_contract(context: StageContext, monkeypatch):
+    metrics = _run(context, monkeypatch)
+    assert metrics["test"]["psnr"] == pytest.approx(40, abs=1.5)  # 8-bit pictures: 0.01 off to within 0.002
+    assert metrics["test_moving"]["psnr"] > metrics["static_baseline"]["test_moving"]["psnr"] + 10
+    assert metrics["test_static"]["views"] == 3
+    assert metrics["train"] == {
+        "canonical_s": 10.0,
+        "deformation_s": 30.0,
+        "total_s": 40.0,
+        "iterations": 200,
+        "rays_per_s": 250.0,
+        "peak_gpu_gb": None,
+        "peak_rss_gb": 2.0,
+        "device": "cpu",
+    }
+    assert metrics["model_mb"] == 1.0 and metrics["seed"] == 0 and "torch" in metrics["versions"]
+    truth = metrics["truth"]
+    assert truth["pose_rotation_deg"] == pytest.approx(0, abs=1e-4)
+    assert truth["rig_position_percent"] == pytest.approx(0, abs=1e-4)
+    assert truth["sync_ms"] == pytest.approx(0.4, abs=1e-6) and truth["scale"] == pytest.approx(0.5)
+    assert all(row.verdict == "ok" for row in context.health)
+
+
+def test_motion_that_explains_nothing_is_told(context: StageContext, monkeypatch):
+    _run(context, monkeypatch, moves=False)
+    doubtful = [row for row in context.health if row.verdict != "ok"]
+    assert any("motion gains" in row.check and "capture.rest" in row.remedy for row in doubtful)
+
+
+def test_no_truth_no_block(context: StageContext, monkeypatch):
+    (context.scene_dir / "ground_truth.json").unlink()
+    assert "truth" not in _run(context, monkeypatch)
+
+
+def test_film_plays_through_all_times(context: StageContext, monkeypatch):
+    seen = []
+
+    def load(run_dir: Path, device: str) -> Callable:
+        inner = _known()(run_dir, device)
+
+        def spy(camera: Camera, time: float | None) -> np.ndarray:
+            seen.append(time)
+            return inner(camera, time)
+
+        return spy
+
+    monkeypatch.setattr(render, "load_renderer", load)
+    context.out = context.run_dir / "render"
+    render.run(context)
+    assert seen[0] == 0 and seen[-1] == 1 and len(set(seen)) == len(seen) == 48
+    with av.open(str(context.out / "orbit.mp4")) as film:
+        stream = film.streams.video[0]
+        assert stream.codec_context.pix_fmt == "yuv420p" and len(list(film.decode(stream))) == 48
+    poster = cv2.imread(str(context.out / "poster.png"))
+    assert poster is not None and poster.shape[0] % 2 == 0 and poster.shape[1] % 2 == 0
