@@ -14,11 +14,13 @@ POSES, RIG, SYNC, METRICS = (
 )
 CURVES = "sync/curves.json"
 MAX_CURVES = 9
+INTRINSICS = {"board": "board", "self": "the sweep", "given": "given"}
 TRUTH = (
     ("pose_rotation_deg", "sweep, rotation", "°", 3),
     ("pose_position_m", "sweep, position", "m", 4),
     ("rig_rotation_deg", "fixed cameras, rotation", "°", 3),
     ("rig_position_m", "fixed cameras, position", "m", 4),
+    ("rig_position_percent", "fixed cameras, position over distance to the scene", "%", 2),
     ("sync_ms", "clocks", "ms", 3),
 )
 
@@ -104,10 +106,12 @@ def _rig(run: RunFolder) -> str:
             [
                 f"<strong>{text(name)}</strong>",
                 f"{text(camera.get('width', '?'))} × {text(camera.get('height', '?'))}",
-                text(camera.get("model", "")),
                 number(focal, "px", 1, file=RIG, key=f"{key}.K.0.0"),
+                text(INTRINSICS.get(str(camera.get("intrinsics")), camera.get("intrinsics") or "")),
+                number(camera.get("inliers"), "", 0, file=RIG, key=f"{key}.inliers"),
+                number(camera.get("rms_px"), "px", 2, file=RIG, key=f"{key}.rms_px"),
                 number(at(camera, "std.rotation_deg"), "°", 3, file=RIG, key=f"{key}.std.rotation_deg"),
-                number(_largest(at(camera, "std.position")), unit, 4, file=RIG, key=f"{key}.std.position"),
+                number(at(camera, "std.position"), unit, 4, file=RIG, key=f"{key}.std.position"),
             ]
         )
     scale = rig.get("scale") or {}
@@ -118,8 +122,17 @@ def _rig(run: RunFolder) -> str:
     scale_line = f"{words}; source: {text(scale.get('source', 'not said'))}" + (
         f"; std. deviation {spread}" if spread else ""
     )
-    head = ("camera", "size, px", "lens model", "focal length", "std. rotation", "std. position")
-    return f"<h3>Fixed cameras</h3>{table(head, rows, source=RIG, numeric=(1, 3, 4, 5))}<p>{scale_line}.</p>"
+    head = (
+        "camera",
+        "size, px",
+        "focal length",
+        "from",
+        "points",
+        "error",
+        "std. dev., rotation",
+        "std. dev., position",
+    )
+    return f"<h3>Fixed cameras</h3>{table(head, rows, source=RIG, numeric=(1, 2, 4, 5, 6, 7))}<p>{scale_line}.</p>"
 
 
 def _truth(run: RunFolder) -> str:
@@ -127,13 +140,16 @@ def _truth(run: RunFolder) -> str:
     if not isinstance(truth, dict):
         return ""
     rows = [
-        [text(label), number(truth.get(key), unit, digits, file=METRICS, key=f"truth.{key}")]
+        [
+            text(label),
+            number(truth.get(key), unit, digits, file=METRICS, key=f"truth.{key}"),
+            number(truth.get(f"{key}_median"), unit, digits, file=METRICS, key=f"truth.{key}_median"),
+        ]
         for key, label, unit, digits in TRUTH
         if key in truth
     ]
-    return "<h3>Against the truth</h3><p>Largest error over the cameras.</p>" + table(
-        ("what", "error"), rows, source=METRICS, numeric=(1,), narrow=True
-    )
+    head = ("error of", "largest", "median")
+    return "<h3>Against the truth</h3>" + table(head, rows, source=METRICS, numeric=(1, 2), narrow=True)
 
 
 def _sync_curves(run: RunFolder) -> str:
@@ -160,7 +176,3 @@ def _sync_curve(curve: dict[str, Any]) -> str:
     title += "" if curve.get("accepted") else ", not used"
     series = [Series(title, [float(x) for x in lags], [float(y) for y in values])]
     return line_chart(series, "delay, s", "correlation", x_marks=marks, title=title, small=True)
-
-
-def _largest(value: Any) -> Any:
-    return max(value) if isinstance(value, list) and value else value

@@ -42,8 +42,8 @@ def space_section(run: RunFolder) -> str:
     switches += _switch("box", "scene box", "--muted")
     unit = "metres" if scene.metric else "arbitrary scale"
     caption = (
-        f"{len(scene.static)} sweep pictures, {len({f.camera_name for f in scene.dynamic})} views of it in motion; "
-        f"world units: {unit}. {note}"
+        f"{len(scene.static)} sweep pictures, {len({f.camera_name for f in scene.dynamic})} views of it in "
+        f"motion; world units: {unit}. {note}"
     )
     body = (
         '<div class="space-root"><div class="space"><canvas tabindex="0" role="img" '
@@ -96,8 +96,18 @@ def _points(run_dir: Path, scene: Scene) -> tuple[Float[np.ndarray, "n 3"], Floa
         xyz, rgb = read_colmap_points(folder)
     except DevrfError as error:
         return none, none, f"Points left out: {error}."
+    xyz = xyz * _scale(run_dir)
     keep = np.random.default_rng(0).permutation(len(xyz))[:MAX_POINTS]
     return xyz[keep], rgb[keep].astype(float), f"{len(keep)} of {len(xyz)} points of the sweep are drawn."
+
+
+def _scale(run_dir: Path) -> float:
+    """From the sweep's unit to the rig's, in which the scene is (rig.json)."""
+    path = run_dir / "rig" / "rig.json"
+    try:
+        return float(json.loads(path.read_text())["scale"]["factor"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 1.0
 
 
 def _group(

@@ -124,9 +124,10 @@ def full_run(tmp_path_factory) -> Path:
             "cameras": {
                 "cam0": {"model": "OPENCV", "K": [[50.0, 0, 24], [0, 50.0, 18], [0, 0, 1]],
                          "distortion": [0] * 5, "width": WIDTH, "height": HEIGHT,
-                         "std": {"rotation_deg": 0.031, "position": 0.0021}}
+                         "std": {"rotation_deg": 0.031, "position": 0.0021},
+                         "intrinsics": "board", "inliers": 321, "rms_px": 0.25}
             },
-            "scale": {"metric": True, "source": "board", "std": 0.004},
+            "scale": {"metric": True, "source": "board", "factor": 2.0, "std": 0.004},
         },
     )  # fmt: skip
     _json(
