@@ -146,7 +146,9 @@ def detector(
         corners, ids, _, _ = charuco.detectBoard(255 - grey if spec.inverted else grey)
         if ids is None or len(ids) == 0:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-        return np.asarray(ids).reshape(-1).astype(np.int64), np.asarray(corners, np.float64).reshape(-1, 2) + 0.5
+        return np.asarray(ids).reshape(-1).astype(np.int64), np.asarray(corners, np.float64).reshape(
+            -1, 2
+        ) + 0.5
 
     return detect
 
@@ -230,7 +232,11 @@ def _layout_error(layout: BoardSpec, seen: list[_Markers]) -> float:
     place = dict(zip(np.asarray(board.getIds()).reshape(-1).tolist(), board.getObjPoints(), strict=True))
     errors = []
     for ids, quads in seen:
-        pairs = [(np.asarray(place[i])[:, :2], quad) for i, quad in zip(ids.tolist(), quads, strict=True) if i in place]
+        pairs = [
+            (np.asarray(place[i])[:, :2], quad)
+            for i, quad in zip(ids.tolist(), quads, strict=True)
+            if i in place
+        ]
         if len(pairs) < TRIAL_MARKERS:
             continue
         on_board = np.concatenate([a for a, _ in pairs]).astype(np.float64)
@@ -257,7 +263,9 @@ def _chessboard(
     return np.arange(len(xy)), xy + 0.5
 
 
-def _first_square_is_light(grey: UInt8[np.ndarray, "h w"], xy: Float[np.ndarray, "n 2"], spec: BoardSpec) -> bool:
+def _first_square_is_light(
+    grey: UInt8[np.ndarray, "h w"], xy: Float[np.ndarray, "n 2"], spec: BoardSpec
+) -> bool:
     """Whether the square between the first four corners is lighter than its neighbour in the row."""
     columns = spec.squares[0]
     if columns < 3:

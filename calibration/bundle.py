@@ -120,7 +120,9 @@ def adjust(
 
 def reprojection(problem: Problem) -> Float[np.ndarray, "observations 2"]:
     """Projection minus observation of every observation [M, 2], pixels."""
-    return _project(problem.intrinsics[problem.device[problem.obs_camera]], _in_camera(problem)) - problem.obs_xy
+    return (
+        _project(problem.intrinsics[problem.device[problem.obs_camera]], _in_camera(problem)) - problem.obs_xy
+    )
 
 
 def robust_sigma(residual: Float[np.ndarray, "observations 2"]) -> float:
@@ -227,7 +229,12 @@ def _normal_equations(problem: Problem, layout: _Layout, loss: Loss, f_scale: fl
     weight = loss_weight((residual**2).sum(1) / f_scale**2, loss)
     d_pose, d_k, d_point = _jacobians(problem)
     root = np.sqrt(weight)[:, None]
-    r, d_pose, d_k, d_point = residual * root, d_pose * root[..., None], d_k * root[..., None], d_point * root[..., None]
+    r, d_pose, d_k, d_point = (
+        residual * root,
+        d_pose * root[..., None],
+        d_k * root[..., None],
+        d_point * root[..., None],
+    )
     columns = np.concatenate(
         [layout.pose[problem.obs_camera], layout.intrinsics[problem.device[problem.obs_camera]]], axis=1
     )
@@ -249,7 +256,8 @@ def _normal_equations(problem: Problem, layout: _Layout, loss: Loss, f_scale: fl
     np.add.at(b, problem.obs_point, np.einsum("mri,mr->mi", d_point, r))
     point_columns = np.repeat((3 * problem.obs_point[:, None] + np.arange(3))[:, None, :], 2, axis=1)
     B = sp.csr_matrix(
-        (d_point.reshape(-1), (np.repeat(np.arange(2 * M), 3), point_columns.reshape(-1))), shape=(2 * M, 3 * P)
+        (d_point.reshape(-1), (np.repeat(np.arange(2 * M), 3), point_columns.reshape(-1))),
+        shape=(2 * M, 3 * P),
     )
     return _System(U, (J.T @ B).tocsr(), V, a, b)
 

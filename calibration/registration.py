@@ -111,7 +111,9 @@ def register(
     limit = max(INLIER_PX * longest / 1000, 3 * solution.sigma_px)
     keep = np.linalg.norm(solution.residual_px, axis=1) < limit
     return (
-        Registration(camera, guided_point[keep], xy[guided_feature[keep]].astype(np.float64), len(feature), solution),
+        Registration(
+            camera, guided_point[keep], xy[guided_feature[keep]].astype(np.float64), len(feature), solution
+        ),
         int(keep.sum()),
     )
 
@@ -182,9 +184,7 @@ def _unit(descriptors: UInt8[np.ndarray, "n 128"]) -> Float[np.ndarray, "n 128"]
     return d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-6)
 
 
-def _mutual(
-    a: Float[np.ndarray, "n 128"], b: Float[np.ndarray, "m 128"]
-) -> list[tuple[int, int, float]]:
+def _mutual(a: Float[np.ndarray, "n 128"], b: Float[np.ndarray, "m 128"]) -> list[tuple[int, int, float]]:
     """Mutual nearest neighbours that pass the ratio test: (index in a, index in b, similarity)."""
     if len(a) < 2 or len(b) < 2:
         return []

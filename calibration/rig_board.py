@@ -188,13 +188,18 @@ def _gather(
     s.prior_std = np.array([np.zeros(9) if v is None else v for v in std])
     s.one_focal = np.abs(s.intrinsics[:, 0] - s.intrinsics[:, 1]) < 1e-6 * s.intrinsics[:, 0]
     flat = sorted(
-        ((v.time_s, c, v.view) for c, name in enumerate(names) for v in views[name]), key=lambda v: (v[0], v[1])
+        ((v.time_s, c, v.view) for c, name in enumerate(names) for v in views[name]),
+        key=lambda v: (v[0], v[1]),
     )
     times = [[v.time_s for v in views[name]] for name in names if len(views[name]) > 1]
     period = float(np.median(np.concatenate([np.diff(sorted(t)) for t in times]))) if times else 0.1
     instants: list[list[tuple[float, int, BoardView]]] = []
     for t, c, view in flat:  # one instant: at most one view per camera, within half a frame
-        if instants and t - instants[-1][0][0] < period / 2 and all(c != other for _, other, _ in instants[-1]):
+        if (
+            instants
+            and t - instants[-1][0][0] < period / 2
+            and all(c != other for _, other, _ in instants[-1])
+        ):
             instants[-1].append((t, c, view))
         else:
             instants.append([(t, c, view)])
@@ -253,9 +258,7 @@ def _refuse_disconnected(s: _State, links: dict[tuple[int, int], int]) -> list[t
         ]
         if not options:
             lost = [name for c, name in enumerate(s.names) if c not in reached]
-            best = max(
-                (n for (a, b), n in links.items() if (a in reached) != (b in reached)), default=0
-            )
+            best = max((n for (a, b), n in links.items() if (a in reached) != (b in reached)), default=0)
             raise HealthError(
                 f"{', '.join(lost)} share{'s' if len(lost) == 1 else ''} no view of the board with "
                 f"{', '.join(s.names[c] for c in sorted(reached))}: {best} corners seen at once, need "
@@ -339,7 +342,9 @@ def _system(s: _State) -> tuple[sp.csr_matrix, Float[np.ndarray, " rows"]]:
     x, k = s.in_camera(), s.intrinsics[camera]
     residual = _project(k, x) - s.obs_xy
     d_x = np.stack([_central(lambda y: _project(k, y), x, a, np.abs(x[:, 2])) for a in range(3)], axis=2)
-    d_k = np.stack([_central(lambda y: _project(y, x), k, i, np.maximum(np.abs(k[:, i]), 1)) for i in range(9)], 2)
+    d_k = np.stack(
+        [_central(lambda y: _project(y, x), k, i, np.maximum(np.abs(k[:, i]), 1)) for i in range(9)], 2
+    )
     one = s.one_focal[camera]
     d_k[one, :, 0] += d_k[one, :, 1] * (k[one, 1] / k[one, 0])[:, None]
     on_rig, R = s.on_rig(), s.poses[camera][:, :, :3]

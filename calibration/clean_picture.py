@@ -1,0 +1,55 @@
+"""One clean picture per fixed camera, for matching with the sweep: the scene without what moves in it.
+
+Two candidates: the median over the whole clip removes what moves and the noise; the median of the few
+frames at rest shows the scene exactly as the sweep saw it. Which one registers better is decided there.
+"""
+
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.capture.errors import CaptureError
+
+CLIP_FRAMES = 21  # of the whole clip's median
+REST_FRAMES = 3
+
+
+def clean_pictures(
+    name: str, files: list[Path], rest: Literal["start", "end", "none"], out: Path
+) -> list[Path]:
+    """Write the candidates `<name>_clip.png` and `<name>_rest.png` into `out`.
+
+    Args:
+        name: Of the camera.
+        files: Its frames in order of time.
+        rest: When the clip shows the scene as in the sweep.
+        out: Existing folder.
+    """
+    if not files:
+        raise CaptureError(f"camera '{name}' has no frames; check its clip and capture.range_s")
+    chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
+    candidates = {"clip": [files[i] for i in chosen]}
+    if rest != "none":
+        candidates["rest"] = files[:REST_FRAMES] if rest == "start" else files[-REST_FRAMES:]
+    written = []
+    for label, sources in candidates.items():
+        path = out / f"{name}_{label}.png"
+        cv2.imwrite(str(path), median_picture(sources))
+        written.append(path)
+    return written
+
+
+def median_picture(files: list[Path]) -> UInt8[np.ndarray, "h w 3"]:
+    """Median over pictures, per pixel and channel, as OpenCV stores them (BGR)."""
+    pictures = []
+    for file in files:
+        picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if picture is None:
+            raise CaptureError(f"{file}: cannot be read as a picture; run again with --from ingest")
+        pictures.append(picture)
+    if len(pictures) == 1:
+        return pictures[0]
+    return np.median(np.stack(pictures), axis=0).round().astype(np.uint8)

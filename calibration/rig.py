@@ -1,0 +1,164 @@
+"""The rig: every fixed camera with its uncertainty, and the scale of the world it stands in. rig.json.
+
+`cam_from_world` is in the scaled world: metres where `scale.metric`, else the sweep's arbitrary unit.
+`scale.factor` takes the sweep's unit (static_poses.json) to this one. K has the centre of the top-left pixel
+at (0.5, 0.5); distortion is OpenCV's k1, k2, p1, p2, k3.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+
+
+@dataclass(frozen=True)
+class RigCamera:
+    """One fixed camera.
+
+    Attributes:
+        camera: Calibration.
+        intrinsics_source: `board`, `self` (the sweep's points) or `given`.
+        rotation_std_deg, position_std: Standard deviations; None where not known.
+        inliers: Points (sweep) or board corners that support it; None where not counted.
+        rms_px: Reprojection error of these.
+        details: More numbers for the report.
+    """
+
+    camera: Camera
+    intrinsics_source: str
+    rotation_std_deg: float | None = None
+    position_std: float | None = None
+    inliers: int | None = None
+    rms_px: float | None = None
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How long a unit is.
+
+    Attributes:
+        metric: Whether the unit is a metre.
+        source: What says so, or "arbitrary scale".
+        factor: From the sweep's unit to the rig's.
+        std: Relative standard deviation of the factor; None where not known.
+    """
+
+    metric: bool
+    source: str
+    factor: float
+    std: float | None
+
+
+ARBITRARY = Scale(False, "arbitrary scale", 1.0, None)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """All fixed cameras, test cameras too, and the scale."""
+
+    cameras: dict[str, RigCamera]
+    scale: Scale
+    route: str = "sweep"
+
+
+def write_rig(path: Path, rig: Rig) -> None:
+    """Write rig.json."""
+    cameras = {}
+    for name, c in rig.cameras.items():
+        cameras[name] = {
+            "model": "OPENCV",
+            "width": c.camera.width,
+            "height": c.camera.height,
+            "K": c.camera.K.tolist(),
+            "distortion": c.camera.distortion.tolist(),
+            "cam_from_world": c.camera.cam_from_world.tolist(),
+            "std": {"rotation_deg": c.rotation_std_deg, "position": c.position_std},
+            "intrinsics": c.intrinsics_source,
+            "inliers": c.inliers,
+            "rms_px": c.rms_px,
+            **({"details": c.details} if c.details else {}),
+        }
+    s = rig.scale
+    scale = {"metric": s.metric, "source": s.source, "factor": s.factor, "std": s.std}
+    path.write_text(json.dumps({"route": rig.route, "cameras": cameras, "scale": scale}, indent=1))
+
+
+def read_rig(path: Path) -> Rig:
+    """Read rig.json.
+
+    Raises:
+        InputError: Not such a file; says which key is wrong.
+    """
+    try:
+        data = json.loads(path.read_text())
+        cameras = {}
+        for name, c in data["cameras"].items():
+            camera = Camera(
+                int(c["width"]),
+                int(c["height"]),
+                np.array(c["K"], dtype=np.float64),
+                np.array(c["cam_from_world"], dtype=np.float64)[:3],
+                np.array(c.get("distortion", [0.0] * 5), dtype=np.float64),
+            )
+            std = c.get("std") or {}
+            cameras[name] = RigCamera(
+                camera,
+                c.get("intrinsics", "given"),
+                std.get("rotation_deg"),
+                std.get("position"),
+                c.get("inliers"),
+                c.get("rms_px"),
+                c.get("details", {}),
+            )
+        s = data.get("scale") or {}
+        scale = Scale(
+            bool(s.get("metric", False)),
+            str(s.get("source", ARBITRARY.source)),
+            float(s.get("factor", 1.0)),
+            s.get("std"),
+        )
+        return Rig(cameras, scale, data.get("route", "given"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: not a rig.json ({error!r}); expected cameras with width, height, K, distortion and "
+            "cam_from_world, as docs/formats.md says"
+        ) from None
+
+
+def read_given_rig(path: Path, names: list[str], sizes: dict[str, tuple[int, int]]) -> Rig:
+    """A calibration that people already own: our own rig.json.
+
+    Args:
+        path: The file.
+        names: Cameras of the capture; each must be in it.
+        sizes: Their picture sizes.
+    Raises:
+        InputError: Another format, a camera that is missing, or a calibration for another picture size.
+    """
+    if path.suffix.lower() != ".json":
+        raise InputError(
+            f"calibration.rig.given: {path.name} is not a rig.json; other calibration files cannot be read yet, "
+            "write the cameras as docs/formats.md says"
+        )
+    rig = read_rig(path)
+    missing = [name for name in names if name not in rig.cameras]
+    if missing:
+        raise InputError(
+            f"{path}: has no camera {', '.join(missing)}; it has {', '.join(rig.cameras) or 'none'}"
+        )
+    for name in names:
+        camera = rig.cameras[name].camera
+        if (camera.width, camera.height) != sizes[name]:
+            raise InputError(
+                f"{path}: camera '{name}' is calibrated at {camera.width}x{camera.height}, its clip is "
+                f"{sizes[name][0]}x{sizes[name][1]}; calibrate at the size of the clip"
+            )
+    return Rig({name: rig.cameras[name] for name in names}, rig.scale, "given")
