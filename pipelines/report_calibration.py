@@ -132,7 +132,8 @@ def _rig(run: RunFolder) -> str:
         "std. dev., rotation",
         "std. dev., position",
     )
-    return f"<h3>Fixed cameras</h3>{table(head, rows, source=RIG, numeric=(1, 2, 4, 5, 6, 7))}<p>{scale_line}.</p>"
+    body = table(head, rows, source=RIG, numeric=(1, 2, 4, 5, 6, 7))
+    return f"<h3>Fixed cameras</h3>{body}<p>{scale_line}.</p>"
 
 
 def _truth(run: RunFolder) -> str:

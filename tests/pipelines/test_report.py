@@ -5,10 +5,12 @@ import re
 import struct
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
@@ -19,6 +21,7 @@ from devrf.pipelines.report_charts import Series, line_chart, ticks
 from devrf.pipelines.report_pictures import flow_picture
 from devrf.pipelines.report_run import RunFolder
 from devrf.pipelines.report_space import frustum
+from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stages import STAGES, stage_names
 
 NASTY = "<script>alert('x')</script> & \"friends\""
@@ -445,3 +448,28 @@ def test_size_stays_small(full_run):
 def test_stage_is_in_the_pipeline():
     stage = next(s for s in STAGES if s.name == "report")
     assert set(stage.reads) == set(stage_names()) - {"report"}
+
+
+def test_formats_page_lists_every_key_and_its_default():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    rows = {m[1]: m[2] for m in re.finditer(r"^\| `([a-z_.]+)` \| [^|]* \| ([^|]*) \|", page, flags=re.M)}
+    for key, default in _keys(SceneConfig):
+        assert key in rows, f"{key} is not in docs/formats.md"
+        if isinstance(default, (str, int)) and not isinstance(default, bool):
+            assert f"`{default}`" in rows[key], f"{key}: default {default}, docs/formats.md says {rows[key]}"
+
+
+def _keys(model: type[BaseModel], prefix: str = "") -> list[tuple[str, object]]:
+    found = []
+    for name, field in model.model_fields.items():
+        inner = [a for a in (field.annotation, *get_args(field.annotation)) if _is_section(a)]
+        if inner and not field.is_required() and field.default is not None:
+            found += _keys(inner[0], f"{prefix}{name}.")
+        else:
+            found.append((f"{prefix}{name}", field.default))
+            found += _keys(inner[0], f"{prefix}{name}.") if inner else []
+    return found
+
+
+def _is_section(annotation: object) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
