@@ -108,6 +108,10 @@ class _Evidence:
     curves: list[Curve] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def accepted(self) -> list[_Equation]:
+        return [e for e in self.equations if e.accepted]
+
 
 def synchronise(
     spans_s: Mapping[str, tuple[float, float]],
@@ -156,7 +160,7 @@ def synchronise(
         if silent:
             evidence.notes.append(f"camera {', '.join(silent)}: no sound")
         _hear(names, sounds, evidence, progress)
-    if method != "audio" and len(_reached(names, evidence.equations)) < len(names):
+    if method != "audio" and len(_reached(names, evidence.accepted)) < len(names):
         _watch(names, motion, evidence, progress)
     return _settle(spans_s, evidence)
 
@@ -191,7 +195,7 @@ def _watch(
     names: Sequence[str], motion: Mapping[str, Float[np.ndarray, "_ 2"]], out: _Evidence, progress: Progress
 ) -> None:
     seen = [n for n in names if n in motion]
-    groups = _groups(names, out.equations)
+    groups = _groups(names, out.accepted)
     pairs = [(a, b) for a, b in itertools.combinations(seen, 2) if groups[a] != groups[b]]
     for i, (a, b) in enumerate(pairs):
         progress(i / len(pairs), f"motion in {a} and {b}")
@@ -219,8 +223,7 @@ def _watch(
 def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> SyncResult:
     """Solve the accepted equations; add the best refused ones for cameras that are not reached otherwise."""
     names, notes = list(spans_s), list(evidence.notes)
-    used = [e for e in evidence.equations if e.accepted]
-    used, dropped = _consistent(spans_s, used)
+    used, dropped = _consistent(spans_s, evidence.accepted)
     notes += [
         f"{e.a} and {e.b}: {'sound' if e.cue == 'audio' else 'motion'} contradicts the other pairs; dropped"
         for e in dropped

@@ -14,6 +14,7 @@ from math import gcd
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import resample_poly
 
 from devrf.capture.audio import Sound
@@ -24,6 +25,8 @@ WORK_RATE_HZ = 24_000  # three times the band's end: a parabola through three sa
 COARSE_RATE_HZ = 8_000
 COARSE_BAND_HZ = (300.0, 3400.0)
 WHITENING_FLOOR = 1e-3  # of the mean magnitude; bins with nothing in them get no vote
+GATE_S = 0.01  # loudness is averaged over this; a clap and its first echoes
+GATE_FACTOR = 8.0  # times the median loudness: halfway between turned down and left alone
 PEAK_WIDTH_S = 4e-3  # echoes from a floor or a table arrive this soon and do not make a delay doubtful
 MIN_OVERLAP_S = 0.3  # shorter common spans hold no sound to speak of
 WHOLE_S = 30.0  # clips up to this are correlated whole; longer ones drift, and are cut into windows
@@ -123,7 +126,8 @@ def gcc_phat(
     rate = first.rate_hz
     na, nb = len(first.samples), len(second.samples)
     n = fast_size(na + nb)
-    spectrum = np.fft.rfft(first.samples, n) * np.conj(np.fft.rfft(second.samples, n))
+    a, b = _gated(first.samples, rate), _gated(second.samples, rate)
+    spectrum = np.fft.rfft(a, n) * np.conj(np.fft.rfft(b, n))
     envelope = _envelope(_whiten(spectrum, _band(n, rate, band_hz)), n)
     lags = np.arange(-(nb - 1), na)  # samples; lag k: first[i + k] meets second[i]
     values = np.concatenate([envelope[n - nb + 1 :], envelope[:na]])
@@ -157,6 +161,17 @@ def _at_rate(sound: Sound, rate_hz: int) -> Sound:
     factor = gcd(sound.rate_hz, rate_hz)
     samples = resample_poly(sound.samples, rate_hz // factor, sound.rate_hz // factor)
     return Sound(samples.astype(np.float32), rate_hz, sound.start_s)
+
+
+def _gated(samples: Float[np.ndarray, " n"], rate_hz: int) -> Float[np.ndarray, " n"]:
+    """Turn down what is not louder than usual, so that the pauses' noise does not vote with the claps.
+
+    Steady sound is as loud as usual everywhere and keeps its relative levels.
+    """
+    difference = np.diff(samples, prepend=samples[:1])  # without hum and wind
+    loudness = uniform_filter1d(np.square(difference), max(1, int(GATE_S * rate_hz)), mode="nearest")
+    usual = float(np.median(loudness)) + np.finfo(np.float32).tiny
+    return samples * (loudness / (loudness + GATE_FACTOR * usual))
 
 
 def _band(n: int, rate_hz: int, band_hz: tuple[float, float]) -> Float[np.ndarray, " bins"]:

@@ -23,7 +23,7 @@ SWEEP = "static"  # the sweep's name among the cameras
 SHARPNESS_SIDE_PX = 640  # blur of one pixel at this size matters to matching; noise of single pixels does not
 SHARP_SHARE_OF_MEDIAN = 0.5  # less than this times the neighbours' median: blurred
 SHARP_NEIGHBOURS = 7  # on each side
-VARIABLE_STEP = 0.05  # steps that differ from the usual one by more than this share, ...
+VARIABLE_STEP = 0.05  # steps further than this share of the usual one from a multiple of it, ...
 VARIABLE_STEP_S = 1.1e-3  # ... and by more than the rounding of millisecond time bases
 VARIABLE_SHARE = 0.02  # ... in more than this share of the steps: a variable rate, not single drops
 DROPPED_STEP = 1.5  # a step this many times the usual one: frames are missing
@@ -198,7 +198,8 @@ def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
     steps = np.diff(time_s)
     usual = float(np.median(steps))
     tolerance = max(VARIABLE_STEP * usual, VARIABLE_STEP_S)
-    variable = float(np.mean(np.abs(steps - usual) > tolerance)) > VARIABLE_SHARE
+    whole = usual * np.maximum(1, np.round(steps / usual))  # dropped frames leave multiples
+    variable = float(np.mean(np.abs(steps - whole) > tolerance)) > VARIABLE_SHARE
     notes = []
     if variable:
         notes.append(

@@ -47,7 +47,7 @@ class PictureInfo:
 
 def natural_key(name: str) -> tuple:
     """Sort key under which frame2 comes before frame10."""
-    return tuple((1, int(p), "") if p.isdigit() else (0, 0, p) for p in re.split(r"(\d+)", name.lower()) if p)
+    return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in re.split(r"(\d+)", name.lower()) if p)
 
 
 def list_pictures(folder: Path) -> list[Path]:

@@ -53,10 +53,10 @@ def develop(path: Path, white_balance: tuple[float, float, float, float] | None 
     """
     import rawpy
 
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path in scene.yaml")
     try:
         file = rawpy.imread(str(path))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except rawpy.LibRawError as error:
         raise InputError(
             f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"

@@ -66,9 +66,9 @@ def health(frames: FrameSet) -> list[HealthRow]:
     for name, camera in frames.cameras.items():
         if camera.ended_early is not None:
             remedy = f"{camera.source} is damaged or cut short: copy it from the camera again."
-            rows.append(note(f"ingest: {name} is whole", camera.ended_early, verdict="warn", remedy=remedy))
+            rows.append(note(f"{name} is whole", camera.ended_early, verdict="warn", remedy=remedy))
         if camera.notes:
-            rows.append(note(f"ingest: {name}", "; ".join(camera.notes)))
+            rows.append(note(name, "; ".join(camera.notes)))
     return rows
 
 
@@ -77,7 +77,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
     sizes = [text for text in sweep.notes if text.startswith("mixed sizes")]
     rows = [
         row(
-            "ingest: pictures of the sweep",
+            "pictures of the sweep",
             len(sweep.used),
             "",
             warn=20,
@@ -85,7 +85,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
             remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
         ),
         row(
-            "ingest: sharp share of the sweep",
+            "sharp share of the sweep",
             share,
             "",
             warn=0.8,
@@ -95,7 +95,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
     ]
     if sizes:
         remedy = "Keep one camera in one mode (size and orientation) for the whole sweep."
-        rows.append(note("ingest: sizes in the sweep", sizes[0], verdict="warn", remedy=remedy))
+        rows.append(note("sizes in the sweep", sizes[0], verdict="warn", remedy=remedy))
     return rows
 
 
@@ -106,7 +106,7 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
     silent = [name for name, c in cameras.items() if not c.has_audio]
     rows = [
         row(
-            f"ingest: frames of a moving camera, fewest ({fewest})",
+            f"frames of a moving camera, fewest ({fewest})",
             len(cameras[fewest].used),
             "",
             warn=10,
@@ -114,7 +114,7 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
             remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
         ),
         row(
-            f"ingest: share of frames dropped while filming, worst camera ({worst})",
+            f"share of frames dropped while filming, worst camera ({worst})",
             gaps[worst],
             "",
             warn=0.02,
@@ -123,12 +123,12 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
             remedy=f"{cameras[worst].source} has gaps: use a faster card, or a lower resolution or bit rate.",
         ),
         _exposure(cameras),
-        note("ingest: sound", f"silent: {', '.join(silent)}" if silent else "in every camera"),
+        note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera"),
     ]
     sizes = {(c.width, c.height) for c in cameras.values()}
     if len(sizes) > 1:
         text = ", ".join(f"{name}: {c.width}x{c.height}" for name, c in cameras.items())
-        rows.append(note("ingest: sizes of the moving cameras", f"{text}; each keeps its own"))
+        rows.append(note("sizes of the moving cameras", f"{text}; each keeps its own"))
     return rows
 
 
@@ -141,7 +141,7 @@ def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:
     }
     dark, bright = (f(stops, key=lambda name: stops[name]) for f in (min, max))
     return row(
-        f"ingest: exposure between cameras, {bright} against {dark}",
+        f"exposure between cameras, {bright} against {dark}",
         stops[bright] - stops[dark],
         "stops",
         warn=0.7,

@@ -17,6 +17,8 @@ from devrf.pipelines.stage import StageContext
 
 REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
 MIN_SHARED_FRAMES = 2
+FEW_SHARED_FRAMES = 5
+LISTED_NOTES = 2
 
 
 def run(context: StageContext) -> None:
@@ -103,7 +105,7 @@ def health(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
     """Rows about how sure the clocks are and about what the clips share."""
     rows = [*_clocks(cameras, result), _overlap(cameras, result)]
     if result.notes:
-        rows.append(note("sync: how it was decided", "; ".join(result.notes)))
+        rows.append(note("how it was decided", "; ".join(result.notes)))
     return rows
 
 
@@ -113,22 +115,22 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
         return []
     cues = sorted({clock.method for clock in others.values()})
     if cues == ["timestamps"]:
-        return [note("sync: cue", "the table of times")]
+        return [note("cue", "the table of times")]
     if all(clock.basis.startswith("the clips' own") for clock in others.values()):
         remedy = "Check that the cameras are synchronised by hardware, else clap and use method auto."
-        return [note("sync: cue", "none; the clips' own times", verdict="warn", remedy=remedy)]
+        return [note("cue", "none; the clips' own times", verdict="warn", remedy=remedy)]
     worst = min(others, key=lambda name: others[name].confidence)
-    why = "; ".join(text for text in result.notes if worst in text.split(":")[0])[:400]
+    why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     rows = [
-        note("sync: cue", ", ".join(cues)),
+        note("cue", ", ".join(cues)),
         row(
-            f"sync: confidence, worst camera ({worst})",
+            f"confidence, worst camera ({worst})",
             others[worst].confidence,
             "",
             warn=0.6,
             fail=REFUSED_BELOW,
-            remedy=f"The clock of {worst} is not known. {why}. Film with sound and clap a few times at "
-            "uneven intervals; or give capture.timestamps; or, for cameras synchronised by hardware, set "
+            remedy=f"The clock of {worst} is not known: {why or others[worst].basis}. Film with sound and clap "
+            "a few times at uneven intervals; or give capture.timestamps; or, for cameras synchronised by hardware, set "
             "calibration.sync.method to none.",
         ),
     ]
@@ -137,7 +139,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
         fps = cameras[vague].fps_mean or 30.0
         rows.append(
             row(
-                f"sync: standard deviation, worst camera ({vague})",
+                f"standard deviation, worst camera ({vague})",
                 1e3 * others[vague].std_s,
                 "ms",
                 warn=1e3 * 0.25 / fps,
@@ -148,7 +150,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
     if result.loop_s is not None:
         rows.append(
             row(
-                "sync: largest contradiction between pairs of cameras",
+                "largest contradiction between pairs of cameras",
                 1e3 * result.loop_s,
                 "ms",
                 warn=2.0 if cues == ["audio"] else 100.0,
@@ -167,11 +169,11 @@ def _overlap(cameras: dict[str, CameraFrames], result: SyncResult) -> HealthRow:
         t = result.cameras[name].true_time(used_times(camera))
         spans.append(f"{name}: {t[0]:.2f} to {t[-1]:.2f} s")
     return row(
-        "sync: time that all cameras show",
+        "time that all cameras show",
         to_s - from_s,
         "s",
-        warn=0.5,
+        warn=(FEW_SHARED_FRAMES - 1) / slowest,
         fail=(MIN_SHARED_FRAMES - 1) / slowest,
-        remedy=f"The clips hardly overlap ({', '.join(spans)}): start all cameras before the action, "
+        remedy=f"The clips share hardly any time ({', '.join(spans)}): start all cameras before the action, "
         "stop them after it.",
     )

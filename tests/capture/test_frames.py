@@ -1,0 +1,192 @@
+"""Frames: which are chosen, what timestamps tell, and what lies on disk afterwards."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image, ImageOps
+
+from devrf.capture.clips import Keep, extract_clip, extract_folder
+from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.frames import (
+    FrameSet,
+    sharp,
+    sharpest_per_window,
+    sharpness,
+    timing,
+    window_of,
+)
+from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_sounds
+from devrf.capture.pictures import list_pictures, natural_key, probe_picture, read_picture, write_picture
+from devrf.capture.session import CaptureSession, FrameTimes
+
+
+def test_sharpness_falls_with_blur():
+    picture = np.random.default_rng(0).integers(0, 255, (60, 80)).astype(np.uint8)
+    values = [sharpness(cv2.GaussianBlur(picture, (0, 0), s)) for s in (0.5, 1.0, 2.0)]
+    assert values == sorted(values, reverse=True)
+
+
+def test_windows_cover_the_clip_and_keep_the_sharpest():
+    assert [window_of(i, 10, 3) for i in range(10)] == [0, 0, 0, 0, 1, 1, 1, 2, 2, 2]
+    values = [1.0, 5.0, 2.0, 0.0, 3.0, 9.0, 1.0]
+    assert sharpest_per_window(values, 3) == [1, 4, 5]
+    assert sharpest_per_window(values, 7) == sharpest_per_window(values, 100) == list(range(7))
+
+
+def test_blurred_frames_are_those_below_half_of_their_neighbours():
+    values = [10.0] * 20
+    values[7] = 4.0
+    assert np.flatnonzero(~sharp(values)).tolist() == [7]
+
+
+def test_timing_tells_variable_rate_from_dropped_frames():
+    even = np.arange(100) / 30
+    assert timing(even).notes == () and timing(even).fps_mean == pytest.approx(30)
+    dropped = timing(np.delete(even, [40, 41, 70]))
+    assert dropped.missing_frames == 3 and not dropped.variable_rate
+    assert "3 frames missing in 2 gaps, after 1.30 s, 2.30 s" in dropped.notes[0]
+    varying = timing(np.cumsum(np.random.default_rng(0).uniform(0.02, 0.05, 100)))
+    assert varying.variable_rate and "variable rate" in varying.notes[0]
+    assert not timing(np.round(even, 3)).variable_rate  # millisecond time base
+    assert timing(np.array([1.0])).fps_mean is None
+
+
+def test_natural_order():
+    names = ["f10.jpg", "f2.jpg", "F1.jpg", "a.jpg", "10.jpg", "9.jpg"]
+    assert sorted(names, key=natural_key) == ["9.jpg", "10.jpg", "a.jpg", "F1.jpg", "f2.jpg", "f10.jpg"]
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_exif_orientation_is_baked_once(tmp_path, orientation):
+    picture = cv2.GaussianBlur(
+        np.random.default_rng(0).integers(0, 255, (24, 36, 3)).astype(np.uint8), (0, 0), 2
+    )
+    image = Image.fromarray(picture)
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    (tmp_path / "in").mkdir()
+    image.save(tmp_path / "in" / "a.jpg", exif=exif, quality=98)
+    with Image.open(tmp_path / "in" / "a.jpg") as again:
+        expected = np.asarray(ImageOps.exif_transpose(again)).astype(int)
+    info = probe_picture(tmp_path / "in" / "a.jpg")
+    assert (info.height, info.width) == expected.shape[:2]
+    frames = extract_folder(tmp_path / "in", tmp_path, "static", "sweep", "in")
+    written = tmp_path / str(frames.frames[0].file)
+    got = read_picture(written).astype(int)
+    assert got.shape == expected.shape and np.abs(got - expected).mean() < 2
+    if orientation == 1:
+        assert written.read_bytes() == (tmp_path / "in" / "a.jpg").read_bytes()
+    else:
+        assert "1 photos turned" in frames.notes[0] and probe_picture(written).turned is False
+
+
+def test_mixed_sizes_are_reported_and_transparency_kept(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    rgba = np.random.default_rng(0).integers(0, 255, (20, 30, 4)).astype(np.uint8)
+    for i in range(3):
+        write_picture(folder / f"{i}.png", rgba)
+    write_picture(folder / "3.png", rgba[:10])
+    frames = extract_folder(folder, tmp_path, "static", "sweep", "in")
+    assert [f.used for f in frames.frames] == [True, True, True, False]
+    assert "mixed sizes: 3 photos of 30x20 are used, 1 of 30x10" in frames.notes[0]
+    np.testing.assert_array_equal(read_picture(tmp_path / "frames/static/000000.png"), rgba)
+    assert not (tmp_path / "frames/static/000003.png").exists()
+
+
+def test_folders_without_photos(tmp_path):
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(InputError, match="no pictures in this folder .it holds: .txt"):
+        list_pictures(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        list_pictures(tmp_path / "nothing")
+    (tmp_path / "a.heic").touch()
+    with pytest.raises(InputError, match="convert them to JPEG"):
+        list_pictures(tmp_path)
+
+
+def test_clip_keeps_the_sharpest_of_each_window(make_clip, pictures, tmp_path):
+    blurred = [cv2.GaussianBlur(p, (0, 0), 3) if i % 3 else p for i, p in enumerate(pictures)]
+    got = extract_clip(make_clip("a.mp4", blurred), tmp_path, "static", "sweep", "a.mp4", Keep(most=4))
+    assert [f.index for f in got.frames.used] == [0, 3, 6, 9]
+    files = sorted(p.name for p in (tmp_path / "frames/static").iterdir())
+    assert files == ["000000.png", "000003.png", "000006.png", "000009.png"]
+    assert len(got.frames.frames) == 12 and got.frames.fps_mean == pytest.approx(25)
+    picture = read_picture(tmp_path / "frames/static/000003.png").astype(int)
+    assert np.abs(picture - blurred[3]).mean() < 6
+    every = extract_clip(
+        tmp_path / "a.mp4", tmp_path, "j", "joint", "a.mp4", Keep(most=4, choose="every", suffix=".jpg")
+    )
+    assert [f.file for f in every.frames.used][1] == "frames/j/000003.jpg"
+
+
+def test_clip_in_a_range_and_by_a_table_of_times(make_clip, pictures, tmp_path):
+    path = make_clip("a.mp4", pictures)
+    got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(range_s=(0.1, 0.2)))
+    assert [f.index for f in got.frames.used] == [3, 4, 5]
+    assert [round(float(t), 3) for t in got.motion[:2, 0]] == [0.02, 0.06]  # motion is kept of all
+    times = FrameTimes(np.array([0, 1, 3, 20]), np.array([7.0, 7.5, 8.25, 30.0]))
+    got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(), times)
+    assert [(f.index, f.time_s) for f in got.frames.used] == [(0, 7.0), (1, 7.5), (3, 8.25)]
+    assert any("9 of 12 frames have no row" in n for n in got.frames.notes)
+    assert any("names frame 20, the clip has 12" in n for n in got.frames.notes)
+    with pytest.raises(
+        CaptureError, match="a.mp4: no frame between 5.00 and 6.00 s .it goes from 0.00 to 0.44"
+    ):
+        extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(range_s=(5.0, 6.0)))
+
+
+def test_oddities_of_a_clip_are_noted(make_clip, pictures, tmp_path):
+    brighter = [np.clip(p.astype(int) + 4 * i, 0, 255).astype(np.uint8) for i, p in enumerate(pictures)]
+    brighter.append(brighter[-1])
+    got = extract_clip(make_clip("a.mp4", brighter), tmp_path, "cam0", "camera", "a.mp4", Keep())
+    assert any("brightness changes" in n for n in got.frames.notes)
+    calm = extract_clip(make_clip("b.mp4", pictures), tmp_path, "cam1", "camera", "b.mp4", Keep())
+    assert calm.frames.notes == ()
+    still = extract_clip(make_clip("c.mp4", [pictures[0]] * 5), tmp_path, "cam2", "camera", "c.mp4", Keep())
+    assert any("repeat the one before" in n for n in still.frames.notes)
+
+
+def test_whole_session_on_disk_and_back(make_clip, pictures, tmp_path):
+    tone = 0.3 * np.sin(np.arange(30_000) / 20)
+    cam0 = make_clip("cam0.mp4", pictures, np.arange(12) / 25 + 0.2, sound=tone)
+    cam1 = make_clip("cam1.mp4", pictures)
+    session = CaptureSession(
+        static=make_clip("static.mp4", pictures),
+        cameras={"cam0": cam0, "cam1": cam1},
+        test_names=("cam1",),
+        board_clips={"cam0": make_clip("board.mp4", pictures)},
+        joint_clips={"cam0": cam0, "cam1": make_clip("joint1.mp4", pictures)},
+    )
+    out = tmp_path / "ingest"
+    sounds = write_sounds(session, out)
+    frames = write_frames(session, sounds, out, tmp_path)
+    assert FrameSet.read(out) == frames
+    roles = {name: c.role for name, c in frames.cameras.items()}
+    assert roles == {
+        "static": "sweep", "cam0": "camera", "cam1": "test", "board_cam0": "board", "joint_cam1": "joint",
+    }  # fmt: skip
+    assert frames.joint == {"cam0": "cam0", "cam1": "joint_cam1"}
+    assert list(sounds) == ["cam0"] and frames.cameras["cam0"].has_audio
+    assert frames.cameras["cam1"].notes == ("no sound track",)
+    assert frames.cameras["cam0"].frames[0].time_s == pytest.approx(0.2)
+    assert frames.cameras["cam0"].source == "cam0.mp4"
+    for camera in frames.cameras.values():
+        assert all((out / str(f.file)).is_file() for f in camera.used) and len(camera.used) == 12
+    again = read_sounds(out, frames)["cam0"]
+    assert again.start_s == pytest.approx(sounds["cam0"].start_s)
+    assert read_motion(out, frames)["cam1"].shape == (11, 2)
+    (out / "ingest.json").write_text("{}")
+    with pytest.raises(CaptureError, match="ingest.json"):
+        FrameSet.read(out)
+    assert replace(frames.cameras["cam0"], frames=()).used == ()
+
+
+def test_real_photos(data_dir, tmp_path):
+    path = data_dir / "fox_static" / "images"
+    frames = extract_folder(path, tmp_path, "static", "sweep", "images")
+    assert len(frames.used) == 50 and (frames.width, frames.height) == (540, 960)
+    focal = probe_picture(list_pictures(data_dir / "sceaux_castle" / "images")[0]).focal_px
+    assert focal == pytest.approx(1452.94, rel=0.03)  # K.txt

@@ -1,0 +1,94 @@
+"""The pre-flight check: everything that is wrong with the raw files, at once."""
+
+import numpy as np
+import pytest
+
+from devrf.capture.errors import InputError
+from devrf.capture.pictures import write_picture
+from devrf.capture.session import CaptureSession, preflight, read_timestamps
+
+TABLE = "camera,frame_index,time_s\n"
+
+
+def test_good_session_has_no_problems(make_clip, pictures, tmp_path):
+    clip = make_clip("cam0.mp4", pictures)
+    (tmp_path / "sweep").mkdir()
+    for i in range(3):
+        write_picture(tmp_path / "sweep" / f"p{i}.jpg", pictures[i])
+    times = tmp_path / "t.csv"
+    times.write_text(TABLE + "cam0,0,5.0\ncam0,1,5.1\n")
+    session = CaptureSession(
+        static=tmp_path / "sweep", cameras={"cam0": clip}, timestamps=times, joint_clips={"cam0": clip}
+    )
+    assert preflight(session) == []
+    assert session.shares_joint_clip("cam0")
+    assert [p.name for p in session.files()] == ["p0.jpg", "p1.jpg", "p2.jpg", "cam0.mp4", "t.csv"]
+
+
+def test_all_problems_at_once(make_clip, pictures, tmp_path):
+    good = make_clip("good.mp4", pictures)
+    (tmp_path / "text.mp4").write_text("hello " * 100)
+    (tmp_path / "zero.mp4").touch()
+    (tmp_path / "nothing").mkdir()
+    (tmp_path / "t.csv").write_text("cam,frame,time\n")
+    session = CaptureSession(
+        static=tmp_path / "nothing",
+        cameras={
+            "a": tmp_path / "missing.mp4",
+            "b": tmp_path / "text.mp4",
+            "c": tmp_path / "zero.mp4",
+            "d": good,
+            "e": good,
+        },
+        timestamps=tmp_path / "t.csv",
+        board_clips={"a": tmp_path / "missing_board.mp4"},
+        joint_clips={"d": good, "a": tmp_path / "text.mp4"},
+    )
+    problems = preflight(session)
+    for words in (
+        ("capture.static", "nothing", "no pictures"),
+        ("camera a", "missing.mp4", "no such file"),
+        ("camera b", "text.mp4", "it holds text"),
+        ("camera c", "zero.mp4", "empty"),
+        ("camera e", "good.mp4", "also the clip of camera d"),
+        ("board.clips.a", "missing_board.mp4"),
+        ("joint_clips.a", "text.mp4"),
+        ("timestamps", "t.csv", "camera, frame_index, time_s"),
+    ):
+        assert any(all(w in p for w in words) for p in problems), (words, problems)
+    assert len(problems) == 8
+    assert preflight(CaptureSession()) == ["capture: neither static nor cameras; name at least one"]
+
+
+def test_broken_photo_is_named(tmp_path):
+    write_picture(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
+    (tmp_path / "b.jpg").write_text("not a photo")
+    problems = preflight(CaptureSession(static=tmp_path))
+    assert len(problems) == 1 and "b.jpg" in problems[0] and "not a picture" in problems[0]
+
+
+@pytest.mark.parametrize(
+    "rows, words",
+    [
+        ("cam0,0,1.0\ncam0,1,0.9\n", "time does not increase from frame 0 .1.000000 s. to frame 1"),
+        ("cam0,0,1.0\ncam0,0,2.0\n", "line 3: frame 0 of camera cam0 is given twice"),
+        ("cam0,zero,1.0\n", "line 2: frame_index 'zero'"),
+        ("cam0,0,nan\n", "line 2"),
+        ("cam0,-1,1.0\n", "line 2"),
+        ("cam0,0\n", "line 2"),
+        ("cam1,0,1.0\n", "no rows for camera cam0 .it has: cam1"),
+    ],
+)
+def test_wrong_tables_of_times(tmp_path, rows, words):
+    path = tmp_path / "t.csv"
+    path.write_text(TABLE + rows)
+    with pytest.raises(InputError, match=words):
+        read_timestamps(path, ["cam0"])
+
+
+def test_table_of_times_in_any_order_with_more_columns(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("time_s,note,camera,frame_index\n2.5,x,cam0,1\n1.5,y,cam0,0\n9,z,other,0\n")
+    times = read_timestamps(path, ["cam0"])
+    assert list(times) == ["cam0"]
+    assert times["cam0"].index.tolist() == [0, 1] and times["cam0"].time_s.tolist() == [1.5, 2.5]

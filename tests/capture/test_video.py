@@ -1,0 +1,127 @@
+"""Video: times from timestamps, upright pictures, and files that are not what they should be."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devrf.capture.errors import InputError
+from devrf.capture.video import VideoReader, count_packets, probe_video
+
+
+def read(path: Path) -> tuple[list[float], list[np.ndarray], str | None]:
+    with VideoReader(path) as reader:
+        frames = list(reader)
+        return [f.time_s for f in frames], [f.rgb for f in frames], reader.ended_early
+
+
+def test_times_are_the_files_own_not_index_over_rate(make_clip, pictures):
+    times = np.cumsum([0.5, *np.random.default_rng(1).uniform(0.02, 0.11, 11)])
+    path = make_clip("variable.mp4", pictures, times)
+    got, rgb, early = read(path)
+    np.testing.assert_allclose(got, times, atol=1 / 90_000)
+    assert early is None and count_packets(path) == 12
+    assert np.abs(rgb[3].astype(int) - pictures[3]).mean() < 6  # right order, right colours
+
+
+def test_probe_tells_size_sound_and_length(make_clip, pictures):
+    info = probe_video(make_clip("a.mp4", pictures, sound=np.zeros(48_000)))
+    assert (info.width, info.height, info.codec, info.has_audio) == (64, 48, "h264", True)
+    assert info.announced_frames == 12 and info.duration_s == pytest.approx(12 / 25, abs=0.05)
+
+
+@pytest.mark.parametrize("rotation", [90, 180, -90])
+def test_stored_turn_is_applied_once(make_clip, pictures, rotation):
+    path = make_clip("turned.mp4", pictures, rotation=rotation)
+    rgb = read(path)[1][5]
+    expected = np.rot90(pictures[5], rotation // 90)  # counter-clockwise, as ffmpeg defines the matrix
+    assert rgb.shape == expected.shape
+    assert np.abs(rgb.astype(int) - expected).mean() < 6
+    info = probe_video(path)
+    assert (info.width, info.height) == (expected.shape[1], expected.shape[0])
+    assert info.rotation_deg == rotation % 360 and "turned" in info.notes[0]
+
+
+def test_unlabelled_small_pictures_are_bt601(make_clip):
+    colour = np.full((48, 64, 3), (200, 60, 30), np.uint8)
+    assert np.abs(read(make_clip("c.mp4", [colour] * 3))[1][1].astype(int) - colour).max() <= 6
+
+
+def test_truncated_file_gives_what_is_there_and_says_so(make_clip, pictures):
+    rng = np.random.default_rng(2)
+    noisy = [rng.integers(0, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
+    path = make_clip("cut.mp4", noisy, faststart=True)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.6 * len(data))])
+    times, _, early = read(path)
+    assert 10 <= len(times) < 40
+    assert early is not None and f"ends at frame {len(times)} of 40" in early
+
+
+def test_damage_in_the_middle_ends_the_clip_with_a_note(make_clip):
+    rng = np.random.default_rng(2)
+    noisy = [rng.integers(0, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
+    path = make_clip("hole.mp4", noisy, faststart=True)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 6000] = bytes(6000)
+    path.write_bytes(data)
+    times, _, early = read(path)
+    assert 5 <= len(times) < 40 and early is not None and "of 40" in early
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("text.mp4", b"this is a shopping list\n" * 20, "it holds text"),
+        ("empty.mp4", b"", "empty"),
+        ("noise.mp4", bytes(range(128, 256)) * 40, "not a video"),
+    ],
+)
+def test_not_a_video(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=words) as caught:
+        probe_video(path)
+    assert name in str(caught.value)
+
+
+def test_index_cut_off(make_clip, pictures):
+    path = make_clip("noindex.mp4", pictures)
+    path.write_bytes(path.read_bytes()[:1500])
+    with pytest.raises(InputError, match="cut short"):
+        probe_video(path)
+
+
+def test_missing_folder_and_sound_only(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        probe_video(tmp_path / "nothing.mp4")
+    with pytest.raises(InputError, match="is a folder"):
+        probe_video(tmp_path)
+    import wave
+
+    with wave.open(str(tmp_path / "sound.wav"), "wb") as file:
+        file.setparams((1, 2, 48_000, 0, "NONE", ""))
+        file.writeframes(bytes(9600))
+    with pytest.raises(InputError, match="no video stream .it holds: audio"):
+        probe_video(tmp_path / "sound.wav")
+
+
+def test_clip_without_frames(make_clip):
+    path = make_clip("none.mp4", [])
+    with pytest.raises(InputError, match="none.mp4"):
+        probe_video(path)
+
+
+def test_reader_can_be_read_once(make_clip, pictures):
+    with VideoReader(make_clip("a.mp4", pictures)) as reader:
+        list(reader)
+        with pytest.raises(ValueError, match="once"):
+            list(reader)
+
+
+def test_real_clips(data_dir):
+    folder = data_dir / "pose2sim_single" / "videos"
+    infos = [probe_video(folder / f"cam0{i}.mp4") for i in (1, 2, 3, 4)]
+    assert [i.width for i in infos] == [1080, 1080, 1088, 1088]
+    assert [i.codec for i in infos] == ["h264", "vp9", "h264", "h264"]
+    assert [i.has_audio for i in infos] == [False, True, False, False]
