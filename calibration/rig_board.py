@@ -26,6 +26,8 @@ from devrf.capture.progress import Progress, no_progress
 MIN_SHARED_POINTS = 50  # of a link between two cameras that is used (caliscope: fewer fail, under 200 warn)
 OUTLIER_QUANTILE, OUTLIER_FACTOR = 0.75, 5.0
 ROUNDS = 3
+JOINT_WIDENING = 3.0
+PRINCIPAL_POINT_STD = 0.02  # of the longer side
 LM_STEPS = 40
 MIN_NOISE_PX = 0.1
 STEP = 1e-6
@@ -51,6 +53,7 @@ class BoardRig:
         links: (a, b) -> corners that both saw at once.
         dropped: (camera, frame) of the views that did not fit.
         gap_ms: Median and largest time between views that count as one instant.
+        corners: Name -> corners that were used.
     """
 
     cameras: dict[str, Camera]
@@ -61,6 +64,25 @@ class BoardRig:
     links: dict[tuple[str, str], int]
     dropped: tuple[tuple[str, int], ...]
     gap_ms: tuple[float, float]
+    corners: dict[str, int]
+
+
+def joint_prior(own: Intrinsics) -> Intrinsics:
+    """Prior for intrinsics that come from the joint views themselves, few and seldom near the picture's edges.
+
+    The views' own standard deviations assume a flat board; they are widened, and the principal point is
+    drawn towards the centre.
+    """
+    assert own.std is not None
+    std = np.where(own.std > 0, JOINT_WIDENING * own.std, 0.0)
+    centre = np.array([own.width / 2, own.height / 2])
+    weak = PRINCIPAL_POINT_STD * max(own.width, own.height)
+    weight = 1 / std[2:4] ** 2 if (std[2:4] > 0).all() else np.zeros(2)
+    mean = (weight * own.vector[2:4] + centre / weak**2) / (weight + 1 / weak**2)
+    vector = own.vector
+    vector[2:4] = mean
+    std[2:4] = 1 / np.sqrt(weight + 1 / weak**2)
+    return from_vector(own.width, own.height, vector, std)
 
 
 def rig_from_board(
@@ -117,6 +139,7 @@ def rig_from_board(
         links={(names[a], names[b]): n for (a, b), n in _links(state).items()},
         dropped=tuple(dropped),
         gap_ms=_gaps_ms(state),
+        corners={name: int((state.view_camera[state.obs_view] == c).sum()) for c, name in enumerate(names)},
     )
 
 

@@ -76,7 +76,9 @@ def rig_from_sweep(
     for n, item in enumerate(inputs):
         registration, label, most = _best_registration(model, item, features)
         if registration is None or most < MIN_INLIERS:
-            refused.append(f"{item.name} shares no view with the sweep: {most} inliers, need {MIN_INLIERS} (100 are good)")
+            refused.append(
+                f"{item.name} shares no view with the sweep: {most} inliers, need {MIN_INLIERS} (100 are good)"
+            )
         else:
             found[item.name] = (registration, label)
         progress(0.2 + 0.6 * (n + 1) / len(inputs), f"{item.name}: {most} inliers")
@@ -162,7 +164,11 @@ def _joint(
                 "focal_px": float(camera.K[0, 0]),
                 "focal_std_px": float(solution.intrinsics_std[problem.device[c], 0]),
                 "median_distance": float(
-                    np.median(np.linalg.norm(solution.problem.points[problem.obs_point[mine]] - camera.centre, axis=1))
+                    np.median(
+                        np.linalg.norm(
+                            solution.problem.points[problem.obs_point[mine]] - camera.centre, axis=1
+                        )
+                    )
                 ),
             },
         )
@@ -187,7 +193,9 @@ def _problem(
     fixed_vectors = np.array([r.solution.problem.intrinsics[0] for r in registrations])
     D = len(devices)
     problem = Problem(
-        poses=np.array([c.cam_from_world for c in model.cameras] + [r.camera.cam_from_world for r in registrations]),
+        poses=np.array(
+            [c.cam_from_world for c in model.cameras] + [r.camera.cam_from_world for r in registrations]
+        ),
         intrinsics=np.concatenate([devices, fixed_vectors]),
         device=np.concatenate([device_of.reshape(-1), D + np.arange(F)]),
         points=model.xyz[points],

@@ -23,7 +23,9 @@ MIN_ANGLE_DEG = 4.0  # between the outermost views of a corner
 RIGID_SHARE = 0.02  # of the board's size: corners that miss the print by more belong to a board that moved
 
 
-def scale_from_board(views: list[BoardView], cameras: list[Camera], spec: BoardSpec) -> tuple[Scale | None, str]:
+def scale_from_board(
+    views: list[BoardView], cameras: list[Camera], spec: BoardSpec
+) -> tuple[Scale | None, str]:
     """Scale from a board that stands still in the sweep.
 
     Args:
@@ -35,7 +37,10 @@ def scale_from_board(views: list[BoardView], cameras: list[Camera], spec: BoardS
     """
     ids, xyz, used = triangulate_corners(views, cameras)
     if len(ids) < MIN_BOARD_CORNERS:
-        return None, f"the board's corners are seen from {len(views)} sweep pictures, too few or too close together"
+        return (
+            None,
+            f"the board's corners are seen from {len(views)} sweep pictures, too few or too close together",
+        )
     true = spec.corners[ids]
     true_from_sweep = similarity(xyz, true)
     factor = float(np.cbrt(np.linalg.det(true_from_sweep[:3, :3])))
@@ -43,7 +48,10 @@ def scale_from_board(views: list[BoardView], cameras: list[Camera], spec: BoardS
     spread = np.linalg.norm(true - true.mean(0), axis=1)
     rms = float(np.sqrt((miss**2).mean()))
     if rms > RIGID_SHARE * 2 * spread.max():
-        return None, f"the board's corners miss the print by {1e3 * rms:.1f} mm: it moved during the sweep or is bent"
+        return (
+            None,
+            f"the board's corners miss the print by {1e3 * rms:.1f} mm: it moved during the sweep or is bent",
+        )
     std = rms / float(np.sqrt((spread**2).sum()))
     text = f"board in {used} sweep pictures, {len(ids)} corners, {1e3 * rms:.2f} mm from the print"
     return Scale(True, text, factor, std), text
@@ -91,7 +99,9 @@ def triangulate_corners(
     return np.array(ids), solution.problem.points, len({c for c, _, _ in rows})
 
 
-def closest_point(centres: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+def closest_point(
+    centres: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3"]:
     """The point with the least squared distance to lines through `centres` along unit `rays`."""
     away = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     return np.linalg.lstsq(away.sum(0), (away @ centres[:, :, None]).sum(0)[:, 0], rcond=None)[0]
@@ -109,5 +119,9 @@ def scale_from_distances(
     ours = np.array([np.linalg.norm(sweep[a] - sweep[b]) for a, b in pairs])
     ratio = true / np.maximum(ours, 1e-12)
     factor = float(np.median(ratio))
-    std = float(1.4826 * np.median(np.abs(ratio / factor - 1)) / np.sqrt(len(pairs))) if len(pairs) > 1 else None
+    std = (
+        float(1.4826 * np.median(np.abs(ratio / factor - 1)) / np.sqrt(len(pairs)))
+        if len(pairs) > 1
+        else None
+    )
     return Scale(True, source, factor, std)

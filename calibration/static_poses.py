@@ -25,14 +25,14 @@ from devrf.capture.progress import Progress, no_progress
 Mapper = Literal["incremental", "global"]
 
 MAX_IMAGE_SIZE = 1280  # SIFT on larger pictures costs seconds each and gains little
-MAX_FEATURES = 2500  # per picture; orientation copies come on top; matching time grows with the square
+MAX_FEATURES = 1600  # per picture; orientation copies come on top; matching time grows with the square
 FINE_OCTAVE_BELOW = (
     720  # pictures up to this size are doubled first (SIFT octave -1), larger ones need not be
 )
 PRINCIPAL_POINT_FROM = 20  # registered pictures; fewer do not fix the principal point
 EXHAUSTIVE_UP_TO = 70  # pictures; all pairs beyond that would take many minutes without a GPU
 OVERLAP = 8  # neighbours in a longer sequence
-LOOP_PICTURES = 48  # of a longer sequence are matched with each other, to close loops
+LOOP_PICTURES = 40  # of a longer sequence are matched with each other, to close loops
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
 LADDER: tuple[dict[str, Any], ...] = (
     {"name": "incremental", "mapper": "incremental", "pose_inliers": 30, "init_inliers": 100,
@@ -220,14 +220,15 @@ def device_groups(
     Args:
         sizes: (width, height) of each picture.
         focal_px: Focal length by EXIF at the first picture's size, or None.
-        known: Board calibration of the device; used where the size agrees.
+        known: Board calibration of the device; used where the size agrees: held in a short sweep, a start
+            in a longer one, which fixes the lens better than a board clip does.
     """
     groups = []
     first = max(next(iter(sizes.values())))
     for size in sorted(set(sizes.values())):
         names = tuple(sorted(name for name, s in sizes.items() if s == size))
         if known is not None and (known.width, known.height) == size:
-            groups.append(DeviceGroup(names, known, trusted=True, fixed=True))
+            groups.append(DeviceGroup(names, known, trusted=True, fixed=len(names) < PRINCIPAL_POINT_FROM))
         else:
             focal = None if focal_px is None else focal_px * max(size) / first
             groups.append(DeviceGroup(names, guess(*size, focal), trusted=focal is not None))

@@ -82,7 +82,7 @@ STAGES = (
     Stage(
         name="static_poses",
         reads=("ingest",),
-        config_keys=("calibration.static_poses",),
+        config_keys=("calibration.static_poses", "capture.board"),
         applies=_from_the_sweep,
         run=_glue("static_poses"),
     ),
