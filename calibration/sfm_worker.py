@@ -12,7 +12,6 @@ top-left pixel is (0.5, 0.5).
 import zlib  # noqa: F401, I001  must stay the first import, see above
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.sync_motion import MotionDelay, motion_delay
+from devrf.calibration.sync_motion import ACCEPT_CORRELATION, ACCEPT_SCORE, MotionDelay, motion_delay
 from devrf.calibration.sync_sound import ACCEPT_RATIO, sound_delay
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CalibrationError
@@ -100,6 +100,7 @@ class _Equation:
     quality: float
     accepted: bool
     guess: bool  # not accepted, but more likely right than nothing
+    score: float = 0.0  # motion: standard deviations from chance
 
 
 @dataclass
@@ -182,7 +183,7 @@ def _hear(names: Sequence[str], sounds: Mapping[str, Sound], out: _Evidence, pro
         if not found.accepted:
             out.notes.append(
                 f"{a} and {b}: sound not trusted, its peak is {c.ratio:.1f} times the next one, expected "
-                f"{ACCEPT_RATIO:.0f}; clap a few times at uneven intervals"
+                f"{ACCEPT_RATIO:.0f}"
             )
         guess = not found.accepted and c.ratio >= GUESS_RATIO
         out.equations += [
@@ -214,7 +215,9 @@ def _watch(
             )
         guess = not found.accepted and found.score >= GUESS_SCORE and found.margin > 0
         moment = (found.first_s, found.first_s - found.delay_s)
-        out.equations.append(_Equation(a, b, *moment, found.std_s, "motion", quality, found.accepted, guess))
+        out.equations.append(
+            _Equation(a, b, *moment, found.std_s, "motion", quality, found.accepted, guess, found.score)
+        )
 
 
 # --- solution ---
@@ -223,13 +226,15 @@ def _watch(
 def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> SyncResult:
     """Solve the accepted equations; add the best refused ones for cameras that are not reached otherwise."""
     names, notes = list(spans_s), list(evidence.notes)
-    used, dropped = _consistent(spans_s, evidence.accepted)
+    backed = _backed_by_others(spans_s, evidence.equations)
+    used, dropped = _consistent(spans_s, [*evidence.accepted, *backed])
     notes += [
         f"{e.a} and {e.b}: {'sound' if e.cue == 'audio' else 'motion'} contradicts the other pairs; dropped"
         for e in dropped
     ]
+    notes += [f"{e.a} and {e.b}: motion trusted all the same, other pairs agree with it" for e in backed]
     sure = _reached(names, used)
-    guesses = sorted((e for e in evidence.equations if e.guess), key=lambda e: -e.quality)
+    guesses = sorted((e for e in evidence.equations if e.guess and e not in backed), key=lambda e: -e.quality)
     for guess in guesses:
         groups = _groups(names, used)
         if groups[guess.a] != groups[guess.b]:
@@ -281,10 +286,14 @@ def _solve(
     """
     reached = [name for name in spans_s if name in _reached(list(spans_s), equations)]
     free = reached[1:]
-    x, cov, residual = _least_squares(reached, free, equations)
+    inside = np.array([e.a in reached for e in equations], dtype=bool)
+    equations = [e for e in equations if e.a in reached]
+    x, cov, inner = _least_squares(reached, free, equations)
     known = [n for k, n in enumerate(free) if np.sqrt(cov[len(free) + k, len(free) + k]) <= DRIFT_KNOWN_PPM]
     if known != free:
-        x, cov, residual = _least_squares(reached, known, equations)
+        x, cov, inner = _least_squares(reached, known, equations)
+    residual = np.zeros(len(inside))  # of equations between cameras that are not reached: 0
+    residual[inside] = inner
     offset, drift, std = {reached[0]: 0.0}, dict.fromkeys(reached, 0.0), {reached[0]: 0.0}
     for k, name in enumerate(free):
         from_s, to_s = spans_s[name]
@@ -341,6 +350,32 @@ def _consistent(
         dropped.append(kept[worst])
         kept = rest
     return kept, dropped
+
+
+def _backed_by_others(
+    spans_s: Mapping[str, tuple[float, float]], equations: Sequence[_Equation]
+) -> list[_Equation]:
+    """Refused motion equations that the other equations predict within their standard deviation.
+
+    Short clips leave every single pair near chance; several that agree are not. A camera needs two such
+    pairs whose distances from chance add up (as for independent tests) to what one pair alone would need.
+    """
+    names = list(spans_s)
+    pool = [e for e in equations if e.accepted or (e.guess and e.quality >= ACCEPT_CORRELATION)]
+    predicted = []
+    for e in pool:
+        rest = [other for other in pool if other is not e]
+        if e.cue == "audio" or e.accepted or not {e.a, e.b} <= _reached(names, rest):
+            continue
+        offset = _solve(spans_s, rest)[0]
+        if abs((e.a_s - e.b_s) - (offset[e.b] - offset[e.a])) <= e.std_s:
+            predicted.append(e)
+    backed: list[_Equation] = []
+    for name in names[1:]:
+        own = [e for e in predicted if name in (e.a, e.b)]
+        if len(own) > 1 and np.sqrt(sum(e.score**2 for e in own)) >= ACCEPT_SCORE:
+            backed += [e for e in own if e not in backed]
+    return backed
 
 
 def _groups(names: Sequence[str], equations: Sequence[_Equation]) -> dict[str, int]:

@@ -1,6 +1,5 @@
 """Stage `rig`: the fixed cameras in one world with the sweep, their doubts, and the length of a unit."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.pipelines.board_spec import board_spec
+from devrf.pipelines.clocks import read_clocks
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import board_rows
@@ -160,7 +160,7 @@ class _Job:
     ) -> tuple[BoardRig, dict[str, BoardCalibration]]:
         """Cameras from the joint clips, with clocks applied."""
         assert self.spec is not None
-        clocks = _clocks(self.context.run_dir / "sync" / "sync.json")
+        clocks = read_clocks(self.context.run_dir / "sync" / "sync.json")
         views: dict[str, list[TimedView]] = {}
         calibrations: dict[str, BoardCalibration] = {}
         priors: dict[str, Intrinsics] = {}
@@ -407,15 +407,6 @@ def _scaled(c: RigCamera, factor: float) -> RigCamera:
     details = {k: v * factor if k in lengths else v for k, v in c.details.items()}
     std = None if c.position_std is None else c.position_std * factor
     return replace(c, camera=c.camera.moved(similarity_matrix), position_std=std, details=details)
-
-
-def _clocks(path: Path) -> dict[str, tuple[float, float]]:
-    """Camera -> (offset_s, rate), separate joint clips by their own name."""
-    if not path.is_file():
-        return {}
-    content = json.loads(path.read_text())
-    clocks = {**content.get("joint", {}).get("cameras", {}), **content["cameras"]}
-    return {name: (c["offset_s"], 1 + 1e-6 * c["drift_ppm"]) for name, c in clocks.items()}
 
 
 def _part(progress: Callable[[float, str], None], start: float, share: float) -> Callable[[float, str], None]:

@@ -1,0 +1,241 @@
+"""Where the subject is: the box that the model fills, near and far, inward- or forward-facing.
+
+The box stands upright (its z axis is the mean up direction of the sweep) and is centred at the origin of the
+box frame with a longest half side of 1. Where cameras film motion, it must hold everything that moves: pixels
+that change over time give a visual hull (Laurentini, PAMI 1994) on a coarse grid. Where nothing moves, it
+holds the points around the focus, the point closest to all view axes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from devrf.calibration.scale import closest_point
+from devrf.capture.camera import Camera
+from devrf.capture.scene import Kind
+
+FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
+GRID = 64  # cells per axis of the visual hull
+HULL_REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
+HULL_MARGIN = 1.25  # the masks are coarse, and motion blur and thin parts are missed
+COMPONENT_SHARE = 0.05  # smaller pieces of the hull are noise
+POINT_REACH = (
+    0.9  # points farther from the focus than this share of the median camera distance are surroundings
+)
+POINT_PERCENTILES = (1.0, 99.0)
+POINT_MARGIN = 1.1
+MAX_ERROR_PX, MIN_TRACK = 2.0, 3
+NEAR_SHARE, FAR_SHARE = 0.8, 1.2  # of the 1st and 99th percentile of the points' distances
+SMALLEST_NEAR = 0.02  # of the longest half side
+MASK_SIDE_PX = 200
+MASK_NOISE = 5.0  # a pixel moves if its range over time exceeds this multiple of the median pixel's
+MASK_FLOOR = 10.0  # grey levels
+MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The box and what lies around it.
+
+    Attributes:
+        box_from_world: Similarity [4, 4].
+        aabb: Corners in the box frame [2, 3].
+        near, far: In box units, along rays.
+        kind: `inward` or `forward`.
+        size: Sides of the box, world units [3].
+        points_outside: Share of the sweep's points that lie outside the box; None without points.
+        mean_view: Length of the mean view direction.
+        basis: What the box was taken from, in words.
+    """
+
+    box_from_world: Float[np.ndarray, "4 4"]
+    aabb: Float[np.ndarray, "2 3"]
+    near: float
+    far: float
+    kind: Kind
+    size: Float[np.ndarray, "3"]
+    points_outside: float | None
+    mean_view: float
+    basis: str
+
+
+@dataclass(frozen=True)
+class MotionMask:
+    """Where a fixed camera saw something move: its camera at the mask's size, and the mask [h, w]."""
+
+    camera: Camera
+    mask: Bool[np.ndarray, "h w"]
+
+
+def scene_bounds(
+    sweep: Sequence[Camera],
+    fixed: Sequence[Camera],
+    points: Float[np.ndarray, "n 3"],
+    distances: Float[np.ndarray, " m"],
+    masks: Sequence[MotionMask] = (),
+) -> Bounds:
+    """Find the box.
+
+    Args:
+        sweep: The sweep's cameras; may be empty.
+        fixed: The moving scene's cameras; may be empty.
+        points: The sweep's good points [n, 3].
+        distances: Distance of every sighting of a point from its camera [m].
+        masks: Motion masks of the fixed cameras.
+    Raises:
+        ValueError: There is no camera at all.
+    """
+    cameras = [*sweep, *fixed]
+    if not cameras:
+        raise ValueError("bounds of a scene without cameras")
+    box_from_up = _upright(sweep or fixed, fixed or sweep)
+    focus = focus_point(fixed if len(fixed) > 1 else cameras)
+    hull = visual_hull(masks, focus, box_from_up) if len(masks) > 1 else None
+    if hull is not None:
+        lo, hi = hull
+        basis = f"visual hull of what moves in {len(masks)} cameras"
+        margin = HULL_MARGIN
+    else:
+        lo, hi, basis = _point_box(points, focus_point(cameras), cameras, box_from_up)
+        margin = POINT_MARGIN
+    centre, half = (lo + hi) / 2, margin * (hi - lo) / 2
+    unit = float(half.max())
+    half = np.maximum(half, 0.1 * unit)
+    box_from_world = np.eye(4)
+    box_from_world[:3, :3] = box_from_up / unit
+    box_from_world[:3, 3] = -centre / unit
+    in_box = points @ box_from_world[:3, :3].T + box_from_world[:3, 3]
+    outside = float((np.abs(in_box) > half / unit).any(1).mean()) if len(points) else None
+    near, far = _near_far(cameras, fixed, distances, box_from_world, half / unit)
+    mean_view = float(np.linalg.norm(np.mean([c.cam_from_world[2, :3] for c in cameras], axis=0)))
+    return Bounds(
+        box_from_world=box_from_world,
+        aabb=np.stack([-half / unit, half / unit]),
+        near=near,
+        far=far,
+        kind="forward" if mean_view > FORWARD_MEAN else "inward",
+        size=2 * half,
+        points_outside=outside,
+        mean_view=mean_view,
+        basis=basis,
+    )
+
+
+def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
+    """The point closest to all view axes (as instant-ngp centres its scenes), robust to a few that look away."""
+    centres = np.array([c.centre for c in cameras])
+    axes = np.array([c.cam_from_world[2, :3] for c in cameras])
+    focus = closest_point(centres, axes)
+    for _ in range(5):
+        offset = focus - centres
+        miss = np.linalg.norm(offset - (offset * axes).sum(1, keepdims=True) * axes, axis=1)
+        weight = 1 / np.maximum(miss, 0.1 * np.median(miss) + 1e-9)
+        away = weight[:, None, None] * (np.eye(3) - axes[:, :, None] * axes[:, None, :])
+        focus = np.linalg.lstsq(away.sum(0), (away @ centres[:, :, None]).sum(0)[:, 0], rcond=None)[0]
+    depth = ((focus - centres) * axes).sum(1)
+    if np.median(depth) <= 0:  # axes that spread apart meet behind the cameras
+        focus = (
+            centres + axes * float(np.linalg.norm(centres - centres.mean(0), axis=1).mean() + 1e-9)
+        ).mean(0)
+    return focus
+
+
+def motion_mask(pictures: Sequence[UInt8[np.ndarray, "h w"]]) -> Bool[np.ndarray, "h w"]:
+    """Pixels that change over time, in grey pictures of one fixed camera.
+
+    Each picture is brought to the median brightness first, so that exposure changes do not count.
+    """
+    stack = np.stack(pictures).astype(np.float32)
+    level = np.median(stack, axis=(1, 2), keepdims=True)
+    stack *= np.median(level) / np.maximum(level, 1.0)
+    low, high = np.percentile(stack, [5, 95], axis=0)
+    spread = high - low
+    mask = spread > max(MASK_FLOOR, MASK_NOISE * float(np.median(spread)))
+    kernel = np.ones((3, 3), dtype=np.uint8)
+    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((7, 7), dtype=np.uint8))
+    return cv2.dilate(mask, np.ones((5, 5), dtype=np.uint8)).astype(bool)
+
+
+def visual_hull(
+    masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
+    """Lowest and highest corner of what projects into every mask that sees it, in rotated world axes; or None."""
+    from scipy import ndimage
+
+    masks = [m for m in masks if 0 < m.mask.mean() < MAX_MOVING_SHARE]
+    if len(masks) < 2:
+        return None
+    reach = HULL_REACH * min(float(np.linalg.norm(m.camera.centre - focus)) for m in masks)
+    axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
+    cells = grid + box_from_up @ focus
+    world = cells @ box_from_up
+    seen, inside = np.zeros(len(world), dtype=int), np.zeros(len(world), dtype=int)
+    for m in masks:
+        height, width = m.mask.shape
+        pixel = np.nan_to_num(m.camera.project(world), nan=-1.0)
+        visible = (pixel >= 0).all(1) & (pixel[:, 0] < width) & (pixel[:, 1] < height)
+        u, v = pixel[visible].astype(int).T
+        seen[visible] += 1
+        inside[np.flatnonzero(visible)[m.mask[v, u]]] += 1
+    keep = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
+    if not keep.any():
+        return None
+    labels, _ = ndimage.label(keep.reshape(GRID, GRID, GRID), structure=np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.reshape(-1))
+    sizes[0] = 0
+    large = np.isin(labels.reshape(-1), np.flatnonzero(sizes >= COMPONENT_SHARE * sizes.sum()))
+    cell = 2 * reach / GRID
+    return cells[large].min(0) - cell / 2, cells[large].max(0) + cell / 2
+
+
+def _upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
+    """Rotation whose z axis is the cameras' mean up and whose y axis is their mean view direction, levelled."""
+    up = -np.mean([c.cam_from_world[1, :3] for c in up_from], axis=0)
+    up /= max(float(np.linalg.norm(up)), 1e-9)
+    front = np.mean([c.cam_from_world[2, :3] for c in front_from], axis=0)
+    front = front - (front @ up) * up
+    if np.linalg.norm(front) < 1e-3:
+        front = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    front /= np.linalg.norm(front)
+    return np.stack([np.cross(front, up), front, up])
+
+
+def _point_box(
+    points: Float[np.ndarray, "n 3"],
+    focus: Float[np.ndarray, "3"],
+    cameras: Sequence[Camera],
+    box_from_up: Float[np.ndarray, "3 3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], str]:
+    """Percentiles of the points around the focus; a cube where there are none."""
+    distance = float(np.median([np.linalg.norm(c.centre - focus) for c in cameras]))
+    near = points[np.linalg.norm(points - focus, axis=1) < POINT_REACH * distance]
+    if len(near) < 30:
+        half = 0.5 * max(distance, 1e-6)
+        centre = box_from_up @ focus
+        return centre - half, centre + half, "the focus of the view axes (no points near it)"
+    lo, hi = np.percentile(near @ box_from_up.T, POINT_PERCENTILES, axis=0)
+    return lo, hi, f"{len(near)} points around the focus of the view axes"
+
+
+def _near_far(
+    cameras: Sequence[Camera],
+    fixed: Sequence[Camera],
+    distances: Float[np.ndarray, " m"],
+    box_from_world: Float[np.ndarray, "4 4"],
+    half: Float[np.ndarray, "3"],
+) -> tuple[float, float]:
+    """Nearest and farthest content along rays, box units; the box itself is never cut."""
+    unit = np.cbrt(np.linalg.det(box_from_world[:3, :3]))
+    centres = np.array([box_from_world[:3, :3] @ c.centre + box_from_world[:3, 3] for c in cameras])
+    to_box = np.linalg.norm(np.maximum(np.abs(centres) - half, 0.0), axis=1)
+    through_box = np.linalg.norm(np.abs(centres) + half, axis=1)
+    near, far = float(to_box.min()), float(through_box.max())
+    if len(distances):
+        low, high = np.percentile(distances * unit, [1, 99])
+        near, far = min(near, NEAR_SHARE * float(low)), max(far, FAR_SHARE * float(high))
+    return max(near, SMALLEST_NEAR), far
