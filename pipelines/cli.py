@@ -82,7 +82,7 @@ def status(
 ) -> None:
     """Show each stage: fresh, stale (and why) or missing, its time, its health."""
     talk = Talk()
-    job = _prepare(talk, scene, preset, overrides, Choice(), check_files=False)
+    job = _prepare(talk, scene, preset, overrides, None, check_files=False)
     found = standings(STAGES, job.config, job.scene_dir, job.run_dir)
     if as_json:
         typer.echo(json.dumps(status_dict(job.config, job.run_dir, found), indent=1))
@@ -98,7 +98,22 @@ def report(
     quiet: QuietOption = False,
 ) -> None:
     """Make the report anew from what the run folder holds, and say where it is."""
-    _only("report", scene, preset, overrides, _talk(quiet, False))
+    talk = _talk(quiet, False)
+    job = _prepare(talk, scene, preset, overrides, None, check_files=False)
+    done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
+    if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
+        _only("report", scene, preset, overrides, talk)
+    if not done:
+        talk.error(f"{job.run_dir}: nothing has been run yet; run the scene first")
+        raise typer.Exit(BAD_INPUT)
+    from devrf.pipelines.stages.report import report_so_far
+
+    try:
+        report_so_far(job.config, job.run_dir)
+    except OSError as error:
+        talk.error(f"{job.run_dir}: the report cannot be written ({error.strerror or error})")
+        raise typer.Exit(FAILED) from None
+    _where_to_look(job)
 
 
 @app.command()
@@ -171,20 +186,24 @@ def _prepare(
     scene: Path,
     preset: str | None,
     overrides: Sequence[str] | None,
-    choice: Choice,
+    choice: Choice | None,
     *,
     check_files: bool = True,
 ) -> Run:
-    """Read and check the configuration. Ends the program with exit code 2 where it is wrong."""
+    """Read and check the configuration. Ends the program with exit code 2 where it is wrong.
+
+    Without a choice nothing is going to run, and what could not be run is no mistake.
+    """
     path = scene / "scene.yaml" if scene.is_dir() else scene
     settings = [*([f"preset={preset}"] if preset else []), *(overrides or [])]
     try:
         config = load_scene(path, settings, check_files=check_files)
-        check_choice(config, STAGES, choice)
+        if choice is not None:
+            check_choice(config, STAGES, choice)
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None
-    return Run(config, path.resolve().parent, STAGES, choice, talk)
+    return Run(config, path.resolve().parent, STAGES, choice or Choice(), talk)
 
 
 def _start(job: Run, device: str) -> int:

@@ -78,7 +78,7 @@ def verdict(run: RunFolder) -> str:
     rows = [(stage, row) for stage in run.stages for row in health_rows(run, stage)]
     bad = [(s, r) for s, r in rows if r.get("verdict") == "fail"]
     doubtful = [(s, r) for s, r in rows if r.get("verdict") == "warn"]
-    missing = [s for s in run.stages if s != "report" and s not in run.reasons and not run.has(s)]
+    missing = [s for s in run.stages if s not in ("report", *run.reasons, *run.errors) and not run.has(s)]
     if bad:
         kind, line = "fail", f"{len(bad)} of {len(rows)} checks failed: do not trust this result."
     elif run.errors:
@@ -89,7 +89,10 @@ def verdict(run: RunFolder) -> str:
         kind, line = "ok", f"All {len(rows)} checks passed."
     else:
         kind, line = "warn", "No stage has checked its result yet."
-    notes = "".join(f"<li><strong>{text(s)}</strong> failed: {text(e)}</li>" for s, e in run.errors.items())
+    notes = "".join(
+        f"<li><strong>{text(s)}</strong> failed: {text(e.removeprefix(f'{s}: '))}</li>"
+        for s, e in run.errors.items()
+    )
     notes += "".join(_remedy(stage, row) for stage, row in [*bad, *doubtful])
     if missing:
         notes += f"<li>Not finished: {text(', '.join(missing))} have not run.</li>"
@@ -105,7 +108,7 @@ def tiles(run: RunFolder) -> str:
     """The numbers a reader looks for first."""
     metrics = run.object(METRICS)
     if not metrics:
-        return f'<p class="absent">No key numbers: {text(run.why_absent("evaluate"))}</p>'
+        return f'<p class="absent">No key numbers. {text(run.why_absent("evaluate"))}</p>'
 
     def of(key: str, unit: str, digits: int) -> str:
         block, _, name = key.rpartition(".")
@@ -137,7 +140,7 @@ def film(run: RunFolder) -> str:
     """The rendered film: inside the page where it is small enough, else linked."""
     films = sorted((run.path / "render").glob("*.mp4")) if run.has("render") else []
     if not films:
-        return f'<p class="absent">No film: {text(run.why_absent("render"))}</p>'
+        return f'<p class="absent">No film. {text(run.why_absent("render"))}</p>'
     file = f"render/{films[0].name}"
     small = films[0].stat().st_size <= MAX_FILM_BYTES
     source = data_uri(films[0].read_bytes(), "video/mp4") if small else f"../{file}"
@@ -160,7 +163,7 @@ def stages_table(run: RunFolder) -> str:
         if stage in run.reasons:
             state = f'<span class="none">does not apply: {text(run.reasons[stage])}</span>'
         else:
-            state = "done" if run.has(stage) else '<span class="none">has not run</span>'
+            state = "done" if run.has(stage) else f'<span class="none">{_not_there(run, stage)}</span>'
         seconds = run.object(f"{stage}/stamp.json").get("seconds")
         took = (
             f'<a class="n" href="../{stage}/stamp.json" title="{readable(float(seconds), 1)} s">'
@@ -196,6 +199,10 @@ def health_rows(run: RunFolder, stage: str) -> list[dict[str, Any]]:
     value = run.json(f"{stage}/health.json")
     rows = value.get("rows") if isinstance(value, Mapping) else value
     return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+def _not_there(run: RunFolder, stage: str) -> str:
+    return '<span class="chip fail">failed</span>' if stage in run.errors else "has not run"
 
 
 def _remedy(stage: str, row: dict[str, Any]) -> str:

@@ -35,6 +35,14 @@ def run(context: StageContext) -> None:
         )
 
 
+def report_so_far(config: SceneConfig, run_dir: Path) -> None:
+    """Write the page about an unfinished run; it carries no stamp, so the next run makes it again."""
+    folder = run_dir / "report"
+    folder.mkdir(exist_ok=True)
+    (folder / "stamp.json").unlink(missing_ok=True)
+    write_report(config, run_dir, folder)
+
+
 def write_report(config: SceneConfig, run_dir: Path, out: Path) -> dict[str, str]:
     """Write the page about `run_dir`, at whatever state it is, into the folder `out`.
 

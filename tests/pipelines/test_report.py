@@ -3,6 +3,8 @@
 import json
 import re
 import struct
+import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import get_args
@@ -473,3 +475,23 @@ def _keys(model: type[BaseModel], prefix: str = "") -> list[tuple[str, object]]:
 
 def _is_section(annotation: object) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def test_command_reports_a_run_that_has_not_come_to_its_end(tmp_path):
+    for name in ("cam0", "cam1"):
+        (tmp_path / f"{name}.mp4").touch()
+    (tmp_path / "rig.json").touch()
+    (tmp_path / "scene.yaml").write_text(
+        "name: half\noutput: run\ncapture: {cameras: {cam0: cam0.mp4, cam1: cam1.mp4}}\n"
+        "calibration: {rig: {given: rig.json}}\n"
+    )
+
+    def command(word: str) -> int:
+        line = [sys.executable, "-m", "devrf.pipelines.cli", word, str(tmp_path)]
+        return subprocess.run(line, capture_output=True, timeout=60).returncode
+
+    assert command("report") == 2  # nothing there
+    _json(tmp_path / "run/ingest/ingest.json", {"cameras": {}})
+    assert command("report") == 0
+    assert "has not run" in Page((tmp_path / "run/report/index.html").read_text()).text
+    assert command("status") == 0
