@@ -255,13 +255,13 @@ def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> 
             e for e in used if name in (e.a, e.b)
         ]
         quality = max(e.quality for e in own)
-        confidence = 1 - 1 / max(quality, 1.0) if cue == "audio" else quality
+        confidence = 1 - 1 / max(quality, 1.0) if cue == "audio" else _motion_confidence(quality)
         if name not in sure:
             confidence = min(confidence, 0.49)
         clocks[name] = Clock(
             float(offset[name]),
             drift[name],
-            std[name],
+            std[name] if cue == "audio" else max(std[name], min(e.std_s for e in own)),
             cue,
             float(confidence),
             _basis(cue, quality, len(own)),
@@ -396,6 +396,11 @@ def _reached(names: Sequence[str], equations: Sequence[_Equation]) -> set[str]:
 
 def _reference() -> Clock:
     return Clock(0.0, 0.0, 0.0, "reference", 1.0, "its clock is the session's")
+
+
+def _motion_confidence(correlation: float) -> float:
+    """0.5 for a correlation that is just accepted, 0.75 for a perfect one: frames are no microphones."""
+    return 0.5 + 0.25 * (correlation - ACCEPT_CORRELATION) / (1 - ACCEPT_CORRELATION)
 
 
 def _basis(cue: Cue, quality: float, pairs: int) -> str:

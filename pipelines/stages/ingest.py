@@ -78,10 +78,10 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
     rows = [
         row(
             "pictures of the sweep",
-            len(sweep.used),
+            float(len(sweep.used)),
             "",
-            warn=20,
-            fail=3,
+            warn=20.0,
+            fail=3.0,
             remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
         ),
         row(
@@ -107,10 +107,10 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
     rows = [
         row(
             f"frames of a moving camera, fewest ({fewest})",
-            len(cameras[fewest].used),
+            float(len(cameras[fewest].used)),
             "",
-            warn=10,
-            fail=2,
+            warn=10.0,
+            fail=2.0,
             remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
         ),
         row(

@@ -129,9 +129,9 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
             "",
             warn=0.6,
             fail=REFUSED_BELOW,
-            remedy=f"The clock of {worst} is not known: {why or others[worst].basis}. Film with sound and clap "
-            "a few times at uneven intervals; or give capture.timestamps; or, for cameras synchronised by hardware, set "
-            "calibration.sync.method to none.",
+            remedy=f"The clock of {worst} is not known: {why or others[worst].basis}. "
+            "Film with sound and clap a few times at uneven intervals; or give capture.timestamps; or, for "
+            "cameras synchronised by hardware, set calibration.sync.method to none.",
         ),
     ]
     vague = max(others, key=lambda name: others[name].std_s)

@@ -1,0 +1,162 @@
+"""The stages `ingest` and `sync`: what they make of their findings."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from devrf.capture.audio import Sound, write_wav
+from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.progress import no_progress
+from devrf.capture.session import CaptureSession
+from devrf.pipelines.health import HealthRow
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import ingest, sync
+
+RATE_HZ = 48_000
+
+
+def frames(role: Any = "camera", count: int = 60, start_s: float = 0.0, **more: Any) -> CameraFrames:
+    records = tuple(FrameRecord(i, start_s + i / 30, 10.0, True, f"{i}.png") for i in range(count))
+    values: dict[str, Any] = {
+        "role": role, "source": "clip.mp4", "width": 64, "height": 48, "fps_mean": 30.0,
+        "variable_rate": False, "has_audio": True, "exif_focal_px": None, "rotation_deg": 0, "frames": records, "level": 120.0,
+    }  # fmt: skip
+    return CameraFrames(**{**values, **more})
+
+
+def sound(offset_s: float, seconds: float = 4.0) -> Sound:
+    """Noise bursts at true times 0.9, 1.3 and 2.2 s as heard by a clock that is late by `offset_s`."""
+    rng = np.random.default_rng(0)
+    samples = 0.003 * np.random.default_rng(int(1e3 * (offset_s + 5))).normal(size=int(seconds * RATE_HZ))
+    for time_s in (0.9, 1.3, 2.2):
+        at = round((time_s - offset_s) * RATE_HZ)
+        samples[at : at + 1000] += 0.3 * rng.normal(size=1000) * np.exp(-np.arange(1000) / 150)
+    return Sound(samples.astype(np.float32), RATE_HZ, 0.0)
+
+
+def context(tmp_path: Path, method: str = "auto") -> StageContext:
+    config: Any = SimpleNamespace(calibration=SimpleNamespace(sync=SimpleNamespace(method=method)))
+    out = tmp_path / "sync"
+    out.mkdir()
+    return StageContext(config, tmp_path, tmp_path, out, no_progress, "cpu")
+
+
+def write_ingest(tmp_path: Path, cameras: dict[str, CameraFrames], sounds: dict[str, Sound]) -> None:
+    folder = tmp_path / "ingest"
+    for name in ("audio", "motion"):
+        (folder / name).mkdir(parents=True)
+    entries = {}
+    for name, camera in cameras.items():
+        heard = name in sounds
+        if heard:
+            write_wav(folder / "audio" / f"{name}.wav", sounds[name])
+        entries[name] = replace(camera, has_audio=heard, audio_start_s=0.0 if heard else None)
+        still = np.stack([np.arange(59) / 30, np.ones(59)], 1)
+        np.save(folder / "motion" / f"{name}.npy", still)
+    FrameSet(entries).write(folder)
+
+
+def verdicts(rows: list[HealthRow]) -> dict[str, str]:
+    return {row.check: row.verdict for row in rows}
+
+
+def test_sync_writes_clocks_curves_and_health(tmp_path):
+    cameras = {"cam0": frames(), "cam1": frames(), "witness": frames("test")}
+    offsets = {"cam0": 0.0, "cam1": 0.25, "witness": -0.125}
+    write_ingest(tmp_path, cameras, {n: sound(o) for n, o in offsets.items()})
+    stage = context(tmp_path)
+    sync.run(stage)
+    written = json.loads((tmp_path / "sync" / "sync.json").read_text())
+    assert list(written["cameras"]) == ["cam0", "cam1", "witness"] and written["reference"] == "cam0"
+    for name, offset_s in offsets.items():
+        clock = written["cameras"][name]
+        assert clock["offset_s"] == pytest.approx(offset_s, abs=1e-4) and clock["drift_ppm"] == 0
+    assert written["shared_s"] == pytest.approx([0.25, 59 / 30 - 0.125], abs=1e-3)
+    curves = json.loads((tmp_path / "sync" / "curves.json").read_text())["curves"]
+    assert {(c["first"], c["second"]) for c in curves} >= {("cam0", "cam1"), ("cam0", "witness")}
+    assert set(verdicts(stage.health).values()) == {"ok"}
+
+
+def test_clips_that_do_not_overlap_fail(tmp_path):
+    cameras = {"cam0": frames(count=20), "cam1": frames(count=20, start_s=1.5)}
+    write_ingest(tmp_path, cameras, {n: sound(0.0 if n == "cam0" else 0.001) for n in cameras})
+    stage = context(tmp_path)
+    sync.run(stage)
+    row = next(r for r in stage.health if r.check == "time that all cameras show")
+    assert row.verdict == "fail" and "cam1: 1.50 to 2.13 s" in row.remedy
+
+
+def test_a_silent_camera_in_which_nothing_moves_fails(tmp_path):
+    write_ingest(tmp_path, {"cam0": frames(), "cam1": frames()}, {"cam0": sound(0.0)})
+    stage = context(tmp_path)
+    sync.run(stage)
+    row = next(r for r in stage.health if "confidence" in r.check)
+    assert row.verdict == "fail" and "cam1" in row.check
+    assert "camera cam1: no sound" in row.remedy and "clap" in row.remedy
+    assert json.loads((tmp_path / "sync" / "sync.json").read_text())["cameras"]["cam1"]["std_s"] is None
+
+
+def test_own_clocks_are_taken_with_a_warning(tmp_path):
+    write_ingest(tmp_path, {"cam0": frames(), "cam1": frames()}, {})
+    stage = context(tmp_path, "none")
+    sync.run(stage)
+    assert verdicts(stage.health)["cue"] == "warn"
+
+
+def test_joint_clips_have_a_clock_of_their_own(tmp_path):
+    cameras = {n: frames() for n in ("cam0", "cam1")} | {
+        n: frames("joint") for n in ("joint_cam0", "joint_cam1")
+    }
+    offsets = {"cam0": 0.0, "cam1": 0.25, "joint_cam0": 0.0, "joint_cam1": -0.5}
+    write_ingest(tmp_path, cameras, {n: sound(o) for n, o in offsets.items()})
+    sync.run(context(tmp_path))
+    written = json.loads((tmp_path / "sync" / "sync.json").read_text())
+    assert list(written["cameras"]) == ["cam0", "cam1"]
+    assert written["joint"]["cameras"]["joint_cam1"]["offset_s"] == pytest.approx(-0.5, abs=1e-4)
+
+
+def test_range_in_each_cameras_own_time():
+    sounds = {"cam0": sound(0.0), "cam1": sound(0.25)}
+    session = CaptureSession(cameras={n: Path(n) for n in ("cam0", "cam1", "silent")}, range_s=(1.0, 2.0))
+    ranges = ingest.file_ranges(session, sounds, "auto")
+    assert ranges["cam0"] == (1.0, 2.0) and "silent" not in ranges
+    margin = ingest.RANGE_MARGIN_S
+    assert ranges["cam1"] == pytest.approx((0.75 - margin, 1.75 + margin), abs=1e-3)
+    assert set(ingest.file_ranges(session, {}, "none").values()) == {(1.0, 2.0)}
+    assert ingest.file_ranges(session, sounds, "motion") == {"cam0": (1.0, 2.0)}
+    assert ingest.file_ranges(replace(session, range_s=None), sounds, "auto") == {}
+
+
+def test_health_of_a_good_and_of_a_bad_capture():
+    sweep = frames("sweep", 60)
+    good = FrameSet({"static": sweep, "cam0": frames(), "cam1": frames()})
+    assert set(verdicts(ingest.health(good)).values()) == {"ok"}
+    blurred = tuple(
+        replace(f, sharpness=1.0 if i % 3 == 0 else 10.0) for i, f in enumerate(sweep.frames[:12])
+    )
+    bad = FrameSet(
+        {
+            "static": replace(sweep, frames=blurred, notes=("mixed sizes: 9 photos of 4x3 ...",)),
+            "cam0": frames(level=60.0, missing_frames=5),
+            "cam1": frames(count=1, width=66, has_audio=False, ended_early="ends at frame 1 of 60"),
+        }
+    )
+    rows = ingest.health(bad)
+    found = {r.check: (r.verdict, r.remedy or r.value) for r in rows}
+    for check, verdict in (
+        ("pictures of the sweep", "warn"),
+        ("sharp share of the sweep", "warn"),
+        ("sizes in the sweep", "warn"),
+        ("frames of a moving camera, fewest (cam1)", "fail"),
+        ("share of frames dropped while filming, worst camera (cam0)", "warn"),
+        ("exposure between cameras, cam1 against cam0", "warn"),
+        ("cam1 is whole", "warn"),
+    ):
+        assert found[check][0] == verdict, (check, found)
+    assert found["sound"] == ("ok", "silent: cam1")
+    assert "cam1: 66x48" in str(found["sizes of the moving cameras"][1])
