@@ -24,7 +24,8 @@ def frames(role: Any = "camera", count: int = 60, start_s: float = 0.0, **more: 
     records = tuple(FrameRecord(i, start_s + i / 30, 10.0, True, f"{i}.png") for i in range(count))
     values: dict[str, Any] = {
         "role": role, "source": "clip.mp4", "width": 64, "height": 48, "fps_mean": 30.0,
-        "variable_rate": False, "has_audio": True, "exif_focal_px": None, "rotation_deg": 0, "frames": records, "level": 120.0,
+        "variable_rate": False, "has_audio": True, "exif_focal_px": None, "rotation_deg": 0,
+        "frames": records, "level": 120.0,
     }  # fmt: skip
     return CameraFrames(**{**values, **more})
 
