@@ -47,7 +47,7 @@ def _charts(run: RunFolder, stage: str) -> str:
     if not rows:
         return ""
     iterations = [as_float(row.get("iteration")) for row in rows]
-    losses = [key for key in rows[0] if key not in LABELS and isinstance(rows[0][key], (int, float))]
+    losses = [str(key) for key in rows[0] if key not in LABELS and isinstance(rows[0][key], (int, float))]
     marks = [
         (as_float(row.get("iteration")), f"level {row['level']:.0f}")
         for before, row in zip(rows, rows[1:], strict=False)
@@ -55,7 +55,7 @@ def _charts(run: RunFolder, stage: str) -> str:
     ]
     psnr = Series("PSNR", iterations, [as_float(row.get("psnr")) for row in rows])
     lines = [
-        Series(LOSSES.get(key, key), iterations, [as_float(row.get(key)) for row in rows], n)
+        Series(LOSSES.get(key) or key, iterations, [as_float(row.get(key)) for row in rows], n)
         for n, key in enumerate(losses[:COLOURS])
     ]
     return line_chart([psnr], "iteration", "PSNR of training rays, dB", x_marks=marks) + line_chart(

@@ -47,9 +47,9 @@ class Page(HTMLParser):
         self.close()
 
     def handle_starttag(self, tag, attrs):
-        values = dict(attrs)
-        self.ids.update([values["id"]] if values.get("id") else [])
-        self.addresses += [str(values[k]) for k in ("src", "href", "srcset", "action", "data") if k in values]
+        values = {name: value or "" for name, value in attrs}
+        self.ids.update([values["id"]] if "id" in values else [])
+        self.addresses += [values[k] for k in ("src", "href", "srcset", "action", "data") if k in values]
         if "data-key" in values:
             self.numbers.append((values["data-file"], values["data-key"], float(values["data-value"])))
         if tag not in self.VOID:
@@ -464,17 +464,14 @@ def test_formats_page_lists_every_key_and_its_default():
 def _keys(model: type[BaseModel], prefix: str = "") -> list[tuple[str, object]]:
     found = []
     for name, field in model.model_fields.items():
-        inner = [a for a in (field.annotation, *get_args(field.annotation)) if _is_section(a)]
+        kinds = (field.annotation, *get_args(field.annotation))
+        inner = [a for a in kinds if isinstance(a, type) and issubclass(a, BaseModel)]
         if inner and not field.is_required() and field.default is not None:
             found += _keys(inner[0], f"{prefix}{name}.")
         else:
             found.append((f"{prefix}{name}", field.default))
             found += _keys(inner[0], f"{prefix}{name}.") if inner else []
     return found
-
-
-def _is_section(annotation: object) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def test_command_reports_a_run_that_has_not_come_to_its_end(tmp_path):
