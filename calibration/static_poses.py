@@ -9,7 +9,7 @@ frame of the mapper; `rig` finds the metric scale.
 import json
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -159,7 +159,7 @@ def recover_static_poses(
         )
     }
     (out / "static_poses.json").write_text(json.dumps(report, indent=1))
-    return model
+    return replace(model, report=report)
 
 
 def read_static_poses(folder: Path) -> SweepModel:
