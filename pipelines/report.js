@@ -41,7 +41,7 @@ function drawSpace(root) {
   const canvas = root.querySelector("canvas"), pen = canvas.getContext("2d");
   const up = unit(data.up);
   const east = unit(cross(Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0], up)), north = cross(up, east);
-  const start = { yaw: Math.atan2(dot(data.from, north), dot(data.from, east)) + 0.5, pitch: 0.5, distance: data.radius * 2.3, target: data.target.slice() };
+  const start = { yaw: Math.atan2(dot(data.from, north), dot(data.from, east)) + 0.5, pitch: 0.5, distance: data.radius * 2.6, target: data.target.slice() };
   let view = { ...start };
   const hidden = new Set();
   const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();

@@ -12,7 +12,8 @@ from html import escape
 COLOURS = 6  # --s0 .. --s5 in report.css
 CHART_WIDTH, CHART_HEIGHT = 480, 250  # text stays readable when a phone shows the chart at 340 px
 SMALL_WIDTH, SMALL_HEIGHT = 340, 190  # for three charts in a row
-MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 56, 12, 10, 44
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 58, 22, 10, 44
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MAX_CHART_POINTS = 400  # more cannot be seen on 480 units, and only make the page heavy
 
 
@@ -136,8 +137,12 @@ def _log_ticks(low: float, high: float) -> list[float]:
 
 
 def _power_text(exponent: float) -> str:
-    value = 10.0**exponent
-    return f"{value:.0e}" if value < 1e-4 or value >= 1e5 else f"{value:.6g}"
+    if -3 <= exponent < 5:
+        return f"{10.0**exponent:.6g}"
+    power = math.floor(exponent + 1e-9)
+    mantissa = round(10.0 ** (exponent - power))
+    raised = f"10{str(power).translate(SUPERSCRIPT)}"
+    return raised if mantissa == 1 else f"{mantissa}·{raised}"
 
 
 def _tick_text(value: float, all_ticks: Sequence[float]) -> str:
