@@ -29,7 +29,11 @@ def capture_section(run: RunFolder) -> str:
     lead = "What was filmed, as the decoder found it."
     cameras = run.cameras(INGEST)
     if cameras:
-        body = _cameras_table(cameras) + _strip(_ingest_pictures(run.path, cameras))
+        boards = {n: c for n, c in cameras.items() if c.get("role") in ("board", "joint")}
+        filmed = {n: c for n, c in cameras.items() if n not in boards}
+        body = _cameras_table(cameras) + _strip(_ingest_pictures(run.path, filmed))
+        strip = _strip(_ingest_pictures(run.path, boards))
+        body += f"<details><summary>Board clips</summary>{strip}</details>" if strip else ""
         return section("capture", "Capture", lead, body)
     pictures = _dataset_pictures(run.path)
     if not pictures:
@@ -45,11 +49,6 @@ def _cameras_table(cameras: dict[str, Any]) -> str:
         frames = camera.get("frames") or []
         used = sum(bool(f.get("used")) for f in frames)
         rate = number(camera.get("fps_mean"), "", 2, file=INGEST, key=f"{key}.fps_mean", why="pictures")
-        notes = list(camera.get("notes") or [])
-        if camera.get("rotation_deg"):
-            notes.insert(0, f"turned by {camera['rotation_deg']}°")
-        if camera.get("variable_rate"):
-            notes.insert(0, "variable frame rate")
         rows.append(
             [
                 f"<strong>{text(name)}</strong><br><code>{text(camera.get('source', ''))}</code>",
@@ -58,11 +57,22 @@ def _cameras_table(cameras: dict[str, Any]) -> str:
                 rate if camera.get("fps_mean") else '<span class="none">pictures</span>',
                 f"{used} of {len(frames)}",
                 "yes" if camera.get("has_audio") else "no",
-                text("; ".join(map(str, notes))),
+                text("; ".join(_notes(camera))),
             ]
         )
     head = ("camera", "role", "size, px", "frames/s", "frames used", "sound", "notes")
     return table(head, rows, source=INGEST, numeric=(2, 3, 4))
+
+
+def _notes(camera: dict[str, Any]) -> list[str]:
+    notes = [str(note) for note in camera.get("notes") or []]
+    if camera.get("ended_early"):
+        notes.insert(0, str(camera["ended_early"]))
+    if camera.get("missing_frames"):
+        notes.insert(0, f"{camera['missing_frames']} frames missing")
+    if camera.get("variable_rate") and not any("variable" in note for note in notes):
+        notes.insert(0, "variable frame rate")
+    return notes
 
 
 def _ingest_pictures(run_dir: Path, cameras: dict[str, Any]) -> list[tuple[str, list[tuple[Path, str]]]]:
@@ -123,4 +133,4 @@ def _strip(rows: Sequence[tuple[str, list[tuple[Path, str]]]]) -> str:
             wide = " wide" if len(figures) > CAMERA_THUMBNAILS else ""
             strip = f'<div class="strip">{"".join(figures)}</div>'
             out.append(f'<div class="reel{wide}"><h3>{text(name)}</h3>{strip}</div>')
-    return f'<div class="reels">{"".join(out)}</div>'
+    return f'<div class="reels">{"".join(out)}</div>' if out else ""
