@@ -23,7 +23,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
-from devrf.reconstruct.metrics import SSIM_TAPS, moving_pixels, score
+from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, moving_pixels
 
 Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
 """`render(camera, time)`: RGB of a camera in the box frame at a time in [0, 1]; None: the scene at rest."""
@@ -125,18 +125,19 @@ class _Session:
         rest = self._at_rest(camera)
         rendered = self._timed(camera, frame.time)
         true_features = self._features(true)
+        moved, still = Comparison(rendered, true), Comparison(rest, true)
         view = {
             **_identity(frame),
-            "scores": self._scores(rendered, true, true_features),
-            "rest_scores": self._scores(rest, true, true_features),
+            "scores": _scored(moved.whole()) | self._lpips(rendered, true_features),
+            "rest_scores": _scored(still.whole()) | self._lpips(rest, true_features),
             "moving": None,
             "rest_moving": None,
             "moving_share": None,
         }
         if (frame.time or 0.0) > first + SAME_TIME:
             where = moving_pixels(true, rest)
-            view["moving"] = _part(rendered, true, where)
-            view["rest_moving"] = _part(rest, true, where)
+            view["moving"] = _scored(moved.part(where))
+            view["rest_moving"] = _scored(still.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
         pictures = {"true": true, "rendered": rendered}
         if extra:
@@ -153,7 +154,8 @@ class _Session:
             pictures["error"] = _error_map(rendered, true)
         return {
             **_identity(frame),
-            "scores": self._scores(rendered, true, self._features(true)),
+            "scores": _scored(Comparison(rendered, true).whole())
+            | self._lpips(rendered, self._features(true)),
             "files": self._save(frame, pictures),
         }
 
@@ -185,9 +187,8 @@ class _Session:
             return {}
         return {name: net.features(picture) for name, net in self.lpips.nets.items()}
 
-    def _scores(self, picture: np.ndarray, true: np.ndarray, true_features: Mapping[str, Any]) -> Scored:
-        whole = score(picture, true)
-        scores: Scored = {"psnr": whole.psnr, "ssim": whole.ssim, "lpips_vgg": None, "lpips_alex": None}
+    def _lpips(self, picture: np.ndarray, true_features: Mapping[str, Any]) -> Scored:
+        scores: Scored = {"lpips_vgg": None, "lpips_alex": None}
         for name, features in self._features(picture).items():
             scores[f"lpips_{name}"] = self.lpips.nets[name].distance(features, true_features[name])
         return scores
@@ -205,9 +206,8 @@ class _Session:
         return files
 
 
-def _part(picture: np.ndarray, true: np.ndarray, where: np.ndarray) -> Scored:
-    part = score(picture, true, where)
-    return {"psnr": part.psnr, "ssim": part.ssim}
+def _scored(scores: Scores) -> Scored:
+    return {"psnr": scores.psnr, "ssim": scores.ssim}
 
 
 def _identity(frame: PosedFrame) -> dict[str, Any]:

@@ -28,24 +28,30 @@ class Scores:
     ssim: float | None
 
 
-def score(rendered: Picture, true: Picture, where: Bool[np.ndarray, "height width"] | None = None) -> Scores:
-    """PSNR and SSIM over a picture, or over the pixels `where`.
+class Comparison:
+    """A rendered picture beside the true one; scores over the whole and over parts."""
 
-    Over a part, SSIM is the mean of its map over those pixels whose whole window lies in the picture. None
-    where no pixel is left.
-    """
-    if where is None:
-        valid_map = ssim_map(rendered, true)
-        return Scores(psnr(rendered, true), float(valid_map.mean()) if valid_map.size else None)
-    if not where.any():
-        return Scores(None, None)
-    valid_map = ssim_map(rendered, true)
-    r = SSIM_TAPS // 2
-    inner = where[r:-r, r:-r] if valid_map.size else np.zeros((0, 0), dtype=bool)
-    return Scores(
-        psnr(rendered[where], true[where]),
-        float(valid_map[inner].mean()) if inner.any() else None,
-    )
+    def __init__(self, rendered: Picture, true: Picture) -> None:
+        self._rendered, self._true = rendered, true
+        self._ssim = ssim_map(rendered, true)
+
+    def whole(self) -> Scores:
+        """PSNR and SSIM over the picture."""
+        return Scores(psnr(self._rendered, self._true), float(self._ssim.mean()) if self._ssim.size else None)
+
+    def part(self, where: Bool[np.ndarray, "height width"]) -> Scores:
+        """PSNR and SSIM over the pixels `where`; None where no pixel is left.
+
+        SSIM is the mean of its map over those pixels whose whole window lies in the picture.
+        """
+        if not where.any():
+            return Scores(None, None)
+        r = SSIM_TAPS // 2
+        inner = where[r:-r, r:-r] if self._ssim.size else np.zeros((0, 0), dtype=bool)
+        return Scores(
+            psnr(self._rendered[where], self._true[where]),
+            float(self._ssim[inner].mean()) if inner.any() else None,
+        )
 
 
 def psnr(rendered: Float[np.ndarray, "*batch 3"], true: Float[np.ndarray, "*batch 3"]) -> float:

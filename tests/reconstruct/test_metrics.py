@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from devrf.reconstruct.metrics import moving_pixels, psnr, score, ssim_map
+from devrf.reconstruct.metrics import Comparison, moving_pixels, psnr, ssim_map
 
 
 def picture(height: int = 40, width: int = 50, seed: int = 0) -> np.ndarray:
@@ -50,9 +50,9 @@ def test_ssim_is_that_of_kornia_on_whole_windows():
 
 def test_picture_smaller_than_the_window_has_no_ssim():
     small = picture(10, 30)
-    assert score(small, small).ssim is None
-    assert score(small, small, np.ones((10, 30), bool)).ssim is None
-    assert score(small, small).psnr == 100
+    assert Comparison(small, small).whole().ssim is None
+    assert Comparison(small, small).part(np.ones((10, 30), bool)).ssim is None
+    assert Comparison(small, small).whole().psnr == 100
 
 
 def test_score_over_a_part_sees_only_that_part():
@@ -61,13 +61,13 @@ def test_score_over_a_part_sees_only_that_part():
     rendered[:, 30:] = 0
     left, right = np.zeros((2, 40, 50), bool)
     left[:, :20], right[:, 40:] = True, True
-    assert score(rendered, true, left).psnr == 100
-    assert score(rendered, true, left).ssim == pytest.approx(1)
-    assert score(rendered, true, right).psnr == pytest.approx(psnr(rendered[right], true[right]))
-    whole = score(rendered, true, np.ones((40, 50), bool))
-    assert whole.psnr == pytest.approx(score(rendered, true).psnr)
-    assert whole.ssim == pytest.approx(score(rendered, true).ssim)
-    nothing = score(rendered, true, np.zeros((40, 50), bool))
+    assert Comparison(rendered, true).part(left).psnr == 100
+    assert Comparison(rendered, true).part(left).ssim == pytest.approx(1)
+    assert Comparison(rendered, true).part(right).psnr == pytest.approx(psnr(rendered[right], true[right]))
+    whole = Comparison(rendered, true).part(np.ones((40, 50), bool))
+    assert whole.psnr == pytest.approx(Comparison(rendered, true).whole().psnr)
+    assert whole.ssim == pytest.approx(Comparison(rendered, true).whole().ssim)
+    nothing = Comparison(rendered, true).part(np.zeros((40, 50), bool))
     assert nothing.psnr is None and nothing.ssim is None
 
 
