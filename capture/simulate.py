@@ -44,6 +44,7 @@ from devrf.capture.simulate_sensor import (
     board_picture,
     board_poses,
     expose,
+    load_mitsuba,
 )
 
 SCENES = {
@@ -87,6 +88,7 @@ def simulate_session(
     """
     options = options or SessionOptions()
     _check(out, scene, cameras, size, protocol, options)
+    load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
     contrast = options.texture_contrast
     still = room(seeds[0], contrast)
@@ -322,6 +324,12 @@ def _marker_m(options: SessionOptions) -> float:
     return round(0.75 * options.board_square_m, 6)
 
 
+def _rest(fixed: list[FixedCamera], options: SessionOptions) -> str:
+    """Whether the first moment that all cameras record is still at rest."""
+    from_s = max(camera.offset_s for camera in fixed)
+    return "start" if from_s <= options.rest_s or options.motion_scale == 0 else "none"
+
+
 def _scene_yaml(scene: str, fixed: list[FixedCamera], options: SessionOptions) -> str:
     names = [c.name for c in fixed]
     clips = ", ".join(f"{n}: {n}.mp4" for n in names[:-1])
@@ -334,7 +342,7 @@ def _scene_yaml(scene: str, fixed: list[FixedCamera], options: SessionOptions) -
         "  static: static.mp4               # the sweep of the scene at rest",
         f"  cameras: {{{clips}}}",
         f"  test_cameras: {{{names[-1]}: {names[-1]}.mp4}}    # never trained on",
-        "  rest: start                      # the moving clips begin with the scene as in the sweep",
+        f"  rest: {_rest(fixed, options):<29}# when the moving clips show the scene as in the sweep",
     ]
     if options.board:
         columns, rows = options.board_squares

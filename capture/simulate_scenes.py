@@ -110,7 +110,7 @@ def _sheet(rng: np.random.Generator, contrast: float, motion_scale: float) -> Mo
         swing = 0.20 * np.sin(w) + 0.16 * np.sin(w - 2.2 * s + 2.0 * y0 + phases[0])
         wave = 0.26 * s * np.sin(1.6 * w - 5.0 * s + 3.0 * y0 / SHEET_WIDTH_M + phases[1])
         angle = folds + amount * (swing + wave)
-        sway = amount * 0.17 * np.sin(0.8 * w + phases[2] * s) * s
+        sway = amount * 0.26 * np.sin(0.8 * w + phases[2] * s) * s
         ds = SHEET_HEIGHT_M / (rows - 1)
         steps = np.stack(
             [np.sin(angle) * np.cos(sway), np.sin(sway) * np.ones_like(angle), -np.cos(angle) * np.cos(sway)],
@@ -135,12 +135,13 @@ def _sheet(rng: np.random.Generator, contrast: float, motion_scale: float) -> Mo
 def _column(rng: np.random.Generator, contrast: float, motion_scale: float) -> MovingObject:
     """A soft column on a plinth that bends, twists and is squashed; its foot does not move."""
     rows, around = 56, 72
-    s = np.linspace(0, 1, rows)[:, None]
-    turn = np.linspace(0, 2 * np.pi, around)[None, :]  # the seam's vertices are there twice
+    rise = np.linspace(0, np.pi / 2, 17)[1:]  # angle along the rounded top
+    s = np.concatenate([np.linspace(0, 0.85, rows - 16), 0.85 + 0.15 * np.sin(rise)])[:, None]
+    turn = np.linspace(np.pi, 3 * np.pi, around)[None, :]  # the seam, there twice, is behind
     phases = rng.uniform(-0.4, 0.4, 4)
     bulges = 1 + 0.10 * np.sin(2 * np.pi * 1.3 * s + 0.6) + 0.07 * np.cos(3 * turn + 2 * s)
-    cap = np.sqrt(np.clip(1 - ((s - 0.85) / 0.15).clip(0) ** 2, 0, 1))  # a rounded, closed top
-    radius = COLUMN_RADIUS_M * bulges * cap
+    cap = np.concatenate([np.ones(rows - 16), np.cos(rise)])[:, None]
+    radius = COLUMN_RADIUS_M * bulges * np.maximum(cap, 0.005)  # a last ring of 1 mm keeps its normals
 
     def vertices_at(time_s: float) -> np.ndarray:
         amount = motion_scale * _smoothstep(time_s / START_S)
@@ -149,7 +150,7 @@ def _column(rng: np.random.Generator, contrast: float, motion_scale: float) -> M
         bend_x = amount * s * (0.50 * np.sin(w) + 0.16 * np.sin(1.7 * w - 2 * s + phases[0]))
         bend_y = amount * s * (0.45 * np.sin(0.8 * w + phases[1] * s) + 0.12 * np.sin(1.9 * w - 3 * s))
         twist = amount * 0.7 * s * np.sin(1.1 * w)
-        ds = squash * COLUMN_HEIGHT_M / (rows - 1)
+        ds = squash * COLUMN_HEIGHT_M * np.diff(s, axis=0)
         axis = np.concatenate(
             [np.sin(bend_x), np.sin(bend_y) * np.cos(bend_x), np.cos(bend_y) * np.cos(bend_x)], -1
         )

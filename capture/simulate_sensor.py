@@ -33,24 +33,29 @@ VIDEO_TIME_BASE = Fraction(1, 90_000)
 SOUND_BLOCK = 1024  # samples in an AAC frame
 
 
-class Renderer:
-    """Renders a room that does not change and meshes that do.
+def load_mitsuba() -> Any:
+    """The renderer, ready to use; it is an optional dependency and slow to import, so it is loaded late.
 
     Raises:
-        InputError: Mitsuba is not installed.
+        InputError: It is not installed.
     """
+    try:
+        import mitsuba
+    except ImportError as error:
+        raise InputError(
+            "simulate needs the renderer mitsuba, which is not installed; "
+            "install it with: pip install devrf[simulate]"
+        ) from error
+    mitsuba.set_variant("scalar_rgb")
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    return mitsuba
+
+
+class Renderer:
+    """Renders a room that does not change and meshes that do."""
 
     def __init__(self, still: list[Mesh], spp: int) -> None:
-        try:
-            import mitsuba
-        except ImportError as error:
-            raise InputError(
-                "simulate needs the renderer mitsuba, which is not installed; "
-                "install it with: pip install devrf[simulate]"
-            ) from error
-        mitsuba.set_variant("scalar_rgb")
-        mitsuba.set_log_level(mitsuba.LogLevel.Error)
-        self._mi: Any = mitsuba
+        self._mi = load_mitsuba()
         self._spp = max(1, round(spp / FINE**2))
         self._surfaces: dict[int, tuple[np.ndarray, Any, Any]] = {}
         self._still = self._shapes(still)

@@ -55,8 +55,9 @@ def test_sweep_goes_all_around_at_two_heights_and_sees_the_board() -> None:
     half = np.array([*OPTIONS.board_squares, 0]) * OPTIONS.board_square_m / 2
     middle = pose[:3, :3] @ half + pose[:3, 3]
     pixels = np.array([c.project(middle) for c in sweep])
-    facing = [(middle - c.centre) @ pose[:3, 2] > 0.5 * np.linalg.norm(middle - c.centre) for c in sweep]
-    inside = (pixels > 0).all(1) & (pixels < [480, 360]).all(1) & facing
+    ways = np.array([(middle - c.centre) / np.linalg.norm(middle - c.centre) for c in sweep])
+    facing = ways @ pose[:3, 2] > 0.5
+    inside = (pixels > 0).all(axis=1) & (pixels < np.array([480, 360])).all(axis=1) & facing
     assert inside.sum() >= 15
 
 
