@@ -6,7 +6,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-DEMO := examples/room
+DEMO := examples/waving-sheet
 DEMO_OUT := runs/demo
 
 .PHONY: demo test venv clean

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-EXAMPLE = REPOSITORY / "examples" / "room"
+EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 
 
