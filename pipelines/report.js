@@ -97,7 +97,10 @@ function drawSpace(root) {
         pen.font = "12px system-ui, sans-serif";
         for (const cam of group.cameras) {
           const q = see(cam.centre);
-          if (q[2] > near) { const s = flat(q); pen.beginPath(); pen.arc(s[0], s[1], 3, 0, 7); pen.fill(); pen.fillText(cam.name, s[0] + 7, s[1] - 6); }
+          if (q[2] > near) { const s = flat(q); pen.beginPath(); pen.arc(s[0], s[1], 3, 0, 7); pen.fill();
+            pen.save(); pen.lineWidth = 4; pen.lineJoin = "round"; pen.strokeStyle = colour("--panel"); // a halo, to be read before points
+            pen.strokeText(cam.name, s[0] + 7, s[1] - 6); pen.restore(); pen.fillText(cam.name, s[0] + 7, s[1] - 6);
+          }
         }
       }
     }

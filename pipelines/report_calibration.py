@@ -116,12 +116,9 @@ def _rig(run: RunFolder) -> str:
         )
     scale = rig.get("scale") or {}
     words = "Metric scale" if metric else "Arbitrary scale"
-    spread = (
-        number(scale.get("std"), "", 4, file=RIG, key="scale.std") if scale.get("std") is not None else ""
-    )
-    scale_line = f"{words}; source: {text(scale.get('source', 'not said'))}" + (
-        f"; std. deviation {spread}" if spread else ""
-    )
+    spread = number(scale.get("std"), "%", 2, file=RIG, key="scale.std", scale=100.0)
+    spread = f"; standard deviation {spread}" if scale.get("std") is not None else ""
+    scale_line = f"{words}; source: {text(scale.get('source', 'not said'))}{spread}"
     head = (
         "camera",
         "size, px",

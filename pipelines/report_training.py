@@ -47,9 +47,9 @@ def _charts(run: RunFolder, stage: str) -> str:
     if not rows:
         return ""
     iterations = [as_float(row.get("iteration")) for row in rows]
-    losses = [str(key) for key in rows[0] if key not in LABELS and isinstance(rows[0][key], (int, float))]
+    losses = [str(key) for key in dict.fromkeys(k for row in rows for k in row) if key not in LABELS]
     marks = [
-        (as_float(row.get("iteration")), f"level {row['level']:.0f}")
+        (as_float(row.get("iteration")), f"level {row['level'] + 1:.0f}")
         for before, row in zip(rows, rows[1:], strict=False)
         if isinstance(row.get("level"), (int, float)) and row["level"] != before.get("level")
     ]

@@ -384,7 +384,7 @@ def test_no_damaged_file_stops_it(full_run, tmp_path, file, content):
 
 def test_curves_are_drawn(full_run):
     html, page = _page(full_run)
-    for words in ("PSNR of training rays, dB", "cam0 and wit<b>ness: audio", "level 1", "PSNR, dB"):
+    for words in ("PSNR of training rays, dB", "cam0 and wit<b>ness: audio", "level 2", "PSNR, dB"):
         assert words in page.text
     assert html.count("<svg") == 2 * 2 + 1 + 1
 
