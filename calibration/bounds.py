@@ -20,8 +20,8 @@ from devrf.capture.scene import Kind
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
 GRID = 64  # cells per axis of the visual hull
 HULL_REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
-HULL_MARGIN = 1.25  # the masks are coarse, and motion blur and thin parts are missed
-COMPONENT_SHARE = 0.05  # smaller pieces of the hull are noise
+HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
+COMPONENT_SHARE = 0.15  # pieces of the hull smaller than this share of the largest are noise and shadows
 POINT_REACH = (
     0.9  # points farther from the focus than this share of the median camera distance are surroundings
 )
@@ -188,7 +188,7 @@ def visual_hull(
     labels, _ = ndimage.label(keep.reshape(GRID, GRID, GRID), structure=np.ones((3, 3, 3)))
     sizes = np.bincount(labels.reshape(-1))
     sizes[0] = 0
-    large = np.isin(labels.reshape(-1), np.flatnonzero(sizes >= COMPONENT_SHARE * sizes.sum()))
+    large = np.isin(labels.reshape(-1), np.flatnonzero(sizes >= COMPONENT_SHARE * sizes.max()))
     cell = 2 * reach / GRID
     return cells[large].min(0) - cell / 2, cells[large].max(0) + cell / 2
 
