@@ -29,12 +29,18 @@ def masked_step(
     lr: float,
     betas: tuple[float, float],
     eps: float,
+    flag: Float[Tensor, " V"] | None = None,
 ) -> None:
-    """One step on the listed vertices, in place; `step` counts from 1."""
+    """One step on the listed vertices, in place; `step` counts from 1.
+
+    Where `flag` is given, vertices whose flag is 0 are known to have no gradient and are passed over unread.
+    """
     rate, root = _corrected(step, lr, betas)
     if use_warp(values.device):
-        arguments = [array(x) for x in (values, grad, moment1, moment2, vertices)]
-        launch(_masked, len(vertices), [*arguments, rate, root, *betas, eps], values.device)
+        flags = values.new_zeros(1) if flag is None else flag
+        arguments = [array(x) for x in (values, grad, moment1, moment2, vertices, flags)]
+        numbers = [int(flag is not None), rate, root, *betas, eps]
+        launch(_masked, len(vertices), [*arguments, *numbers], values.device)
         return
     g = grad[vertices]
     touched = g != 0
@@ -96,6 +102,8 @@ def _masked(
     moment1: wp.array2d(dtype=float),
     moment2: wp.array2d(dtype=float),
     vertices: wp.array(dtype=wp.int64),
+    flag: wp.array(dtype=float),
+    has_flag: int,
     rate: float,
     root: float,
     beta1: float,
@@ -103,6 +111,9 @@ def _masked(
     eps: float,
 ):
     v = int(vertices[first + wp.tid()])
+    if has_flag == 1:
+        if flag[v] == 0.0:
+            return
     for c in range(values.shape[1]):
         g = grad[v, c]
         if g != 0.0:

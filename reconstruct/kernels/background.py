@@ -32,7 +32,7 @@ class Surroundings:
 
     Attributes:
         grid: Raw density and raw red, green, blue at vertices of the contracted cube.
-        distance: Vertices to the nearest occupied vertex (occupancy.py).
+        empty: 0 where a vertex is occupied, anything else where samples are skipped.
         aabb: The box in the middle [2, 3], on the CPU.
         shift: Added to the raw density before the softplus.
         interval: Step length in base voxels.
@@ -41,7 +41,7 @@ class Surroundings:
     """
 
     grid: Float[Tensor, "X Y Z 4"]
-    distance: UInt8[Tensor, "X Y Z"]
+    empty: UInt8[Tensor, "X Y Z"]
     aabb: Float[Tensor, "2 3"]
     shift: float
     interval: float
@@ -55,6 +55,7 @@ def background(
     closed: bool,
     target: Float[Tensor, "R 3"] | None = None,
     grid_grad: Float[Tensor, "X Y Z 4"] | None = None,
+    seen: Float[Tensor, "X Y Z"] | None = None,
 ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, " R"]]:
     """Render the surroundings along ray segments; differentiable in the grid.
 
@@ -64,6 +65,7 @@ def background(
         closed: The segment ends at infinity: what is left takes the colour of the cube's face there.
         target: True colours, for the third result.
         grid_grad: Where given, the grid's gradient is added here instead of being returned to autograd.
+        seen: Where given, raised to the largest weight of a sample nearest to each vertex (Warp only).
     Returns:
         Colours [R, 3]; transmittance left [R] (0 where closed); per ray the sum of weight times squared
         distance of each sample's colour from `target` (0 without), whose gradient reaches the colours only.
@@ -72,7 +74,7 @@ def background(
         return background_ref(rays, surroundings, closed, target)
     grid = surroundings.grid if grid_grad is None else surroundings.grid.detach().requires_grad_()
     wanted = target if target is not None else rays.rays_o
-    return _Background.apply(grid, rays, surroundings, closed, wanted, target is not None, grid_grad)  # type: ignore[return-value]
+    return _Background.apply(grid, rays, surroundings, closed, wanted, target is not None, grid_grad, seen)  # type: ignore[return-value]
 
 
 def contract(u: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
@@ -100,7 +102,7 @@ def background_ref(
         u = u0 + t[:, None] * du
         y = contract(u)
         vertex = ((y + 2) / 4 * last + 0.5).floor().long().clamp(min=torch.zeros_like(last), max=last)
-        valid = (t < rays.t_out) & (surroundings.distance[tuple(vertex.unbind(-1))] == 0) & (trans >= STOP)
+        valid = (t < rays.t_out) & (surroundings.empty[tuple(vertex.unbind(-1))] == 0) & (trans >= STOP)
         raw = trilinear_ref(surroundings.grid, y, cube)
         alpha = 1 - torch.exp(-surroundings.interval * F.softplus(raw[:, 0] + surroundings.shift))
         alpha = torch.where(valid & (alpha > surroundings.alpha_threshold), alpha, 0.0)
@@ -128,17 +130,21 @@ class _Background(torch.autograd.Function):
         target: Tensor,
         has_target: bool,
         grid_grad: Tensor | None,
+        seen: Tensor | None,
     ) -> tuple[Tensor, Tensor, Tensor]:
         n, device = len(rays.t_in), grid.device
         shared = _arguments(rays, surroundings, closed, target, has_target)
         rgb, left, per_point = (torch.empty(n, *shape, device=device) for shape in ((3,), (), ()))
-        launch(_forward, n, [*shared, array(rgb, wp.vec3), array(left), array(per_point)], device)
+        outputs = [array(rgb, wp.vec3), array(left), array(per_point)]
+        most = torch.zeros(1, 1, 1, device=device) if seen is None else seen
+        arguments = [*shared, *outputs, array(most), int(seen is not None)]
+        launch(_forward, n, arguments, device, scatters=seen is not None)
         ctx.save_for_backward(rgb, left)
         ctx.rest = rays, surroundings, closed, target, has_target, grid_grad
         return rgb, left, per_point
 
     @staticmethod
-    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, None, None, None, None, None, None]:
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Any, ...]:
         rgb, left = ctx.saved_tensors
         rays, surroundings, closed, target, has_target, grid_grad = ctx.rest
         out = grid_grad if grid_grad is not None else torch.zeros_like(surroundings.grid)
@@ -149,7 +155,7 @@ class _Background(torch.autograd.Function):
             *(array(rgb_grad, wp.vec3), array(left_grad), array(point_grad), array(out, vec4)),
         ]
         launch(_backward, len(left), arguments, out.device, scatters=True)
-        return out if grid_grad is None else None, None, None, None, None, None, None
+        return out if grid_grad is None else None, *(None,) * 7
 
 
 def _arguments(
@@ -161,7 +167,7 @@ def _arguments(
     return [
         *(array(rays.rays_o.contiguous(), wp.vec3), array(rays.rays_d.contiguous(), wp.vec3)),
         *(array(rays.t_in), array(rays.t_out), array(rays.jitter)),
-        *(array(surroundings.grid, vec4), array(surroundings.distance), wp.vec3(*centre), wp.vec3(*per_half)),
+        *(array(surroundings.grid, vec4), array(surroundings.empty), wp.vec3(*centre), wp.vec3(*per_half)),
         *(surroundings.shift, surroundings.interval, surroundings.step, surroundings.alpha_threshold),
         *(int(closed), array(target.contiguous(), wp.vec3), int(has_target)),
     ]
@@ -242,7 +248,7 @@ def _forward(
     t_out: wp.array(dtype=float),
     jitter: wp.array(dtype=float),
     grid: wp.array3d(dtype=vec4),
-    distance: wp.array3d(dtype=wp.uint8),
+    empty: wp.array3d(dtype=wp.uint8),
     centre: wp.vec3,
     per_half: wp.vec3,
     shift: float,
@@ -255,6 +261,8 @@ def _forward(
     rgb: wp.array(dtype=wp.vec3),
     left: wp.array(dtype=float),
     per_point: wp.array(dtype=float),
+    seen: wp.array3d(dtype=float),
+    has_seen: int,
 ):
     n = first + wp.tid()
     u0 = wp.cw_mul(rays_o[n] - centre, per_half)
@@ -271,7 +279,7 @@ def _forward(
         q = index_of(u, r, grid)
         if (
             int(
-                distance[
+                empty[
                     nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])
                 ]
             )
@@ -282,6 +290,11 @@ def _forward(
             if alpha > alpha_threshold:
                 c = colour_of(v)
                 total += c * (trans * alpha)
+                if has_seen == 1:
+                    i = nearest(q[0], grid.shape[0])
+                    j = nearest(q[1], grid.shape[1])
+                    k = nearest(q[2], grid.shape[2])
+                    wp.atomic_max(seen, i, j, k, trans * alpha)
                 if has_target == 1:
                     apart += trans * alpha * wp.length_sq(c - target[n])
                 trans *= 1.0 - alpha
@@ -307,7 +320,7 @@ def _backward(
     t_out: wp.array(dtype=float),
     jitter: wp.array(dtype=float),
     grid: wp.array3d(dtype=vec4),
-    distance: wp.array3d(dtype=wp.uint8),
+    empty: wp.array3d(dtype=wp.uint8),
     centre: wp.vec3,
     per_half: wp.vec3,
     shift: float,
@@ -339,7 +352,7 @@ def _backward(
         q = index_of(u, r, grid)
         if (
             int(
-                distance[
+                empty[
                     nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])
                 ]
             )

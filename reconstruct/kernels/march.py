@@ -4,9 +4,9 @@
 """Find the samples along rays that matter: inside the box, in occupied space, visible and not transparent.
 
 No gradient passes here: the march decides where to look, the renderer then looks again at the few places
-found (a twentieth of all samples or less) and differentiates. Where the scene moves, a sample at x is looked up
-at x + motion(x, time of its ray) in the scene at rest; a motion that leads out of the box leads to empty space
-(the published program reads fog there) and is counted.
+found (a twentieth of all samples or less) and differentiates. Where the scene moves, a sample at x is looked
+up at x + motion(x, time of its ray) in the scene at rest; a motion that leads out of the box leads to empty
+space (the published program reads fog there) and is counted.
 """
 
 from dataclasses import dataclass

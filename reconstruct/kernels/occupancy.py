@@ -18,7 +18,7 @@ from torch import Tensor
 from devrf.reconstruct.kernels.launch import array, box_arguments, launch, use_warp
 from devrf.reconstruct.kernels.quad import motion_at_time, quad_ref
 
-REACH = 12  # vertices; farther leaps would save little and cost more to prepare
+REACH = 6  # vertices; farther leaps would save little and cost more to prepare
 
 
 def distance(occupied: Bool[Tensor, "X Y Z"]) -> UInt8[Tensor, "X Y Z"]:

@@ -1,0 +1,184 @@
+"""The scene at rest: density and colour features on voxel grids, a shallow MLP behind them (DeVRF 3.1).
+
+alpha = 1 - (1 + exp(d + b))^(-interval), d interpolated first (DirectVoxGO, Eqs. 6-8): b is set so that d = 0
+is `alpha_init`. Colour = MLP(features, encoded view direction). What is empty is an explicit occupancy, rebuilt
+from the density as it is; nothing is ever removed for good.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from devrf.reconstruct.grids import grid_shape, grown, upsample, voxel_size
+from devrf.reconstruct.kernels.march import Volume
+from devrf.reconstruct.kernels.occupancy import distance
+from devrf.reconstruct.kernels.trilinear import trilinear
+
+VIEW_FREQUENCIES = 4  # sin and cos at 2^0 .. 2^3 of each component
+EMPTY = -10.0  # raw density of space taken to be empty: invisible, but Adam can still raise it
+
+
+def shift_for(alpha_init: float) -> float:
+    """b such that a raw density of 0 has opacity `alpha_init` over one base voxel."""
+    return math.log(1 / (1 - alpha_init) - 1)
+
+
+class ColourNet(nn.Module):
+    """Features and view direction to colour: two hidden layers.
+
+    The first layer is split: its part for the view direction is computed once per ray, not per sample.
+    """
+
+    def __init__(self, channels: int, width: int) -> None:
+        super().__init__()
+        self.features = nn.Linear(channels, width)
+        self.view = nn.Linear(3 + 6 * VIEW_FREQUENCIES, width, bias=False)
+        self.hidden = nn.Linear(width, width)
+        self.out = nn.Linear(width, 3)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(
+        self, features: Float[Tensor, "S C"], rays_d: Float[Tensor, "R 3"], ray_id: Int[Tensor, " S"]
+    ) -> Float[Tensor, "S 3"]:
+        """Colours in [0, 1] of samples on rays of unit direction."""
+        view = self.view(encode(rays_d)).index_select(0, ray_id)
+        hidden = F.relu(self.hidden(F.relu(self.features(features) + view)))
+        return torch.sigmoid(self.out(hidden))
+
+
+def encode(d: Float[Tensor, "R 3"]) -> Float[Tensor, "R 27"]:
+    """Directions with sines and cosines of their multiples (Mildenhall et al. 2020, Eq. 4)."""
+    multiples = (d[..., None] * 2.0 ** torch.arange(VIEW_FREQUENCIES, device=d.device)).flatten(-2)
+    return torch.cat([d, multiples.sin(), multiples.cos()], dim=-1)
+
+
+class Canonical:
+    """Density, features, MLP and occupancy of the scene at rest.
+
+    Attributes:
+        aabb: Box of the grids [2, 3], on the CPU.
+        density: Raw density [X, Y, Z, 1].
+        features: Colour features [X, Y, Z, C].
+        net: The MLP.
+        distance: Vertices to the nearest occupied vertex [X, Y, Z].
+        base_voxel: Voxel of the final resolution; densities are per this length.
+    """
+
+    def __init__(
+        self,
+        aabb: Float[Tensor, "2 3"],
+        density: Float[Tensor, "X Y Z 1"],
+        features: Float[Tensor, "X Y Z C"],
+        net: ColourNet,
+        *,
+        base_voxel: float,
+        stepsize: float,
+        shift: float,
+        alpha_threshold: float,
+        weight_threshold: float,
+    ) -> None:
+        self.aabb = aabb.cpu().float()
+        self.density, self.features, self.net = density, features, net
+        self.base_voxel, self.stepsize, self.shift = base_voxel, stepsize, shift
+        self.alpha_threshold, self.weight_threshold = alpha_threshold, weight_threshold
+        self.distance = distance(torch.ones(self.shape, dtype=torch.bool, device=density.device))
+
+    @staticmethod
+    def new(
+        aabb: Float[Tensor, "2 3"],
+        resolution: float,
+        final_resolution: float,
+        *,
+        channels: int,
+        mlp_width: int,
+        stepsize: float,
+        alpha_init: float,
+        alpha_threshold: float,
+        weight_threshold: float,
+        device: str,
+        seed: int,
+    ) -> "Canonical":
+        """A model that knows nothing yet: equally translucent everywhere."""
+        shape = grid_shape(aabb, resolution)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            net = ColourNet(channels, mlp_width).to(device)
+        return Canonical(
+            aabb,
+            torch.zeros(*shape, 1, device=device),
+            torch.zeros(*shape, channels, device=device),
+            net,
+            base_voxel=voxel_size(aabb, grid_shape(aabb, final_resolution)),
+            stepsize=stepsize,
+            shift=shift_for(alpha_init),
+            alpha_threshold=alpha_threshold,
+            weight_threshold=weight_threshold,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Vertices along each axis."""
+        x, y, z = self.density.shape[:3]
+        return x, y, z
+
+    @property
+    def step(self) -> float:
+        """Step along rays, in the units of the box."""
+        return self.stepsize * voxel_size(self.aabb, self.shape)
+
+    @property
+    def interval(self) -> float:
+        """The same in base voxels: the exponent of the opacity."""
+        return self.step / self.base_voxel
+
+    def volume(self) -> Volume:
+        """What the march needs to know."""
+        return Volume(
+            self.density[..., 0],
+            self.distance,
+            self.aabb,
+            self.shift,
+            self.interval,
+            self.step,
+            self.alpha_threshold,
+            self.weight_threshold,
+        )
+
+    def alpha(
+        self, x: Float[Tensor, "S 3"], density_grad: Float[Tensor, "X Y Z 1"] | None = None
+    ) -> Float[Tensor, " S"]:
+        """Opacity of one step at points in the box."""
+        raw = trilinear(self.density, x, self.aabb, density_grad)[:, 0]
+        return 1 - torch.exp(-self.interval * F.softplus(raw + self.shift))
+
+    def colour(
+        self,
+        x: Float[Tensor, "S 3"],
+        rays_d: Float[Tensor, "R 3"],
+        ray_id: Int[Tensor, " S"],
+        features_grad: Float[Tensor, "X Y Z C"] | None = None,
+    ) -> Float[Tensor, "S 3"]:
+        """Colour at points on rays."""
+        return self.net(trilinear(self.features, x, self.aabb, features_grad), rays_d, ray_id)
+
+    def occupied(self) -> Bool[Tensor, "X Y Z"]:
+        """Vertices next to which a sample can be opaque enough to count."""
+        alpha = 1 - torch.exp(-self.interval * F.softplus(self.density[..., 0] + self.shift))
+        return grown(alpha > self.alpha_threshold)
+
+    def rebuild_occupancy(self, within: Bool[Tensor, "X Y Z"] | None = None) -> Bool[Tensor, "X Y Z"]:
+        """Look again at what is empty; returns the vertices that samples can touch."""
+        occupied = self.occupied()
+        if within is not None:
+            occupied &= within
+        self.distance = distance(occupied)
+        return grown(occupied)
+
+    def refine(self, resolution: float) -> None:
+        """Interpolate both grids onto more vertices."""
+        shape = grid_shape(self.aabb, resolution)
+        self.density, self.features = upsample(self.density, shape), upsample(self.features, shape)
+        self.rebuild_occupancy()

@@ -1,0 +1,81 @@
+"""Where a subject before a plain background can be: the visual hull of its silhouettes (Laurentini 1994).
+
+Gives the tight box that the published method searches with a coarse model of its own (5000 iterations), and the
+box that a moving subject sweeps. Silhouettes come from the pictures' alpha, else from their difference from the
+plain colour; a point is kept unless a share of the cameras that see it sees background there.
+"""
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import Background, PosedFrame
+from devrf.reconstruct.grids import vertices
+
+MATTE = 0.02  # opacity, or difference from the plain colour, that counts as subject
+MISSED = 0.1  # share of the cameras that may see background where the subject is (highlights, wrong mattes)
+
+
+def silhouette(frame: PosedFrame, background: Background) -> Bool[np.ndarray, "h w"]:
+    """Pixels of the full-size picture that show the subject."""
+    image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
+    if image is not None and image.ndim == 3 and image.shape[2] == 4:
+        return image[..., 3] > MATTE * np.iinfo(image.dtype).max
+    image = cv2.imread(str(frame.path), cv2.IMREAD_COLOR)
+    plain = 255.0 if background == "white" else 0.0
+    return (np.abs(np.asarray(image, dtype=np.float32) - plain) > MATTE * 255).any(-1)
+
+
+def visual_hull(
+    frames: Iterable[PosedFrame],
+    aabb: Float[Tensor, "2 3"],
+    shape: tuple[int, int, int],
+    background: Background,
+) -> Bool[Tensor, "X Y Z"]:
+    """Vertices of a grid over the box at which the subject can be, by the silhouettes of pictures of one moment."""
+    points = vertices(aabb, shape)
+    voxel = float(((aabb[1] - aabb[0]) / (torch.tensor(shape) - 1)).max())
+    flat = points.reshape(-1, 3).numpy().astype(np.float64)
+    seen, missed = np.zeros(len(flat), np.int32), np.zeros(len(flat), np.int32)
+    for frame in frames:
+        mask, camera = silhouette(frame, background), frame.camera
+        inside, hit = _looked_up(mask, camera, flat, voxel)
+        seen += inside
+        missed += inside & ~hit
+    keep = (seen > 0) & (missed <= MISSED * seen)
+    return torch.from_numpy(keep.reshape(shape))
+
+
+def box_of(
+    kept: Bool[Tensor, "X Y Z"], aabb: Float[Tensor, "2 3"], margin: float
+) -> Float[Tensor, "2 3"] | None:
+    """Box around kept vertices, enlarged about its centre, within `aabb`; None if nothing is kept."""
+    if not bool(kept.any()):
+        return None
+    points = vertices(aabb, (kept.shape[0], kept.shape[1], kept.shape[2]))[kept]
+    voxel = (aabb[1] - aabb[0]) / (torch.tensor(kept.shape) - 1)
+    lo, hi = points.amin(0) - voxel / 2, points.amax(0) + voxel / 2
+    centre, half = (lo + hi) / 2, (hi - lo) / 2 * margin
+    return torch.stack([torch.maximum(centre - half, aabb[0]), torch.minimum(centre + half, aabb[1])])
+
+
+def _looked_up(
+    mask: np.ndarray, camera: Camera, points: np.ndarray, voxel: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each point lies in the picture, and whether the silhouette reaches within half a voxel of it."""
+    depth = points @ camera.cam_from_world[2, :3] + camera.cam_from_world[2, 3]
+    pixels = np.nan_to_num(camera.project(points), nan=-1.0, posinf=-1.0, neginf=-1.0)
+    u, v = np.clip(np.floor(pixels), -1, 1 << 20).astype(np.int64).T
+    inside = (depth > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    if not inside.any():
+        return inside, inside
+    radius = int(np.ceil(camera.K[0, 0] * voxel * 0.87 / np.median(depth[inside])))
+    grown = cv2.dilate(mask.astype(np.uint8), np.ones((2 * radius + 1,) * 2, np.uint8)) > 0
+    hit = np.zeros(len(points), bool)
+    hit[inside] = grown[v[inside], u[inside]]
+    return inside, hit

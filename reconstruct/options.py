@@ -1,0 +1,188 @@
+"""What can be chosen about training, and the presets: points on one curve, speed against accuracy.
+
+`reference` holds the published numbers (DeVRF's paper and program; where they differ, the program's), `tiny` is
+sized for two cores without a GPU, `fast` lies between. Lengths are relative to the box or to a voxel, so no
+number depends on a scene's scale.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+PresetName = Literal["tiny", "fast", "reference"]
+REFERENCE_EXTENT = (
+    2.5  # longest side of the published objects, world units; the motion's rates are meant for it
+)
+
+
+@dataclass(frozen=True)
+class CanonicalOptions:
+    """Stage 1, the scene at rest.
+
+    Attributes:
+        resolution: R; the grid has the volume of R^3 voxels, in proportion to the box.
+        iterations: Steps of the optimiser.
+        rays: Most rays per iteration.
+        samples: Samples per iteration to aim at: fewer rays are drawn while space is still translucent.
+        channels: Colour features per voxel.
+        mlp_width: Width of the two hidden layers behind them.
+        scale_at: Shares of the iterations after which the number of voxels doubles.
+        shell_resolution: Vertices along each axis of the surroundings.
+        stepsize: Step along rays, in voxels.
+        alpha_init: Opacity of a voxel that nothing is known about.
+        alpha_threshold, weight_threshold: Samples at or below are dropped.
+        lr_grid, lr_mlp: Initial learning rates; both fall by 10 over all iterations.
+        entropy, per_point, opacity: Weights of the losses beside the re-rendering loss.
+        coarse_iterations, coarse_rays, coarse_size: The first, coarse model where surroundings are modelled:
+            iterations, rays per iteration, vertices along each axis.
+        hull_resolution: Vertices along the longest side where the tight box is searched (plain background).
+        box_margin: The tight box is enlarged by this factor about its centre.
+        occupancy_every: Iterations between rebuilds of the occupancy.
+        seed: Of every random draw.
+    """
+
+    resolution: int
+    iterations: int
+    rays: int
+    samples: int = 1 << 20
+    channels: int = 12
+    mlp_width: int = 128
+    scale_at: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2)
+    shell_resolution: int = 256
+    stepsize: float = 0.5
+    alpha_init: float = 1e-2
+    alpha_threshold: float = 1e-4
+    weight_threshold: float = 1e-4
+    lr_grid: float = 0.1
+    lr_mlp: float = 1e-3
+    entropy: float = 1e-3
+    per_point: float = 1e-2
+    opacity: float = 0.0
+    coarse_iterations: int = 1000
+    coarse_rays: int = 8192
+    coarse_size: int = 128
+    hull_resolution: int = 64
+    box_margin: float = 1.2
+    occupancy_every: int = 500
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """Stage 2, the motion.
+
+    Attributes:
+        levels: Resolution of each level of the pyramid, as `resolution` of stage 1.
+        iterations: Steps per key time at each level.
+        rays: Rays per iteration.
+        most_keys: Most key times; a scene with fewer distinct times has fewer.
+        lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
+        importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
+        cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
+        live_every: Iterations between rebuilds of where the moving scene may be.
+        weight_threshold: Samples at or below are dropped.
+        seed: Of every random draw.
+    """
+
+    levels: tuple[int, ...]
+    iterations: tuple[int, ...]
+    rays: int
+    most_keys: int = 50
+    lr: float = 1e-3
+    importance: float = 0.0
+    cycle: float = 100.0
+    flow: float = 0.005
+    variation: float = 1.0
+    entropy: float = 0.01
+    per_point: float = 0.1
+    live_every: int = 10
+    weight_threshold: float = 1e-4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.levels) != len(self.iterations) or not self.levels:
+            raise ValueError(f"levels {self.levels} and iterations {self.iterations} must pair up")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Both stages."""
+
+    canonical: CanonicalOptions
+    motion: MotionOptions
+
+
+PRESETS: dict[str, Options] = {
+    "tiny": Options(
+        CanonicalOptions(
+            resolution=112,
+            iterations=800,
+            rays=4096,
+            scale_at=(0.15, 0.3, 0.45, 0.6),
+            opacity=0.1,
+            samples=32768,
+            mlp_width=64,
+            shell_resolution=160,
+            alpha_threshold=1e-3,
+            weight_threshold=1e-3,
+            coarse_iterations=160,
+            coarse_rays=2048,
+            coarse_size=96,
+            occupancy_every=50,
+            hull_resolution=48,
+        ),
+        MotionOptions(
+            levels=(7, 14, 28),
+            iterations=(100, 60, 40),
+            rays=1536,
+            most_keys=25,
+            importance=0.8,
+            weight_threshold=1e-3,
+        ),
+    ),
+    "fast": Options(
+        CanonicalOptions(resolution=160, iterations=6000, rays=8192),
+        MotionOptions(
+            levels=(10, 20, 40, 80), iterations=(120, 60, 60, 30), rays=8192, most_keys=50, importance=0.5
+        ),
+    ),
+    "reference": Options(
+        CanonicalOptions(resolution=160, iterations=20000, rays=8192),
+        MotionOptions(levels=(10, 20, 40, 80, 160), iterations=(200, 100, 100, 50, 50), rays=8192),
+    ),
+}
+
+
+def preset(
+    name: str,
+    *,
+    resolution: int | None = None,
+    rays: int | None = None,
+    canonical_iterations: int | None = None,
+    motion_iterations: int | None = None,
+    seed: int = 0,
+) -> Options:
+    """A preset with single numbers replaced.
+
+    Args:
+        name: tiny, fast or reference.
+        resolution: R of the canonical grid; the motion's levels keep their proportion to it.
+        rays: Rays per iteration, both stages.
+        canonical_iterations: Of stage 1.
+        motion_iterations: Of stage 2, per key time, over all levels.
+        seed: Of both stages.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"preset is {name!r}, expected one of {', '.join(PRESETS)}")
+    canonical, motion = PRESETS[name].canonical, PRESETS[name].motion
+    if resolution is not None:
+        ratio = resolution / canonical.resolution
+        motion = replace(motion, levels=tuple(max(4, round(level * ratio)) for level in motion.levels))
+        canonical = replace(canonical, resolution=resolution)
+    if rays is not None:
+        canonical, motion = replace(canonical, rays=rays), replace(motion, rays=rays)
+    if canonical_iterations is not None:
+        canonical = replace(canonical, iterations=canonical_iterations)
+    if motion_iterations is not None:
+        ratio = motion_iterations / sum(motion.iterations)
+        motion = replace(motion, iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations))
+    return Options(replace(canonical, seed=seed), replace(motion, seed=seed))

@@ -1,0 +1,184 @@
+"""Rays of posed pictures: which pixel, from where, in which direction, at which time, of which colour.
+
+Pictures stay bytes. Each distinct calibration has one table of viewing directions in its camera's frame (lens
+distortion undone once), which a picture's rotation turns into the world. Rays have unit directions; `t` along
+them is a distance. Every picture brings its own size, intrinsics, principal point, lens and time.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from devrf.capture.camera import Camera
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import Background, PosedFrame, load_image
+
+PARALLEL = 1e-9  # direction components below this are held to it, so that a slab test divides safely
+
+
+@dataclass(frozen=True)
+class RayBatch:
+    """Rays that were drawn.
+
+    Attributes:
+        rays_o: Origins.
+        rays_d: Unit directions.
+        rgb: True colours in [0, 1].
+        opacity: True opacities in [0, 1], where the pictures carry alpha; else None.
+        time: Of each ray's picture in [0, 1]; 0 for pictures without a time.
+        frame: Number of each ray's picture in its set.
+        pixel: Row times width plus column.
+    """
+
+    rays_o: Float[Tensor, "n 3"]
+    rays_d: Float[Tensor, "n 3"]
+    rgb: Float[Tensor, "n 3"]
+    opacity: Float[Tensor, " n"] | None
+    time: Float[Tensor, " n"]
+    frame: Int[Tensor, " n"]
+    pixel: Int[Tensor, " n"]
+
+
+class RaySet:
+    """All rays of a list of pictures, on one device.
+
+    Attributes:
+        frames: The pictures' entries in the scene.
+        cameras: Their cameras at training size.
+        first: Number of each picture's first pixel among all pixels, and the end of the last [F + 1].
+    """
+
+    def __init__(
+        self,
+        frames: tuple[PosedFrame, ...],
+        image_scale: float,
+        background: Background,
+        device: str = "cpu",
+        progress: Progress = no_progress,
+    ) -> None:
+        pictures, mattes = [], []
+        for n, frame in enumerate(frames):
+            pictures.append(load_image(frame, image_scale, background))
+            if background != "shell":
+                mattes.append(load_matte(frame, pictures[-1].shape[:2]))
+            progress((n + 1) / len(frames), f"reading picture {n + 1} of {len(frames)}")
+        cameras = [_resized(f.camera, p) for f, p in zip(frames, pictures, strict=True)]
+        self._fill(frames, cameras, pictures, device)
+        if mattes and all(m is not None for m in mattes):
+            flat = np.concatenate([m.reshape(-1) for m in mattes if m is not None])
+            self.opacity = torch.from_numpy(flat).to(device)
+
+    @staticmethod
+    def from_arrays(
+        cameras: list[Camera],
+        pictures: list[UInt8[np.ndarray, "_ _ 3"]],
+        times: list[float] | None = None,
+        device: str = "cpu",
+    ) -> "RaySet":
+        """Rays of pictures in memory, without entries of a scene."""
+        rays = RaySet.__new__(RaySet)
+        rays._fill((), cameras, pictures, device)
+        if times is not None:
+            rays.times = torch.tensor(times, dtype=torch.float32, device=device)
+        return rays
+
+    def _fill(
+        self, frames: tuple[PosedFrame, ...], cameras: list[Camera], pictures: list[np.ndarray], device: str
+    ) -> None:
+        self.opacity: Tensor | None = None
+        self.frames, self.cameras, self.device = frames, cameras, torch.device(device)
+        counts = [c.width * c.height for c in cameras]
+        self.first = torch.tensor(np.concatenate([[0], np.cumsum(counts)]), dtype=torch.int64, device=device)
+        flat = (
+            np.concatenate([p.reshape(-1, 3) for p in pictures]) if pictures else np.zeros((0, 3), np.uint8)
+        )
+        self.pixels = torch.from_numpy(flat).to(device)
+        tables: dict[tuple[object, ...], int] = {}
+        directions, table_of, size = [], [], 0
+        for camera in cameras:
+            key = (camera.width, camera.height, camera.K.tobytes(), camera.distortion.tobytes())
+            if key not in tables:
+                tables[key] = size
+                directions.append(local_directions(camera))
+                size += len(directions[-1])
+            table_of.append(tables[key])
+        self.directions = torch.from_numpy(np.concatenate(directions or [np.zeros((0, 3), np.float32)])).to(
+            device
+        )
+        self.table_of = torch.tensor(table_of, dtype=torch.int64, device=device)
+        poses = np.stack([c.world_from_cam for c in cameras]) if cameras else np.zeros((0, 4, 4))
+        self.rotations = torch.tensor(poses[:, :3, :3], dtype=torch.float32, device=device)
+        self.centres = torch.tensor(poses[:, :3, 3], dtype=torch.float32, device=device)
+        times = [f.time or 0.0 for f in frames] or [0.0] * len(cameras)
+        self.times = torch.tensor(times, dtype=torch.float32, device=device)
+
+    def __len__(self) -> int:
+        """Number of pictures."""
+        return len(self.cameras)
+
+    def draw(self, n: int, generator: torch.Generator, frames: Int[Tensor, " f"] | None = None) -> RayBatch:
+        """Draw `n` rays, each pixel of all pictures (or of `frames`, each picture alike) with equal chance."""
+        if frames is None:
+            at = torch.randint(int(self.first[-1]), (n,), generator=generator, device=generator.device)
+            at = at.to(self.device)
+            frame = torch.searchsorted(self.first, at, right=True) - 1
+            return self.at(frame, at - self.first[frame])
+        pick = torch.randint(len(frames), (n,), generator=generator, device=generator.device)
+        frame = frames[pick.to(self.device)]
+        share = torch.rand(n, generator=generator, device=generator.device, dtype=torch.float64)
+        count = self.first[frame + 1] - self.first[frame]
+        return self.at(frame, (share.to(self.device) * count).long())
+
+    def at(self, frame: Int[Tensor, " n"], pixel: Int[Tensor, " n"]) -> RayBatch:
+        """The rays through given pixels (row times width plus column) of given pictures."""
+        local = self.directions[self.table_of[frame] + pixel]
+        rays_d = torch.einsum("nij,nj->ni", self.rotations[frame], local)
+        at = self.first[frame] + pixel
+        rgb = self.pixels[at].float() / 255
+        opacity = None if self.opacity is None else self.opacity[at].float() / 255
+        return RayBatch(self.centres[frame], rays_d, rgb, opacity, self.times[frame], frame, pixel)
+
+
+def load_matte(frame: PosedFrame, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"] | None:
+    """The picture's alpha at (height, width); None where it has none."""
+    image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 3 or image.shape[2] != 4:
+        return None
+    alpha = image[..., 3] if image.dtype == np.uint8 else (image[..., 3] / 257.0).round().astype(np.uint8)
+    return np.ascontiguousarray(cv2.resize(alpha, (size[1], size[0]), interpolation=cv2.INTER_AREA))
+
+
+def camera_rays(camera: Camera, device: str = "cpu") -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """Origins and unit directions of all pixels of a camera, row by row."""
+    pose = camera.world_from_cam.astype(np.float32)
+    rays_d = local_directions(camera) @ pose[:3, :3].T
+    rays_o = np.broadcast_to(pose[:3, 3], rays_d.shape)
+    return torch.from_numpy(rays_o.copy()).to(device), torch.from_numpy(rays_d).to(device)
+
+
+def local_directions(camera: Camera) -> Float[np.ndarray, "n 3"]:
+    """Unit viewing directions of all pixels in the camera's own frame, row by row."""
+    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    still = Camera(camera.width, camera.height, camera.K, np.eye(4)[:3], camera.distortion)
+    return still.directions(np.stack([u, v], axis=-1).reshape(-1, 2)).astype(np.float32)
+
+
+def intersect(
+    rays_o: Float[Tensor, "n 3"], rays_d: Float[Tensor, "n 3"], aabb: Float[Tensor, "2 3"], near: float
+) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"], Bool[Tensor, " n"]]:
+    """Where rays enter and leave a box, not before `near`; both `near` where they miss it (third result false)."""
+    aabb = aabb.to(rays_o)
+    safe = torch.where(rays_d.abs() < PARALLEL, PARALLEL, rays_d)
+    a, b = (aabb[0] - rays_o) / safe, (aabb[1] - rays_o) / safe
+    t_in = torch.minimum(a, b).amax(-1).clamp(min=near)
+    t_out = torch.maximum(a, b).amin(-1)
+    hit = t_out > t_in
+    return torch.where(hit, t_in, near), torch.where(hit, t_out, near), hit
+
+
+def _resized(camera: Camera, picture: np.ndarray) -> Camera:
+    return camera.scaled(picture.shape[1] / camera.width)

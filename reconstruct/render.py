@@ -1,0 +1,97 @@
+"""March, interpolate, composite: colours of rays through the scene at rest or in motion, and whole pictures.
+
+A ray's colour is put together from three parts: the surroundings before the box, the box, the surroundings
+behind it (or the plain background). Only the box moves.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.kernels.composite import accumulate, composite_weights
+from devrf.reconstruct.kernels.march import RaySegments, march
+from devrf.reconstruct.rays import intersect
+from devrf.reconstruct.shell import Shell
+
+PLAIN = {"white": 1.0, "black": 0.0}
+SEEN = 1e-3  # transmittance below which what is behind is not looked at
+
+Grads = tuple[Tensor | None, Tensor | None, Tensor | None]
+"""Buffers that density, features and surroundings add their gradient to."""
+
+
+@dataclass
+class Rendered:
+    """Colours of rays, and what the losses need.
+
+    Attributes:
+        rgb: Composited colours.
+        left: Transmittance of the box.
+        depth: Mean distance of what is seen in the box, weighted; 0 where nothing is.
+        weights, colours, ray_id: Of the samples in the box.
+        shell_per_point: Per-point loss of the surroundings, per ray.
+    """
+
+    rgb: Float[Tensor, "R 3"]
+    left: Float[Tensor, " R"]
+    depth: Float[Tensor, " R"]
+    weights: Float[Tensor, " S"]
+    colours: Float[Tensor, "S 3"]
+    ray_id: Int[Tensor, " S"]
+    shell_per_point: Float[Tensor, " R"]
+
+
+def render_rest(
+    canonical: Canonical,
+    shell: Shell | None,
+    plain: Float[Tensor, ""] | None,
+    rays_o: Float[Tensor, "R 3"],
+    rays_d: Float[Tensor, "R 3"],
+    *,
+    near: float,
+    far: float,
+    jitter: Float[Tensor, "2 R"],
+    target: Float[Tensor, "R 3"] | None = None,
+    grads: Grads = (None, None, None),
+) -> Rendered:
+    """Colours of rays through the scene at rest; differentiable."""
+    t_in, t_out, _ = intersect(rays_o, rays_d, canonical.aabb, near)
+    samples = march(RaySegments(rays_o, rays_d, t_in, t_out, jitter[0]), canonical.volume())
+    x = rays_o[samples.ray_id] + samples.t[:, None] * rays_d[samples.ray_id]
+    weights, left = composite_weights(canonical.alpha(x, grads[0]), samples.offsets)
+    colours = canonical.colour(x, rays_d, samples.ray_id, grads[1])
+    inner = accumulate(weights, torch.cat([colours, samples.t[:, None]], dim=1), samples.ray_id, len(rays_o))
+    rgb, depth, per_point = inner[:, :3], inner[:, 3].detach(), torch.zeros_like(left)
+    if shell is None:
+        rgb = rgb if plain is None else rgb + left[:, None] * plain
+    else:
+        rgb, per_point = _with_surroundings(
+            shell, rays_o, rays_d, (near, t_in, t_out, far), jitter[1], rgb, left, target, grads[2]
+        )
+    return Rendered(rgb, left, depth, weights, colours, samples.ray_id, per_point)
+
+
+def _with_surroundings(
+    shell: Shell,
+    rays_o: Tensor,
+    rays_d: Tensor,
+    borders: tuple[float, Tensor, Tensor, float],
+    jitter: Tensor,
+    rgb: Tensor,
+    left: Tensor,
+    target: Tensor | None,
+    grid_grad: Tensor | None,
+) -> tuple[Tensor, Tensor]:
+    """Put the surroundings before and behind what the box shows; also their per-point loss."""
+    near, t_in, t_out, far = borders
+    before = RaySegments(rays_o, rays_d, torch.full_like(t_in, near), t_in, jitter)
+    front, through, apart = shell.render(before, False, target, grid_grad)
+    hidden = (through * left).detach() < SEEN
+    begin = torch.where(hidden, far, t_out)
+    behind = RaySegments(rays_o, rays_d, begin, torch.full_like(t_in, far), jitter)
+    back, _, apart_behind = shell.render(behind, True, target, grid_grad)
+    rgb = front + through[:, None] * (rgb + left[:, None] * back)
+    return rgb, apart + (through * left).detach() * apart_behind

@@ -1,0 +1,249 @@
+"""Stage 1: learn the scene at rest, and its surroundings, from the sweep (DeVRF 3.1, after DirectVoxGO).
+
+The number of voxels doubles a few times early on; occupancy is rebuilt as density settles; the grids are trained
+by masked Adam on the vertices that rays can touch, the MLP by Adam. Where the background is plain, a visual hull
+gives the tight box (the published program trains a coarse model for that).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from devrf.capture.errors import ReconstructError
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
+from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.losses import entropy_loss, opacity_loss, per_point_loss, rendering_loss
+from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.rays import RayBatch, RaySet
+from devrf.reconstruct.render import PLAIN, render_rest
+from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
+from devrf.reconstruct.training_log import TrainingLog
+
+LOG_EVERY = 25
+FEWEST_RAYS = 256
+READING = 0.05  # share of the progress bar for reading pictures
+
+
+@dataclass
+class RestModel:
+    """What stage 1 leaves: the scene at rest, its surroundings (None before a plain background), its log."""
+
+    canonical: Canonical
+    shell: Shell | None
+    background: str
+    near: float
+    far: float
+    metrics: dict[str, Any]
+
+
+def train_canonical(
+    scene: Scene, options: CanonicalOptions, device: str = "cpu", progress: Progress = no_progress
+) -> RestModel:
+    """Train on the sweep's training pictures.
+
+    Raises:
+        ReconstructError: No training pictures, nothing in the box, or the loss diverged.
+    """
+    scene = scene.in_box_frame()
+    frames = tuple(f for f in scene.static if f.split == "train")
+    if not frames:
+        raise ReconstructError("the sweep has no training pictures; the scene at rest cannot be learned")
+    log = TrainingLog(device, LOG_EVERY)
+    rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
+    aabb, hull = _box(scene, frames, options)
+    recipe = _Recipe(scene, options, rays, aabb, hull, device)
+    generator = torch.Generator().manual_seed(options.seed)
+    if recipe.shell is not None:
+        progress(READING, "coarse model")
+        coarse = train_coarse(rays, aabb, scene.near, scene.far, options, device, generator)
+        seen = visible(coarse, rays, SEEN_BATCHES, options.coarse_rays, generator)
+        hand_on(coarse, seen, recipe.canonical, recipe.shell, rays.centres)
+        recipe.restart()
+    for iteration in range(options.iterations):
+        recipe.before(iteration)
+        parts = recipe.step(rays.draw(recipe.rays_now, generator), generator)
+        log.add(recipe.rays_now, parts, samples=recipe.samples_per_ray * recipe.rays_now)
+        if iteration % 10 == 0:
+            done = READING + (1 - READING) * iteration / options.iterations
+            last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
+            progress(done, f"iteration {iteration} of {options.iterations}{last}")
+    recipe.finish()
+    log.close_row()
+    progress(1.0, "scene at rest learned")
+    metrics = log.summary() | {
+        "pictures": len(frames),
+        "grid": list(recipe.canonical.shape),
+        "aabb": recipe.canonical.aabb.tolist(),
+        "occupied": float((recipe.canonical.distance == 0).float().mean()),
+    }
+    return RestModel(recipe.canonical, recipe.shell, scene.background, scene.near, scene.far, metrics)
+
+
+def _box(
+    scene: Scene, frames: tuple[PosedFrame, ...], options: CanonicalOptions
+) -> tuple[Float[Tensor, "2 3"], tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None]:
+    """The box to model, and the hull with its own box where there is one."""
+    aabb = torch.tensor(scene.aabb, dtype=torch.float32)
+    if scene.background == "shell":
+        return aabb, None
+    kept = visual_hull(frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
+    tight = box_of(kept, aabb, options.box_margin)
+    if tight is None:
+        raise ReconstructError(
+            "no part of the scene box is inside the silhouettes of the sweep; check poses, box and background"
+        )
+    return tight, (grown(grown(kept)), aabb)
+
+
+class _Recipe:
+    """The state of stage 1: models, optimisers, and what happens between and in iterations."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        options: CanonicalOptions,
+        rays: RaySet,
+        aabb: Tensor,
+        hull: tuple[Tensor, Tensor] | None,
+        device: str,
+    ) -> None:
+        self.options, self.rays, self.hull = options, rays, hull
+        self.scalings = {
+            max(1, round(share * options.iterations)): n for n, share in enumerate(options.scale_at, 1)
+        }
+        self.plain = (
+            None if scene.background == "shell" else torch.tensor(PLAIN[scene.background], device=device)
+        )
+        self.near, self.far = scene.near, scene.far
+        self.canonical = Canonical.new(
+            aabb,
+            self._share(0) * options.resolution,
+            options.resolution,
+            channels=options.channels,
+            mlp_width=options.mlp_width,
+            stepsize=options.stepsize,
+            alpha_init=options.alpha_init,
+            alpha_threshold=options.alpha_threshold,
+            weight_threshold=options.weight_threshold,
+            device=device,
+            seed=options.seed,
+        )
+        self.shell: Shell | None = None
+        if scene.background == "shell":
+            self.shell = Shell.new(
+                aabb,
+                self._shell_size(0),
+                options.shell_resolution,
+                near=scene.near,
+                far=scene.far,
+                centres=rays.centres,
+                device=device,
+            )
+        self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), options.lr_mlp, BETAS, EPS)
+        self.decay = 1.0
+        self.samples_per_ray = float(
+            self.canonical.shape[0] + self.canonical.shape[1]
+        )  # a guess to begin with
+        self.restart()
+
+    @property
+    def rays_now(self) -> int:
+        """Rays for one iteration: as many as keep the number of samples near its aim."""
+        fitting = round(self.options.samples / max(self.samples_per_ray, 1e-3))
+        return max(FEWEST_RAYS, min(self.options.rays, fitting))
+
+    def before(self, iteration: int) -> None:
+        """Refine when it is time to; rebuild the occupancy every so often."""
+        self.decay = 0.1 ** (iteration / self.options.iterations)
+        if iteration in self.scalings:
+            self._clear_untouched()
+            level = self.scalings[iteration]
+            self.canonical.refine(self._share(level) * self.options.resolution)
+            if self.shell is not None:
+                self.shell.refine(self._shell_size(level), self.rays.centres)
+            self.restart()
+        elif iteration and iteration % self.options.occupancy_every == 0:
+            self._find_reachable()
+
+    def step(self, batch: RayBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """One iteration; returns the unweighted losses."""
+        jitter = torch.rand(2, len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
+        grads = (self.density.grad, self.features.grad, None if self.surround is None else self.surround.grad)
+        out = render_rest(
+            self.canonical, self.shell, self.plain, batch.rays_o, batch.rays_d,
+            near=self.near, far=self.far, jitter=jitter, target=batch.rgb, grads=grads,
+        )  # fmt: skip
+        self.samples_per_ray += 0.2 * (len(out.ray_id) / len(batch.rgb) - self.samples_per_ray)
+        mse = rendering_loss(out.rgb, batch.rgb)
+        entropy = entropy_loss(out.left)
+        per_point = (
+            per_point_loss(out.weights, out.colours, batch.rgb, out.ray_id) + out.shell_per_point.mean()
+        )
+        loss = mse + self.options.entropy * entropy + self.options.per_point * per_point
+        if batch.opacity is not None:
+            loss = loss + self.options.opacity * opacity_loss(out.left, batch.opacity)
+        loss.backward()
+        self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad)  # touched alike
+        self.density.update(self.options.lr_grid * self.decay)
+        if self.surround is not None:
+            self.surround.update(self.options.lr_grid * self.decay)
+        for group in self.net_optimiser.param_groups:
+            group["lr"] = self.options.lr_mlp * self.decay
+        self.net_optimiser.step()
+        self.net_optimiser.zero_grad()
+        return {"mse": mse, "entropy": entropy, "per_point": per_point}
+
+    def finish(self) -> None:
+        """Empty what no ray has ever touched, and look at the occupancy for the last time."""
+        self._clear_untouched()
+        self._find_reachable()
+        for parameter in self.canonical.net.parameters():
+            parameter.requires_grad_(False)
+
+    def _share(self, level: int) -> float:
+        """Size of level `level`'s grid relative to the last, per axis."""
+        return 2.0 ** ((level - len(self.options.scale_at)) / 3)
+
+    def _shell_size(self, level: int) -> int:
+        return max(8, round(self._share(level) * self.options.shell_resolution))
+
+    def restart(self) -> None:
+        """Fresh moments for grids that are new or have been replaced."""
+        nothing = torch.zeros(0, dtype=torch.int64, device=self.canonical.density.device)
+        self.density = GridTrainer(self.canonical.density, nothing)
+        self.features = GridTrainer(self.canonical.features, nothing)
+        self.surround = None if self.shell is None else GridTrainer(self.shell.grid, nothing)
+        self._find_reachable()
+
+    def _find_reachable(self) -> None:
+        reachable = self.canonical.rebuild_occupancy(self._within()).reshape(-1).nonzero()[:, 0]
+        self.density.reachable = self.features.reachable = reachable
+        if self.shell is not None and self.surround is not None:
+            self.surround.reachable = self.shell.rebuild_occupancy().reshape(-1).nonzero()[:, 0]
+
+    def _within(self) -> Tensor | None:
+        """Vertices of the present grid that lie in the hull."""
+        if self.hull is None:
+            return None
+        kept, box = self.hull
+        shape, target = torch.tensor(kept.shape), self.canonical
+        index = []
+        for axis in range(3):
+            x = torch.linspace(float(target.aabb[0, axis]), float(target.aabb[1, axis]), target.shape[axis])
+            at = (x - box[0, axis]) / (box[1, axis] - box[0, axis]) * (shape[axis] - 1)
+            index.append(at.round().long().clamp(0, int(shape[axis]) - 1))
+        return kept[index[0]][:, index[1]][:, :, index[2]].to(target.density.device)
+
+    def _clear_untouched(self) -> None:
+        """What no ray has passed in this level is taken to be empty, not translucent."""
+        self.canonical.density[..., 0][~self.density.touched()] = EMPTY
+        if self.shell is not None and self.surround is not None:
+            touched = (self.surround.moment2[..., 0] > 0)[..., None]
+            self.shell.grid[..., :1] = torch.where(touched, self.shell.grid[..., :1], EMPTY)

@@ -1,0 +1,101 @@
+"""A first, coarse model of everything in view, box and surroundings, that the real ones start from.
+
+Plays the part of the published coarse stage: it finds where anything is, so that the fine stage spends its
+samples there. One contracted grid of density and plain colours, rendered by the kernel of the surroundings,
+which needs no MLP and stores no samples: ten times as many rays per second as the fine model through fog.
+"""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.grids import GridTrainer, grown, upsample, vertices
+from devrf.reconstruct.kernels.march import RaySegments
+from devrf.reconstruct.kernels.trilinear import trilinear
+from devrf.reconstruct.losses import rendering_loss
+from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.shell import CUBE, Shell
+
+SIZES = (0.4, 0.6, 0.8, 1.0)  # of `coarse_size`, each for a quarter of the iterations
+OCCUPANCY_EVERY = 20
+LR = 0.5  # the coarse model has few steps to get from translucent to opaque
+SEEN_BATCHES = 40  # of rays, to find what is visible
+SEEN_WEIGHT = 5e-3
+MOST_ALPHA = 0.5  # opacities are handed on no higher: what is opaque no longer learns
+
+
+def train_coarse(
+    rays: RaySet,
+    aabb: Float[Tensor, "2 3"],
+    near: float,
+    far: float,
+    options: CanonicalOptions,
+    device: str,
+    generator: torch.Generator,
+) -> Shell:
+    """Train the coarse model on the sweep."""
+    sizes = [max(8, round(share * options.coarse_size)) for share in SIZES]
+    model = Shell.new(
+        aabb, sizes[0], sizes[-1], near=near, far=far, centres=rays.centres, device=device, inside=True
+    )
+    trainer = GridTrainer(model.grid, model.rebuild_occupancy().reshape(-1).nonzero()[:, 0])
+    per_size = max(1, options.coarse_iterations // len(sizes))
+    for iteration in range(per_size * len(sizes)):
+        if iteration and iteration % per_size == 0:
+            model.refine(sizes[iteration // per_size], rays.centres)
+            trainer = GridTrainer(model.grid, model.rebuild_occupancy().reshape(-1).nonzero()[:, 0])
+        elif iteration and iteration % OCCUPANCY_EVERY == 0:
+            trainer.reachable = model.rebuild_occupancy().reshape(-1).nonzero()[:, 0]
+        batch = rays.draw(options.coarse_rays, generator)
+        n = len(batch.rgb)
+        jitter = torch.rand(n, generator=generator, device=generator.device).to(batch.rgb)
+        segment = RaySegments(
+            batch.rays_o, batch.rays_d, torch.full_like(jitter, near), torch.full_like(jitter, far), jitter
+        )
+        rgb, _, apart = model.render(segment, True, batch.rgb, trainer.grad)
+        loss = rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
+        loss.backward()
+        trainer.update(LR * 0.1 ** (iteration / (per_size * len(sizes))))
+    return model
+
+
+def visible(
+    model: Shell, rays: RaySet, batches: int, size: int, generator: torch.Generator
+) -> Bool[Tensor, "N N N"]:
+    """Vertices that some ray of the sweep sees, and their neighbours."""
+    seen = torch.zeros(model.grid.shape[:3], device=model.grid.device)
+    for _ in range(batches):
+        batch = rays.draw(size, generator)
+        half = torch.full((size,), 0.5, device=seen.device)
+        begin, end = torch.full_like(half, model.near), torch.full_like(half, model.far)
+        with torch.no_grad():
+            model.render(RaySegments(batch.rays_o, batch.rays_d, begin, end, half), True, seen=seen)
+    return grown(seen > SEEN_WEIGHT)
+
+
+def hand_on(
+    coarse: Shell,
+    seen: Bool[Tensor, "N N N"],
+    canonical: Canonical,
+    shell: Shell,
+    centres: Float[Tensor, "F 3"],
+) -> None:
+    """Start the box's density and the surroundings from the coarse model; colours in the box are learned anew."""
+    shell.grid = upsample(coarse.grid, (shell.size,) * 3)
+    shell.clear_around(centres)
+    lo, hi = canonical.aabb
+    x = vertices(canonical.aabb, canonical.shape).reshape(-1, 3)
+    u = ((x - (lo + hi) / 2) * 2 / (hi - lo)).to(coarse.grid)
+    raw = trilinear(coarse.grid[..., :1].contiguous(), u, CUBE)[:, 0]
+    s = coarse.surroundings()
+    # Opacity per length: a step of `s.step` in units of the box's half size has the exponent s.interval.
+    half = float(((hi - lo) / 2).prod() ** (1 / 3))
+    per_length = s.interval * F.softplus(raw + s.shift) / (s.step * half)
+    most = -torch.log(torch.tensor(1 - MOST_ALPHA)) / canonical.interval
+    optical = (per_length * canonical.base_voxel).clamp(1e-6, float(most))
+    density = optical + torch.log(-torch.expm1(-optical)) - canonical.shift  # the softplus undone
+    near = trilinear(seen.float()[..., None], u, CUBE)[:, 0]
+    canonical.density[..., 0] = torch.where(near > 0, density, EMPTY).reshape(canonical.shape)
