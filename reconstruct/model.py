@@ -1,0 +1,187 @@
+"""The whole model, at rest or in motion, and pictures of it.
+
+A ray's colour: surroundings before the box, the box with its contents moved, surroundings behind it (or the plain
+background). Surroundings do not move, so a camera that stands still needs them once.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from devrf.capture.camera import Camera
+from devrf.reconstruct.kernels.composite import accumulate, composite_weights
+from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
+from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
+from devrf.reconstruct.kernels.quad import quad
+from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.rays import camera_rays, intersect
+from devrf.reconstruct.render import PLAIN, render_rest
+from devrf.reconstruct.train_canonical import RestModel
+
+CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
+CACHED_CAMERAS = 64  # cameras whose surroundings are remembered
+LIVE_VOXELS = 64  # vertices per axis of the grid that says where the moving scene may be
+
+
+@dataclass
+class Around:
+    """What is outside the box along rays: colour before it, light that comes through, colour behind it."""
+
+    front: Float[Tensor, "R 3"]
+    through: Float[Tensor, " R"]
+    back: Float[Tensor, "R 3"]
+
+    def compose(self, rgb: Float[Tensor, "R 3"], left: Float[Tensor, " R"]) -> Float[Tensor, "R 3"]:
+        """Colours of whole rays from what the box shows and lets through."""
+        return self.front + self.through[:, None] * (rgb + left[:, None] * self.back)
+
+
+@dataclass
+class Moved:
+    """Rays through the scene in motion, and what the losses need.
+
+    Attributes:
+        rgb: Colour of the box alone.
+        left: Transmittance of the box.
+        depth: Weighted distance of what is seen in the box.
+        samples: Where the march looked.
+        x, x0: Samples at their own time and at rest.
+        weights, colours: Of the samples.
+    """
+
+    rgb: Float[Tensor, "R 3"]
+    left: Float[Tensor, " R"]
+    depth: Float[Tensor, " R"]
+    samples: Samples
+    x: Float[Tensor, "S 3"]
+    x0: Float[Tensor, "S 3"]
+    weights: Float[Tensor, " S"]
+    colours: Float[Tensor, "S 3"]
+
+
+@dataclass
+class DynamicModel:
+    """The scene at rest and how it moves (None: it does not)."""
+
+    rest: RestModel
+    motion: MotionField | None = None
+    _around: OrderedDict[bytes, Around] = field(default_factory=OrderedDict, repr=False)
+
+    def around_camera(self, camera: Camera) -> Around:
+        """Surroundings of all pixels of a camera, row by row; remembered."""
+        key = b"".join(a.tobytes() for a in (camera.cam_from_world, camera.K, camera.distortion))
+        key += f"{camera.width}x{camera.height}".encode()
+        if key not in self._around:
+            device = str(self.rest.canonical.density.device)
+            rays_o, rays_d = camera_rays(camera, device)
+            parts = [self.around(o, d) for o, d in _chunks(rays_o, rays_d)]
+            self._around[key] = Around(
+                *(torch.cat([getattr(p, name) for p in parts]) for name in ("front", "through", "back"))
+            )
+            while len(self._around) > CACHED_CAMERAS:
+                self._around.popitem(last=False)
+        return self._around[key]
+
+    @torch.no_grad()
+    def around(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Around:
+        """Surroundings of rays."""
+        rest, n = self.rest, len(rays_o)
+        if rest.shell is None:
+            plain = PLAIN[rest.background]
+            return Around(torch.zeros_like(rays_o), rays_o.new_ones(n), torch.full_like(rays_o, plain))
+        t_in, t_out, _ = intersect(rays_o, rays_d, rest.canonical.aabb, rest.near)
+        middle = rays_o.new_full((n,), 0.5)
+        near, far = torch.full_like(t_in, rest.near), torch.full_like(t_in, rest.far)
+        front, through, _ = rest.shell.render(RaySegments(rays_o, rays_d, near, t_in, middle), False)
+        back, _, _ = rest.shell.render(RaySegments(rays_o, rays_d, t_out, far, middle), True)
+        return Around(front, through, back)
+
+
+def live_distance(rest: RestModel, motion: MotionField, taus: Float[Tensor, " M"], reach: int) -> Tensor:
+    """Distances to where the moving scene may be occupied at any of `taus`, over the motion's box.
+
+    Args:
+        reach: Voxels of the scene at rest by which the motion may still change.
+    """
+    longest = max(rest.canonical.shape)
+    x, y, z = (max(2, round(n * min(1.0, LIVE_VOXELS / longest))) for n in rest.canonical.shape)
+    coarser = int(np.ceil(longest / max(x, y, z)))  # a vertex of this grid stands for several at rest
+    canonical = rest.canonical
+    occupied = moved_occupancy(
+        (x, y, z), motion.aabb, motion.backward, taus, canonical.distance, canonical.aabb,
+        min(REACH - 1, reach + coarser),
+    )  # fmt: skip
+    return distance(occupied)
+
+
+def render_moved(
+    rest: RestModel,
+    motion: MotionField,
+    live: Tensor,
+    rays_o: Float[Tensor, "R 3"],
+    rays_d: Float[Tensor, "R 3"],
+    tau: Float[Tensor, " R"],
+    jitter: Float[Tensor, " R"],
+    keys_grad: Float[Tensor, "K X Y Z 3"] | None = None,
+    first_key: int = 0,
+) -> Moved:
+    """March through the scene as it is at each ray's own time; differentiable in the backward motion's keys."""
+    canonical = rest.canonical
+    t_in, t_out, _ = intersect(rays_o, rays_d, motion.aabb, rest.near)
+    segments = RaySegments(rays_o, rays_d, t_in, t_out, jitter)
+    samples = march(segments, canonical.volume(), Warp(motion.backward, tau.contiguous(), motion.aabb, live))
+    x = rays_o[samples.ray_id] + samples.t[:, None] * rays_d[samples.ray_id]
+    x0 = x + quad(motion.backward, x, tau[samples.ray_id], motion.aabb, keys_grad, first_key)
+    weights, left = composite_weights(canonical.alpha(x0), samples.offsets)
+    colours = canonical.colour(x0, rays_d, samples.ray_id)
+    seen = accumulate(weights, torch.cat([colours, samples.t[:, None]], dim=1), samples.ray_id, len(rays_o))
+    return Moved(seen[:, :3], left, seen[:, 3].detach(), samples, x, x0, weights, colours)
+
+
+def render_view(
+    model: DynamicModel, camera: Camera, time: float | None
+) -> Float32[np.ndarray, "height width 3"]:
+    """A picture in [0, 1] of a camera in the box frame, at a time in [0, 1]; None: the scene at rest."""
+    return render_layers(model, camera, time)[0]
+
+
+@torch.no_grad()
+def render_layers(
+    model: DynamicModel, camera: Camera, time: float | None
+) -> tuple[
+    Float32[np.ndarray, "height width 3"],
+    Float32[np.ndarray, "height width"],
+    Float32[np.ndarray, "height width"],
+]:
+    """A picture, its depth (weighted distance in the box, 0 where nothing is) and the box's opacity."""
+    rest, motion = model.rest, model.motion
+    device = str(rest.canonical.density.device)
+    rays_o, rays_d = camera_rays(camera, device)
+    around = model.around_camera(camera)
+    live = tau = None
+    if motion is not None and time is not None:
+        tau = motion.tau(torch.tensor([time], device=device))
+        live = live_distance(rest, motion, tau, 1)
+    out: list[tuple[Tensor, Tensor, Tensor]] = []
+    for o, d in _chunks(rays_o, rays_d):
+        middle = o.new_full((len(o),), 0.5)
+        if motion is not None and live is not None and tau is not None:
+            seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
+        else:
+            black, still = torch.zeros((), device=device), middle.expand(2, -1)
+            seen = render_rest(
+                rest.canonical, None, black, o, d, near=rest.near, far=rest.far, jitter=still.contiguous()
+            )
+        out.append((seen.rgb, seen.left, seen.depth))
+    rgb, left, depth = (torch.cat(parts) for parts in zip(*out, strict=True))
+    size = (camera.height, camera.width)
+    picture = around.compose(rgb, left).clamp(0, 1).reshape(*size, 3)
+    return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
+
+
+def _chunks(rays_o: Tensor, rays_d: Tensor) -> list[tuple[Tensor, Tensor]]:
+    return list(zip(rays_o.split(CHUNK), rays_d.split(CHUNK), strict=True))

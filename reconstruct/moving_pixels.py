@@ -1,0 +1,71 @@
+"""Where pictures of a camera that stands still change over time: the pixels worth drawing."""
+
+from collections import defaultdict
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from devrf.reconstruct.rays import RaySet
+
+NOISE_FACTOR = 5.0  # a change is this many times the noise
+LEAST_CHANGE = 0.04  # of the full range; compression alone changes half as much
+GROW = 0.015  # of the picture's width, around what changed: motion that is still to be explained lies there
+
+
+class ChangingPixels:
+    """Pixels that change, per camera."""
+
+    def __init__(self, of_frame: list[Int[Tensor, " n"]]) -> None:
+        self.of_frame = of_frame
+
+    def draw(
+        self, n: int, frames: Int[Tensor, " f"], generator: torch.Generator
+    ) -> tuple[Int[Tensor, " m"], Int[Tensor, " m"]]:
+        """About `n` pixels of `frames`, each picture alike: (picture, pixel). None of pictures without change."""
+        usable = [int(f) for f in frames if len(self.of_frame[int(f)])]
+        if not usable:
+            return frames[:0], frames[:0]
+        counts = [n // len(usable) + (i < n % len(usable)) for i in range(len(usable))]
+        frame, pixel = [], []
+        for f, count in zip(usable, counts, strict=True):
+            choice = self.of_frame[f]
+            pick = torch.randint(len(choice), (count,), generator=generator).to(choice.device)
+            pixel.append(choice[pick])
+            frame.append(torch.full_like(pixel[-1], f))
+        return torch.cat(frame), torch.cat(pixel)
+
+
+def changing_pixels(rays: RaySet) -> ChangingPixels:
+    """Find them: pictures with one pose are compared over time, against their own noise.
+
+    Cameras that move while the scene does (every picture another pose) have none: all pixels are alike there.
+    """
+    groups: dict[bytes, list[int]] = defaultdict(list)
+    for n, camera in enumerate(rays.cameras):
+        groups[camera.cam_from_world.tobytes() + camera.K.tobytes()].append(n)
+    of_frame = [torch.zeros(0, dtype=torch.int64)] * len(rays)
+    for members in groups.values():
+        if len(members) < 2:
+            continue
+        pixels = torch.from_numpy(np.flatnonzero(_changes(rays, members))).to(rays.device)
+        for n in members:
+            of_frame[n] = pixels
+    return ChangingPixels(of_frame)
+
+
+def _changes(rays: RaySet, members: list[int]) -> np.ndarray:
+    """True where the pictures of one camera change [H, W]."""
+    camera = rays.cameras[members[0]]
+    size = (camera.height, camera.width, 3)
+    first = rays.first.tolist()
+    pictures = np.stack([rays.pixels[first[n] : first[n + 1]].cpu().numpy().reshape(size) for n in members])
+    smooth = np.stack([cv2.GaussianBlur(p, (0, 0), 1.0) for p in pictures]).astype(np.float32) / 255
+    apart = np.abs(smooth - np.median(smooth, axis=0)).max(axis=(0, 3))
+    noise = np.median(apart)
+    mask = (apart > max(LEAST_CHANGE, NOISE_FACTOR * noise)).astype(np.uint8)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    radius = max(1, round(GROW * camera.width))
+    return cv2.dilate(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0
