@@ -1,4 +1,4 @@
-"""Health rows: what a stage measured of its own result, and what to do where it falls short (design: say so)."""
+"""Health rows: what a stage measured of its own result, and what to do where it falls short."""
 
 from dataclasses import asdict, dataclass
 from typing import Literal
@@ -42,7 +42,7 @@ def row(
     low_is_bad: bool = True,
     remedy: str,
 ) -> HealthRow:
-    """Judge `value` against its bounds: at a bound is still fine, beyond it is not; not measured is a warning."""
+    """Judge a value: at a bound is still fine, beyond it is not; not measured is a warning."""
     if value is None or value != value:
         return HealthRow(check, None, unit, warn, fail, "warn", f"not measured. {remedy}")
     sign = -1.0 if low_is_bad else 1.0

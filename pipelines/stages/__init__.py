@@ -96,14 +96,21 @@ STAGES = (
     Stage(
         name="rig",
         reads=("ingest", "static_poses", "sync"),
-        config_keys=("capture", "calibration.rig"),
+        config_keys=("capture.board", "capture.rest", "calibration.rig"),
         applies=_from_fixed_cameras,
         run=_glue("rig"),
     ),
     Stage(
         name="scene",
         reads=("ingest", "static_poses", "sync", "rig"),
-        config_keys=("preset", "capture", "dataset", "reconstruct.image_scale", "evaluate.holdout_every"),
+        config_keys=(
+            "preset",
+            "dataset",
+            "capture.rest",
+            "capture.range_s",
+            "reconstruct.image_scale",
+            "evaluate.holdout_every",
+        ),
         applies=_always,
         run=_glue("scene"),
     ),
@@ -131,7 +138,7 @@ STAGES = (
     Stage(
         name="evaluate",
         reads=("ingest", "static_poses", "sync", "rig", "scene", "canonical", "deformation"),
-        config_keys=("evaluate", "reconstruct"),
+        config_keys=("evaluate.lpips_weights", "reconstruct.seed"),
         applies=_where_rest_is_known,
         run=_glue("evaluate"),
         inputs=_truth,
