@@ -46,7 +46,7 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
     """
     sections = "".join(_made(run, key, title, make) for key, title, make in SECTIONS)
     facts_line = f'<p class="sub">{text(" · ".join(facts))}</p>'
-    numbers = f"{tiles(run)}{film(run)}{stages_table(run)}"
+    numbers = f'<div class="hero">{tiles(run)}{film(run)}</div>{stages_table(run)}'
     nav = "".join(
         f'<a href="#{key}">{text(title)}</a>' for key, title, _ in (("top", "Summary", None), *SECTIONS)
     )
