@@ -1,0 +1,34 @@
+"""Stage `canonical`: the scene at rest, and its surroundings, learned from the sweep."""
+
+import json
+from dataclasses import asdict
+
+from devrf.capture.formats import read_scene
+from devrf.pipelines.health import row
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.model_io import FILE, save_rest
+from devrf.reconstruct.train_canonical import train_canonical
+
+LEAST_PSNR_DB, DOUBTFUL_PSNR_DB = 10.0, 18.0  # of training pictures: below, nothing has been recovered
+
+
+def run(context: StageContext) -> None:
+    """Write `model.safetensors` and `metrics.json`."""
+    scene = read_scene(context.run_dir / "scene")
+    options = training_options(context.config).canonical
+    model = train_canonical(scene, options, context.device, context.progress)
+    save_rest(context.out / FILE, model)
+    metrics = model.metrics | {"options": asdict(options)}
+    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    context.health.append(
+        row(
+            "canonical: PSNR of training pictures",
+            metrics["train_psnr"],
+            "dB",
+            warn=DOUBTFUL_PSNR_DB,
+            fail=LEAST_PSNR_DB,
+            remedy="The scene at rest is not explained: check that nothing moved during the sweep, that "
+            "exposure was locked and that the poses are right (report), or train longer.",
+        )
+    )

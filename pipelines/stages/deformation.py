@@ -1,0 +1,38 @@
+"""Stage `deformation`: how the scene moves, learned from the moving cameras."""
+
+import json
+from dataclasses import asdict
+
+from devrf.capture.formats import read_scene
+from devrf.flow.store import read_flows
+from devrf.pipelines.health import row
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.model_io import FILE, load_rest, save_motion
+from devrf.reconstruct.train_motion import train_motion
+
+OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
+
+
+def run(context: StageContext) -> None:
+    """Write `model.safetensors` and `metrics.json`."""
+    scene = read_scene(context.run_dir / "scene")
+    options = training_options(context.config).motion
+    rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
+    flows = read_flows(context.run_dir / "flow")
+    motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress)
+    save_motion(context.out / FILE, motion)
+    metrics |= {"options": asdict(options)}
+    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    context.health.append(
+        row(
+            "deformation: samples whose motion leads out of the box",
+            100 * metrics["left_box_share"],
+            "%",
+            warn=100 * OFTEN_LEFT,
+            fail=100 * MOSTLY_LEFT,
+            low_is_bad=False,
+            remedy="The subject moves out of the box around the scene at rest: keep it nearer to where it "
+            "rests, or let the fixed cameras see all of its way so that the box is made larger.",
+        )
+    )
