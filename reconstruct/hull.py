@@ -36,18 +36,21 @@ def visual_hull(
     aabb: Float[Tensor, "2 3"],
     shape: tuple[int, int, int],
     background: Background,
+    least_seen: float = 0.0,
 ) -> Bool[Tensor, "X Y Z"]:
     """Vertices of a grid over the box at which the subject can be, by the silhouettes of pictures of one moment."""
     points = vertices(aabb, shape)
     voxel = float(((aabb[1] - aabb[0]) / (torch.tensor(shape) - 1)).max())
     flat = points.reshape(-1, 3).numpy().astype(np.float64)
     seen, missed = np.zeros(len(flat), np.int32), np.zeros(len(flat), np.int32)
+    count = 0
     for frame in frames:
+        count += 1
         mask, camera = silhouette(frame, background), frame.camera
         inside, hit = _looked_up(mask, camera, flat, voxel)
         seen += inside
         missed += inside & ~hit
-    keep = (seen > 0) & (missed <= MISSED * seen)
+    keep = (seen >= max(1, least_seen * count)) & (missed <= MISSED * seen)
     return torch.from_numpy(keep.reshape(shape))
 
 

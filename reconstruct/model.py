@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.reconstruct.grids import grid_shape, voxel_size
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
 from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
 from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
@@ -24,7 +25,8 @@ from devrf.reconstruct.train_canonical import RestModel
 
 CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
 CACHED_CAMERAS = 64  # cameras whose surroundings are remembered
-LIVE_VOXELS = 64  # vertices per axis of the grid that says where the moving scene may be
+LIVE_VOXELS = 40  # size of the grid that says where the moving scene may be
+STRETCH = 1.5  # how much a motion may stretch space inside one of its cells
 
 
 @dataclass
@@ -107,12 +109,12 @@ def live_distance(rest: RestModel, motion: MotionField, taus: Float[Tensor, " M"
     Args:
         reach: Voxels of the scene at rest by which the motion may still change.
     """
-    longest = max(rest.canonical.shape)
-    x, y, z = (max(2, round(n * min(1.0, LIVE_VOXELS / longest))) for n in rest.canonical.shape)
-    coarser = int(np.ceil(longest / max(x, y, z)))  # a vertex of this grid stands for several at rest
+    shape = grid_shape(motion.aabb, LIVE_VOXELS)
+    cell, voxel = voxel_size(motion.aabb, shape), voxel_size(rest.canonical.aabb, rest.canonical.shape)
+    coarser = int(np.ceil(0.5 * STRETCH * cell / voxel))  # a vertex of this grid stands for several at rest
     canonical = rest.canonical
     occupied = moved_occupancy(
-        (x, y, z), motion.aabb, motion.backward, taus, canonical.distance, canonical.aabb,
+        shape, motion.aabb, motion.backward, taus, canonical.distance, canonical.aabb,
         min(REACH - 1, reach + coarser),
     )  # fmt: skip
     return distance(occupied)

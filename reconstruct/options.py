@@ -115,9 +115,10 @@ PRESETS: dict[str, Options] = {
     "tiny": Options(
         CanonicalOptions(
             resolution=112,
-            iterations=800,
+            iterations=500,
             rays=4096,
             scale_at=(0.15, 0.3, 0.45, 0.6),
+            lr_grid=0.3,
             opacity=0.1,
             samples=32768,
             mlp_width=64,

@@ -12,14 +12,15 @@ pictures change (presets tiny and fast); pixels of all cameras in every step ins
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.scene import Scene
+from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.grids import BETAS, EPS
+from devrf.reconstruct.grids import BETAS, EPS, grid_shape
+from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.losses import cycle_loss, entropy_loss, flow_loss, per_point_loss, rendering_loss
@@ -34,6 +35,7 @@ from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
 
 LOG_EVERY = 50
+HULL_RESOLUTION, HULL_TIMES, HULL_MARGIN = 40, 12, 1.05  # to find the box that the subject sweeps
 TV_CLAMP = 1.0  # published: differences beyond one world unit pull no harder
 TV_RAYS, TV_RESOLUTION = 8192, 128  # published: variation is weighted by resolution / 128 / rays
 
@@ -79,6 +81,30 @@ def train_motion(
     return recipe.motion, metrics
 
 
+def _motion_box(
+    scene: Scene, rest: RestModel, frames: tuple[PosedFrame, ...], keys: int
+) -> Float[Tensor, "2 3"]:
+    """The box that the subject sweeps: before a plain background the union of its hulls over time."""
+    if scene.background == "shell":
+        return rest.canonical.aabb
+    cameras: dict[str, list[PosedFrame]] = {}
+    for frame in frames:
+        cameras.setdefault(frame.camera_name, []).append(frame)
+    whole = torch.tensor(scene.aabb, dtype=torch.float32)
+    shape = grid_shape(whole, HULL_RESOLUTION)
+    swept = torch.zeros(shape, dtype=torch.bool)
+    for key in range(0, keys, max(1, keys // HULL_TIMES)):
+        time = key / (keys - 1)
+        nearest = [min(clip, key=lambda f, t=time: abs((f.time or 0.0) - t)) for clip in cameras.values()]
+        swept |= visual_hull(nearest, whole, shape, scene.background, least_seen=1.0)
+    box = box_of(swept, whole, HULL_MARGIN)
+    if box is None or len(cameras) < 2:
+        return rest.canonical.aabb
+    return torch.stack(
+        [torch.minimum(box[0], rest.canonical.aabb[0]), torch.maximum(box[1], rest.canonical.aabb[1])]
+    )
+
+
 @dataclass
 class _Moments:
     """Adam's state for one key of one field."""
@@ -113,8 +139,9 @@ class _Recipe:
         keys = max(2, min(options.most_keys, len(times)))
         at_start = scene.rest_time is not None and scene.rest_time <= times[0]
         at_end = scene.rest_time is not None and scene.rest_time >= times[-1] and not at_start
+        box = _motion_box(scene, rest, rays.frames, keys)
         self.motion = MotionField.still(
-            rest.canonical.aabb,
+            box,
             keys,
             options.levels[0],
             t_first=times[0],
@@ -126,7 +153,7 @@ class _Recipe:
         self.order = [key for key in everything if key != self.motion.rest_key]
         self.direction = -1 if at_end else 1
         self.tau_of_frame = self.motion.tau(rays.times)
-        extent = rest.canonical.aabb[1] - rest.canonical.aabb[0]
+        extent = box[1] - box[0]
         self.unit = REFERENCE_EXTENT / float(extent.max())  # published units per unit of the box frame
         self.left_box = self.seen = 0
         self.level, self.lr, self.key, self.step_of_key = 0, options.lr, 0, 0
