@@ -169,8 +169,8 @@ def _never_seen(name: str, count: int, spec: BoardSpec) -> str:
     kind = f"{spec.squares[0]}x{spec.squares[1]} {spec.type}"
     marks = f" with {spec.dictionary}" if spec.type == "charuco" else ""
     return (
-        f"board never seen in {name}: 0 of {count} frames show a {kind}{marks}; check squares and dictionary of "
-        "capture.board, and film the board larger than a quarter of the picture, sharp and without glare"
+        f"board never seen in {name}: 0 of {count} frames show a {kind}{marks}; check squares and dictionary "
+        "of capture.board, and film the board larger than a quarter of the picture, sharp and without glare"
     )
 
 
@@ -190,7 +190,7 @@ def _charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
     return board
 
 
-_Markers = tuple[Int[np.ndarray, " markers"], Float[np.ndarray, "markers 4 2"]]
+_Markers = tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 4 2"]]
 
 
 def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[_Markers]]:

@@ -14,10 +14,11 @@ from devrf.calibration.intrinsics import HALF_PIXEL, Intrinsics
 from devrf.capture.errors import HealthError
 
 MIN_VIEWS = 4
-MAX_VIEWS = 45  # more cost time and gain nothing
+MAX_VIEWS = 40  # more cost time and gain nothing
 OUTLIER_MEDIANS = 3.0  # a view is dropped beyond this multiple of the median error, ...
 OUTLIER_PX = 0.5  # ... if it is beyond this too
 ROUNDS = 4
+SECOND_START_GAIN = 0.99  # the second start must be better than chance
 COVERAGE_CELLS = 5
 BASE = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST
 MODELS = (  # from simple to rich: flags (never 262144, which also means the tilted model), free parameters
@@ -111,16 +112,21 @@ class _Fit:
 
 
 def _run(views: list[BoardView], spec: BoardSpec, size: tuple[int, int]) -> tuple[_Fit, bool]:
-    """The simplest model that the views support, over both starts; and whether the second start won."""
-    fits = []
-    for start in (None, float(max(size))):
-        for flags, parameters in MODELS:
-            fit = _calibrate(views, spec, size, start, flags)
-            n = 2 * sum(len(view.ids) for view in views)
-            bic = n * np.log(max(fit.rms, 1e-6) ** 2) + parameters * np.log(n)
-            fits.append((bic, fit, start is not None))
-    _, best, second = min(fits, key=lambda f: f[0])
-    return best, second
+    """The simplest model that the views support, from the better start; and whether the second one won."""
+    n = 2 * sum(len(view.ids) for view in views)
+    best, best_bic, worse = None, np.inf, 0
+    for flags, parameters in MODELS:
+        fit = _calibrate(views, spec, size, None, flags)
+        bic = n * np.log(max(fit.rms, 1e-6) ** 2) + parameters * np.log(n)
+        if bic < best_bic:
+            best, best_bic, worse = fit, bic, 0
+        else:
+            worse += 1
+            if worse == 2:
+                break
+    assert best is not None
+    second = _calibrate(views, spec, size, float(max(size)), best.flags)
+    return (second, True) if second.rms < SECOND_START_GAIN * best.rms else (best, False)
 
 
 def _calibrate(
@@ -144,7 +150,7 @@ def _calibrate(
         np.asarray(std, dtype=np.float64).reshape(-1)[:9],
         np.asarray(view_rms, dtype=np.float64).reshape(-1),
         np.array(tilt),
-        flags,
+        flags & ~cv2.CALIB_USE_INTRINSIC_GUESS,
     )
 
 

@@ -125,7 +125,7 @@ def scene_bounds(
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """The point closest to all view axes (as instant-ngp centres its scenes), robust to a few that look away."""
+    """The point closest to all view axes (instant-ngp's centre), robust to a few that look away."""
     centres = np.array([c.centre for c in cameras])
     axes = np.array([c.cam_from_world[2, :3] for c in cameras])
     focus = closest_point(centres, axes)
@@ -163,7 +163,7 @@ def motion_mask(pictures: Sequence[UInt8[np.ndarray, "h w"]]) -> Bool[np.ndarray
 def visual_hull(
     masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
-    """Lowest and highest corner of what projects into every mask that sees it, in rotated world axes; or None."""
+    """Corners (low, high) of what projects into every mask that sees it, in upright world axes; or None."""
     from scipy import ndimage
 
     masks = [m for m in masks if 0 < m.mask.mean() < MAX_MOVING_SHARE]
@@ -185,7 +185,8 @@ def visual_hull(
     keep = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
     if not keep.any():
         return None
-    labels, _ = ndimage.label(keep.reshape(GRID, GRID, GRID), structure=np.ones((3, 3, 3)))
+    labels = np.empty((GRID, GRID, GRID), dtype=np.int32)
+    ndimage.label(keep.reshape(GRID, GRID, GRID), structure=np.ones((3, 3, 3)), output=labels)
     sizes = np.bincount(labels.reshape(-1))
     sizes[0] = 0
     large = np.isin(labels.reshape(-1), np.flatnonzero(sizes >= COMPONENT_SHARE * sizes.max()))
@@ -194,7 +195,7 @@ def visual_hull(
 
 
 def _upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
-    """Rotation whose z axis is the cameras' mean up and whose y axis is their mean view direction, levelled."""
+    """Rotation whose z axis is the mean up of cameras and whose y axis is a mean view direction, levelled."""
     up = -np.mean([c.cam_from_world[1, :3] for c in up_from], axis=0)
     up /= max(float(np.linalg.norm(up)), 1e-9)
     front = np.mean([c.cam_from_world[2, :3] for c in front_from], axis=0)

@@ -1,7 +1,7 @@
 """Bundle adjustment of cameras and points: Levenberg-Marquardt with the Schur complement.
 
-Minimises sum rho(|residual| / f_scale) over poses, intrinsics and points (Triggs et al., "Bundle Adjustment - A
-Modern Synthesis", 2000, sections 4 and 6). Points are eliminated, so the system left has the size of the
+Minimises sum rho(|residual| / f_scale) over poses, intrinsics and points (Triggs et al., "Bundle Adjustment
+- A Modern Synthesis", 2000, sections 4 and 6). Points are eliminated, so the system left has the size of the
 cameras; its inverse gives their covariance with the points' uncertainty included. Intrinsics can carry
 Gaussian priors (from a board calibration), which COLMAP's adjuster does not offer.
 
@@ -63,7 +63,7 @@ class Solution:
         residual_px: Reprojection residuals [M, 2].
         pose_covariance: [C, 6, 6], rotation vector first, in camera axes; zero where the pose was held.
         intrinsics_std: [G, 9]; zero where held.
-        cost: Robust cost; sigma_px: robust scale of a residual coordinate.
+        cost: Robust cost; sigma_px: robust estimate of an observation's noise, per coordinate.
         iterations: Steps taken.
     """
 
@@ -96,15 +96,14 @@ def adjust(
     damping, cost, steps = 1e-4, _cost(problem, loss, f_scale_px), 0
     for _ in range(MAX_ITERATIONS):
         system = _normal_equations(problem, layout, loss, f_scale_px)
-        improved = False
+        new_cost, candidate = cost, problem
         while damping < 1e8:
             candidate = _moved(problem, layout, *_step(system, damping))
             new_cost = _cost(candidate, loss, f_scale_px)
             if new_cost < cost:
-                improved = True
                 break
             damping *= 8
-        if not improved:
+        if not new_cost < cost:
             break
         steps += 1
         gain, cost, problem = cost - new_cost, new_cost, candidate
@@ -112,7 +111,9 @@ def adjust(
         if gain < FUNCTION_TOLERANCE * cost:
             break
     residual = reprojection(problem)
-    sigma = robust_sigma(residual)
+    unknowns = layout.size + (problem.points.size if problem.free_points else 0)
+    spare = max(residual.size - unknowns, 1)  # fitted unknowns take a part of the noise with them
+    sigma = robust_sigma(residual) * float(np.sqrt(residual.size / spare))
     covariance, std = _covariances(problem, layout, loss, f_scale_px, sigma)
     problem = replace(problem, prior_std=problem.prior_std * noise_px)
     return Solution(problem, residual, covariance, std, cost, sigma, steps)

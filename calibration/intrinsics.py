@@ -1,6 +1,6 @@
 """Intrinsics of one device: focal lengths, principal point, Brown-Conrady distortion (k1, k2, p1, p2, k3).
 
-The centre of the top-left pixel is (0.5, 0.5); OpenCV counts it as (0, 0), so `cv_matrix` is half a pixel less.
+The centre of the top-left pixel is (0.5, 0.5); OpenCV counts it as (0, 0): `cv_matrix` is half a pixel less.
 """
 
 from dataclasses import dataclass

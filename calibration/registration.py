@@ -1,9 +1,9 @@
 """One picture into a finished model: match its features with the model's points, then find its pose.
 
 First round: every sweep picture's triangulated features are matched with the new picture's (mutual nearest
-neighbours and Lowe's ratio test, IJCV 2004); each match votes for a pair (feature, 3D point). RANSAC finds the
-pose; with an unknown focal length several are tried and the one with the most inliers is kept. Second round:
-all points are projected with that pose and matched again with the features nearby, where the ratio test
+neighbours, ratio test of Lowe, IJCV 2004); each match votes for a pair (feature, 3D point). RANSAC finds
+the pose; with an unknown focal length several are tried and the one with the most inliers is kept. Second
+round: all points are projected with that pose and matched again with the features nearby, where the ratio test
 no longer needs to fight the whole picture.
 """
 
@@ -125,7 +125,7 @@ def refine(
     xy: Float[np.ndarray, "n 2"],
     prior: Intrinsics,
 ) -> Solution:
-    """Pose and intrinsics of one camera with the points held; `prior.std` says what may move (None: nothing)."""
+    """Pose and intrinsics of one camera with the points held; `prior.std` says what may move (None: none)."""
     problem = Problem(
         poses=cam_from_world[None].copy(),
         intrinsics=start.vector[None].copy(),
@@ -234,7 +234,7 @@ def _ransac(
         if not ok or inliers is None or len(inliers) < MIN_POINTS:
             continue
         mask = np.zeros(len(xy), dtype=bool)
-        mask[np.asarray(inliers).reshape(-1)] = True
+        mask[np.asarray(inliers, dtype=np.int64).reshape(-1)] = True
         pose = np.column_stack([cv2.Rodrigues(rotation)[0], np.asarray(translation).reshape(3)])
         error = np.linalg.norm(k.at(_orthonormal(pose)).project(xyz[mask]) - xy[mask], axis=1)
         score = float(np.maximum(0.0, 1 - (np.nan_to_num(error, nan=1e9) / threshold_px) ** 2).sum())  # MSAC
@@ -252,9 +252,10 @@ def _guided(
 ) -> tuple[Int[np.ndarray, " matches"], Int[np.ndarray, " matches"]]:
     """Match features with the points that project nearby; a feature and a point are used once.
 
-    A point is represented by the mean of its descriptors; a rival within the radius must be clearly less alike.
+    A point is represented by the mean of its descriptors; a rival within the radius must be clearly less
+    alike.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     projected = camera.project(model.xyz)
     inside = np.isfinite(projected).all(1) & (projected > 0).all(1)
@@ -264,7 +265,7 @@ def _guided(
     np.add.at(mean, model.obs_point, _unit(model.obs_descriptor))
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-6)
     own = _unit(descriptors)
-    near = cKDTree(xy).query_ball_point(projected[candidates], radius_px)
+    near = KDTree(xy).query_ball_point(projected[candidates], radius_px)
     found: list[tuple[float, int, int]] = []
     for point, features in zip(candidates, near, strict=True):
         if not features:

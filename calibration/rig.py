@@ -145,8 +145,8 @@ def read_given_rig(path: Path, names: list[str], sizes: dict[str, tuple[int, int
     """
     if path.suffix.lower() != ".json":
         raise InputError(
-            f"calibration.rig.given: {path.name} is not a rig.json; other calibration files cannot be read yet, "
-            "write the cameras as docs/formats.md says"
+            f"calibration.rig.given: {path.name} is not a rig.json; other calibration files cannot be "
+            "read yet, write the cameras as docs/formats.md says"
         )
     rig = read_rig(path)
     missing = [name for name in names if name not in rig.cameras]

@@ -68,7 +68,7 @@ class BoardRig:
 
 
 def joint_prior(own: Intrinsics) -> Intrinsics:
-    """Prior for intrinsics that come from the joint views themselves, few and seldom near the picture's edges.
+    """Prior for intrinsics that come from the joint views themselves, few and seldom near the edges.
 
     The views' own standard deviations assume a flat board; they are widened, and the principal point is
     drawn towards the centre.
@@ -334,7 +334,7 @@ def _set_velocities(s: _State) -> None:
 
 
 def _optimise(s: _State) -> None:
-    """Levenberg-Marquardt over camera poses (the first is held), intrinsics and board poses, soft-L1 at 1 px."""
+    """Levenberg-Marquardt over camera poses (the first is held), intrinsics, board poses; soft-L1 at 1 px."""
     _set_velocities(s)
     damping, cost = 1e-4, _cost(s)
     for _ in range(LM_STEPS):
@@ -394,8 +394,10 @@ def _system(s: _State) -> tuple[sp.csr_matrix, Float[np.ndarray, " rows"]]:
     scale = 1 / s.prior_std[c, i]
     prior = sp.csr_matrix((scale, (np.arange(len(c)), 6 * C + 9 * c + i)), shape=(len(c), size))
     prior_residual = (s.intrinsics[c, i] - s.prior_mean[c, i]) * scale
-    J = sp.vstack([J, s.noise_px * prior]).tocsr()
-    return J, np.concatenate([(residual * weight[:, None]).reshape(-1), s.noise_px * prior_residual])
+    J = sp.vstack([J, s.noise_px * prior])
+    return sp.csr_matrix(J), np.concatenate(
+        [(residual * weight[:, None]).reshape(-1), s.noise_px * prior_residual]
+    )
 
 
 def _free(s: _State) -> Bool[np.ndarray, " parameters"]:

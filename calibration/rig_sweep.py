@@ -2,7 +2,8 @@
 
 The sweep stays where structure from motion put it. The joint refinement moves the fixed cameras, their
 intrinsics as far as their priors allow, and every 3D point that they see, against all observations of these
-points by the sweep and by the fixed cameras, with a Cauchy loss. Standard deviations come from the same system.
+points by the sweep and by the fixed cameras, with a Cauchy loss. Standard deviations come from the
+same system.
 """
 
 import shutil
@@ -77,7 +78,8 @@ def rig_from_sweep(
         registration, label, most = _best_registration(model, item, features)
         if registration is None or most < MIN_INLIERS:
             refused.append(
-                f"{item.name} shares no view with the sweep: {most} inliers, need {MIN_INLIERS} (100 are good)"
+                f"{item.name} shares no view with the sweep: {most} inliers, need {MIN_INLIERS} "
+                "(100 are good)"
             )
         else:
             found[item.name] = (registration, label)
@@ -178,7 +180,7 @@ def _joint(
 def _problem(
     model: SweepModel, inputs: list[FixedCameraInput], found: dict[str, tuple[Registration, str]]
 ) -> tuple[Problem, int]:
-    """Sweep (held) and fixed cameras with the points that the fixed cameras see; where their own part begins."""
+    """Sweep (held) and fixed cameras with the points these see; and where their own observations begin."""
     S, F = len(model.cameras), len(inputs)
     registrations = [found[item.name][0] for item in inputs]
     points = np.unique(np.concatenate([r.points for r in registrations]))

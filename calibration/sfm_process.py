@@ -64,9 +64,9 @@ def run_job(
     result = work / "result.json"
     if process.returncode != 0 or not result.is_file():
         late = deadline is not None and time.monotonic() >= deadline
+        ended = _how_it_ended(process.returncode, timeout_s if late else None)
         raise CalibrationError(
-            f"structure from motion (pycolmap) {_how_it_ended(process.returncode, timeout_s if late else None)}; "
-            f"the last lines of its log ({log}):\n{_tail(log)}"
+            f"structure from motion (pycolmap) {ended}; the last lines of its log ({log}):\n{_tail(log)}"
         )
     return json.loads(result.read_text())
 

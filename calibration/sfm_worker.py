@@ -108,7 +108,7 @@ def _import_group(database: Path, image_path: str, group: dict[str, Any]) -> Non
     pycolmap.import_images(str(database), image_path, pycolmap.CameraMode.SINGLE, group["names"], options)
     if group["params"] is not None:
         db = pycolmap.Database.open(str(database))
-        image = db.read_image_with_name(group["names"][0])
+        image = next(i for i in db.read_all_images() if i.name == group["names"][0])
         camera = db.read_camera(image.camera_id)
         camera.has_prior_focal_length = True
         db.update_camera(camera)

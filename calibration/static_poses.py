@@ -178,7 +178,7 @@ def read_static_poses(folder: Path) -> SweepModel:
 
 
 def plan_pairs(names: list[str], ordered: bool) -> list[tuple[str, str]]:
-    """Which pictures to match: all pairs of a small set; neighbours and a closed-loop sample of a long one."""
+    """Which pictures to match: all pairs of a small set; neighbours and a loop-closing sample else."""
     n = len(names)
     if n <= EXHAUSTIVE_UP_TO or not ordered:
         return [(names[i], names[j]) for i in range(n) for j in range(i + 1, n)]
@@ -257,6 +257,6 @@ def _refuse_unregistered(result: dict[str, Any], given: int) -> None:
     raise HealthError(
         f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: "
         f"{pair['inliers']} inliers {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
-        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. Film a scene with texture "
-        "(blank walls give none), walk sideways instead of turning on the spot, and keep 70 % overlap"
+        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. Film a scene with "
+        "texture (blank walls give none), walk sideways instead of turning on the spot, and keep 70 % overlap"
     )

@@ -191,7 +191,7 @@ class _Job:
         return found, calibrations
 
     def _scale(self, model: SweepModel, cameras: dict[str, RigCamera]) -> Scale:
-        """Metres from the board in the sweep, else from cameras that saw a board at once, else a known distance."""
+        """Metres from the board in the sweep, cameras that saw a board at once, or a known distance."""
         found: list[Scale] = []
         if self.spec is not None:
             scale, text = self._scale_from_sweep_board(model)
@@ -220,7 +220,7 @@ class _Job:
                     "%",
                     warn=1.0,
                     low_is_bad=False,
-                    remedy="Two measures of length disagree: measure the printed squares and the known distance again.",
+                    remedy="Two measures of length disagree: measure the squares and the distance again.",
                 )
             )
         return found[0]
@@ -344,14 +344,14 @@ def _sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
             "",
             warn=100,
             fail=30,
-            remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and white balance.",
+            remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
         ),
         row(
             f"share of the picture that {name}'s points cover",
             d.get("inlier_area"),
             "",
             warn=0.2,
-            remedy=f"All points of {name} lie in one corner: film more sweep pictures of what it sees elsewhere.",
+            remedy=f"All points of {name} lie in one corner: film sweep pictures of what it sees elsewhere.",
         ),
     ]
     if c.position_std is not None and d.get("median_distance"):
@@ -362,7 +362,7 @@ def _sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
                 "% of distance",
                 warn=0.5,
                 low_is_bad=False,
-                remedy=f"Focal length and distance trade off: film a board with {name} (capture.board.clips).",
+                remedy=f"Focal length and distance trade off: film a board (capture.board.clips.{name}).",
             )
         )
     return rows

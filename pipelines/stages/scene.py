@@ -50,7 +50,8 @@ def run(context: StageContext) -> None:
     context.health.append(
         note(
             "pictures",
-            f"{len(scene.static)} of the sweep, {len(scene.dynamic)} in motion, scale {scene.image_scale:.3g}",
+            f"{len(scene.static)} of the sweep, {len(scene.dynamic)} in motion, "
+            f"scale {scene.image_scale:.3g}",
         )
     )
     write_scene(context.out, scene)
@@ -228,7 +229,7 @@ def health(bounds: Bounds, scene: Scene) -> list[HealthRow]:
                     "what moves",
                     "not found in two cameras at once",
                     verdict="warn",
-                    remedy="The box is a guess from the view axes: check that something moves before all cameras.",
+                    remedy="The box is a guess from the view axes: check that something moves in all views.",
                 )
             )
     return rows

@@ -15,8 +15,8 @@ from devrf.pipelines.stage import StageContext
 
 LISTED = 6  # names in a message
 FOCAL_REMEDY = (
-    "Zoom, stabilisation or a wrong EXIF focal length: film the sweep at one fixed zoom with stabilisation off, "
-    "or film a board with the same settings (capture.board.clips.static)."
+    "Zoom, stabilisation or a wrong EXIF focal length: film the sweep at one fixed zoom without "
+    "stabilisation, or film a board with the same settings (capture.board.clips.static)."
 )
 
 
@@ -70,8 +70,8 @@ def health(model: SweepModel, exif_focal_px: float | None, board: BoardCalibrati
             "",
             warn=0.8,
             fail=0.4,
-            remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(lost)}. A small model can look "
-            "perfect: film with 70 % overlap between pictures, walk sideways, and show texture.",
+            remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(lost)}. A small model can "
+            "look perfect: film with 70 % overlap between pictures, walk sideways, and show texture.",
         ),
         row(
             "mean reprojection error",
@@ -80,7 +80,8 @@ def health(model: SweepModel, exif_focal_px: float | None, board: BoardCalibrati
             warn=1.0,
             fail=2.0,
             low_is_bad=False,
-            remedy="Something moved during the sweep, or the lens changed: film the scene at rest, lock focus and zoom.",
+            remedy="Something moved during the sweep, or the lens changed: keep the scene at "
+            "rest, lock focus and zoom.",
         ),
         row(
             "mean track length",
@@ -155,7 +156,7 @@ def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
             warn=1.0,
             fail=3.0,
             low_is_bad=False,
-            remedy=f"The board does not fit: check squares, use a flat, rigid print, avoid motion blur.{dropped}",
+            remedy=f"The board does not fit: check squares, use a flat print, avoid motion blur.{dropped}",
         ),
         row(
             f"board views of {name}",
