@@ -5,6 +5,7 @@ is `alpha_init`. Colour = MLP(features, encoded view direction). What is empty i
 from the density as it is; nothing is ever removed for good.
 """
 
+import copy
 import math
 
 import torch
@@ -89,8 +90,8 @@ class Canonical:
     @staticmethod
     def new(
         aabb: Float[Tensor, "2 3"],
-        resolution: float,
-        final_resolution: float,
+        resolution: float | int,
+        final_resolution: float | int,
         *,
         channels: int,
         mlp_width: int,
@@ -164,6 +165,13 @@ class Canonical:
         """Colour at points on rays."""
         return self.net(trilinear(self.features, x, self.aabb, features_grad), rays_d, ray_id)
 
+    def seen_with(self, stepsize: float, alpha_threshold: float, weight_threshold: float) -> "Canonical":
+        """The same scene, not copied, looked at in other steps and with other thresholds."""
+        other = copy.copy(self)
+        other.stepsize = stepsize
+        other.alpha_threshold, other.weight_threshold = alpha_threshold, weight_threshold
+        return other
+
     def occupied(self) -> Bool[Tensor, "X Y Z"]:
         """Vertices next to which a sample can be opaque enough to count."""
         alpha = 1 - torch.exp(-self.interval * F.softplus(self.density[..., 0] + self.shift))
@@ -177,7 +185,7 @@ class Canonical:
         self.distance = distance(occupied)
         return grown(occupied)
 
-    def refine(self, resolution: float) -> None:
+    def refine(self, resolution: float | int) -> None:
         """Interpolate both grids onto more vertices."""
         shape = grid_shape(self.aabb, resolution)
         self.density, self.features = upsample(self.density, shape), upsample(self.features, shape)

@@ -79,7 +79,8 @@ class MotionOptions:
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
         live_every: Iterations between rebuilds of where the moving scene may be.
-        weight_threshold: Samples at or below are dropped.
+        stepsize: Step along rays, in voxels of the scene at rest.
+        alpha_threshold, weight_threshold: Samples at or below are dropped.
         seed: Of every random draw.
     """
 
@@ -95,6 +96,8 @@ class MotionOptions:
     entropy: float = 0.01
     per_point: float = 0.1
     live_every: int = 10
+    stepsize: float = 0.5
+    alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
     seed: int = 0
 
@@ -133,11 +136,14 @@ PRESETS: dict[str, Options] = {
         ),
         MotionOptions(
             levels=(7, 14, 28),
-            iterations=(100, 60, 40),
+            iterations=(50, 30, 20),
             rays=1536,
             most_keys=25,
+            lr=3e-3,
             importance=0.8,
-            weight_threshold=1e-3,
+            stepsize=1.0,
+            alpha_threshold=5e-3,
+            weight_threshold=1e-2,
         ),
     ),
     "fast": Options(

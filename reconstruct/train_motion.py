@@ -9,7 +9,7 @@ Departures from the published program: exact times instead of one picture per ke
 pictures change (presets tiny and fast); pixels of all cameras in every step instead of one camera's.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -130,7 +130,10 @@ class _Recipe:
         options: MotionOptions,
         device: str,
     ) -> None:
-        self.rest, self.rays, self.options, self.device = rest, rays, options, device
+        looked_at = rest.canonical.seen_with(
+            options.stepsize, options.alpha_threshold, options.weight_threshold
+        )
+        self.rest, self.rays, self.options = replace(rest, canonical=looked_at), rays, options
         self.generator = torch.Generator().manual_seed(options.seed)
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows)
