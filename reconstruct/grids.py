@@ -16,7 +16,7 @@ BETAS = (0.9, 0.99)  # DirectVoxGO's; the papers say "Adam"
 EPS = 1e-8
 
 
-def grid_shape(aabb: Float[Tensor, "2 3"], resolution: float) -> tuple[int, int, int]:
+def grid_shape(aabb: Float[Tensor, "2 3"], resolution: float | int) -> tuple[int, int, int]:
     """Vertices along each axis of a grid of about resolution^3 vertices, in proportion to the box, at least 2."""
     extent = (aabb[1] - aabb[0]).double()
     voxel = float(extent.prod() ** (1 / 3)) / resolution

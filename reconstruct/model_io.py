@@ -122,7 +122,7 @@ def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
 
 
 def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
-    ready = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    ready = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
     save_file(ready, str(path), metadata={"devrf": json.dumps({"format": FORMAT, **meta})})
 
 

@@ -37,7 +37,7 @@ class MotionField:
     def still(
         aabb: Float[Tensor, "2 3"],
         keys: int,
-        resolution: float,
+        resolution: float | int,
         *,
         t_first: float,
         t_last: float,
@@ -66,7 +66,7 @@ class MotionField:
         """Where resting points are at given times."""
         return x_rest + quad(self.forward, x_rest, tau, self.aabb)
 
-    def refined(self, resolution: float) -> "MotionField":
+    def refined(self, resolution: float | int) -> "MotionField":
         """The same motion on more vertices."""
         shape = grid_shape(self.aabb, resolution)
         return replace(

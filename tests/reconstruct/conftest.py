@@ -1,0 +1,92 @@
+"""A small scene whose model is known: a patterned ball that moves along a straight line, before white."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import PosedFrame, Scene
+
+RADIUS = 0.45
+TRAVEL = np.array([0.3, 0.0, 0.15])  # of the centre, from time 0 to time 1, box units
+WIDTH, HEIGHT, FOCAL = 48, 40, 60.0
+
+
+@dataclass(frozen=True)
+class Ball:
+    """The scene and its truth."""
+
+    scene: Scene
+    travel: np.ndarray
+    radius: float
+
+
+def ball_picture(camera: Camera, centre: np.ndarray) -> np.ndarray:
+    """RGBA picture [H, W, 4] of the ball, four rays per pixel, traced in closed form."""
+    offsets = (np.arange(camera.width * 2) + 0.5) / 2, (np.arange(camera.height * 2) + 0.5) / 2
+    d = camera.directions(np.stack(np.meshgrid(*offsets), axis=-1))
+    o = camera.centre - centre
+    b = d @ o
+    root = b**2 - (o @ o - RADIUS**2)
+    hit = root > 0
+    normal = (o + (-b - np.sqrt(np.where(hit, root, 0)))[..., None] * d) / RADIUS
+    rgba = np.dstack([0.5 + 0.45 * np.sin(4 * normal + [0, 1, 2]), np.ones(hit.shape)]) * hit[..., None]
+    small = cv2.resize(rgba, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    small[..., :3] /= np.maximum(small[..., 3:], 1e-6)
+    return (small * 255).round().clip(0, 255).astype(np.uint8)
+
+
+def look_at(eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT) -> Camera:
+    """A camera that looks at the origin; +z is up."""
+    forward = -eye / np.linalg.norm(eye)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    K = np.array([[FOCAL, 0, width / 2 + 0.7], [0, FOCAL * 1.02, height / 2 - 0.4], [0, 0, 1]])
+    return Camera(width, height, K, np.column_stack([R, -R @ eye]))
+
+
+def _around(n: int, phase: float, height: float) -> list[np.ndarray]:
+    angles = phase + 2 * np.pi * np.arange(n) / n
+    return [2.6 * np.array([np.cos(a), np.sin(a), height * np.cos(3 * a)]) for a in angles]
+
+
+@pytest.fixture(scope="session")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Ball:
+    """24 pictures of the ball at rest (two held out), four cameras with five times each, one of them for tests."""
+    folder: Path = tmp_path_factory.mktemp("ball")
+
+    def frame(name: str, index: int, eye: np.ndarray, time: float | None, split: str) -> PosedFrame:
+        path, camera = folder / f"{name}_{index}.png", look_at(eye)
+        picture = ball_picture(camera, (time or 0.0) * TRAVEL)
+        cv2.imwrite(str(path), picture[..., [2, 1, 0, 3]])
+        return PosedFrame(path, camera, name, index, time, time, "test" if split == "test" else "train")
+
+    static = [
+        frame("static", n, eye, None, "test" if n % 12 == 5 else "train")
+        for n, eye in enumerate(_around(12, 0.0, 0.3) + _around(12, 0.2, 0.8))
+    ]
+    dynamic = [
+        frame(f"cam{c}", n, eye, n / 4, "test" if c == 3 else "train")
+        for c, eye in enumerate(_around(4, 0.5, 0.5))
+        for n in range(5)
+    ]
+    scene = Scene(
+        static=tuple(static),
+        dynamic=tuple(dynamic),
+        box_from_world=np.eye(4),
+        aabb=np.array([[-1.0] * 3, [1.0] * 3]),
+        near=0.5,
+        far=6.0,
+        kind="inward",
+        background="white",
+        t0_s=0.0,
+        t1_s=1.0,
+        rest_time=0.0,
+        image_scale=1.0,
+    )
+    return Ball(scene, TRAVEL, RADIUS)

@@ -1,0 +1,128 @@
+"""Grids, opacity, occupancy and colour of the scene at rest; its surroundings; the visual hull."""
+
+import pytest
+import torch
+
+from devrf.reconstruct.canonical import EMPTY, Canonical, shift_for
+from devrf.reconstruct.grids import grid_shape, grown, upsample, vertices, voxel_size
+from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.options import PRESETS, preset
+from devrf.reconstruct.shell import Shell
+
+AABB = torch.tensor([[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]])
+
+
+def _canonical(resolution: float = 16, final: float = 16) -> Canonical:
+    return Canonical.new(
+        AABB,
+        resolution,
+        final,
+        channels=4,
+        mlp_width=8,
+        stepsize=0.5,
+        alpha_init=1e-2,
+        alpha_threshold=1e-4,
+        weight_threshold=1e-4,
+        device="cpu",
+        seed=0,
+    )
+
+
+def test_grid_has_the_wanted_volume_in_proportion_to_the_box() -> None:
+    shape = grid_shape(AABB, 64)
+    assert shape[0] == pytest.approx(2 * shape[1], abs=1) and shape[1] == pytest.approx(2 * shape[2], abs=1)
+    assert shape[0] * shape[1] * shape[2] == pytest.approx(64**3, rel=0.05)
+    assert min(grid_shape(torch.tensor([[0.0, 0, 0], [1e-3, 1, 1]]), 8)) == 2
+
+
+def test_upsampling_keeps_a_linear_function() -> None:
+    coarse, fine = vertices(AABB, (4, 5, 3)), vertices(AABB, (9, 7, 8))
+    torch.testing.assert_close(upsample(coarse, (9, 7, 8)), fine, rtol=1e-5, atol=1e-6)
+
+
+def test_opacity_is_alpha_init_where_nothing_is_known() -> None:
+    model = _canonical()
+    per_base_voxel = 1 - (1 - model.alpha(torch.zeros(1, 3))) ** (1 / model.interval)
+    assert per_base_voxel.item() == pytest.approx(1e-2, rel=1e-4)
+    assert shift_for(0.5) == pytest.approx(0.0)
+
+
+def test_opacity_of_a_length_does_not_depend_on_resolution() -> None:
+    alphas = []
+    for resolution in (8, 16):
+        model = _canonical(resolution, 16)
+        model.density += 2.0
+        steps = 0.1 / model.step
+        alphas.append(1 - (1 - model.alpha(torch.zeros(1, 3)).item()) ** steps)
+    assert alphas[0] == pytest.approx(alphas[1], rel=1e-4)
+
+
+def test_occupancy_holds_everything_that_counts_and_grows_back() -> None:
+    model = _canonical()
+    model.density.fill_(EMPTY)
+    model.density[5:7, 3:5, 2:4] = 5.0
+    reachable = model.rebuild_occupancy()
+    points = AABB[0] + (AABB[1] - AABB[0]) * torch.rand(5000, 3, generator=torch.Generator().manual_seed(0))
+    counts = model.alpha(points) > model.alpha_threshold
+    vertex = ((points - AABB[0]) / (AABB[1] - AABB[0]) * (torch.tensor(model.shape) - 1)).round().long()
+    assert counts.any()
+    assert (model.distance[tuple(vertex[counts].unbind(-1))] == 0).all()
+    assert reachable.float().mean() < 0.5
+    model.density[12, 5, 2] = 5.0  # occupied again after having been empty
+    model.rebuild_occupancy()
+    assert model.distance[12, 5, 2] == 0
+
+
+def test_colour_depends_on_the_view_and_is_the_same_for_the_same_seed() -> None:
+    x, ray_id = torch.zeros(2, 3), torch.tensor([0, 1])
+    directions = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])
+    model = _canonical()
+    colours = model.colour(x, directions, ray_id)
+    assert (colours[0] - colours[1]).abs().max() > 1e-4
+    torch.testing.assert_close(colours, _canonical().colour(x, directions, ray_id))
+
+
+def test_shell_is_empty_in_the_box_and_around_cameras() -> None:
+    centre = torch.tensor([[3.0, 0, 0]])
+    shell = Shell.new(AABB, 33, 33, near=0.4, far=20.0, centres=centre, device="cpu")
+    y = vertices(torch.tensor([[-2.0] * 3, [2.0] * 3]), (33, 33, 33))
+    inside = y.abs().amax(-1) < 0.7
+    assert (shell.grid[..., 0][inside] == EMPTY).all()
+    camera = torch.tensor([2 - 1 / 3, 0, 0])  # x = 3 half sides along the first axis
+    nearest = (y - camera).norm(dim=-1).reshape(-1).argmin()
+    assert shell.grid[..., 0].reshape(-1)[nearest] == EMPTY
+    assert (shell.grid[..., 0] == 0).float().mean() > 0.5
+
+
+def test_hull_contains_the_ball_and_little_else(ball) -> None:
+    scene = ball.scene
+    aabb = torch.tensor(scene.aabb, dtype=torch.float32)
+    frames = [f for f in scene.static if f.split == "train"]
+    kept = visual_hull(frames, aabb, (24, 24, 24), scene.background)
+    inside = vertices(aabb, (24, 24, 24)).norm(dim=-1) < ball.radius
+    assert kept[inside].all()
+    box = box_of(kept, aabb, 1.0)
+    assert box is not None and (box.abs() < ball.radius + 0.25).all()
+    assert box_of(torch.zeros(4, 4, 4, dtype=torch.bool), aabb, 1.0) is None
+
+
+def test_grown_adds_neighbours_only() -> None:
+    one = torch.zeros(5, 5, 5, dtype=torch.bool)
+    one[2, 2, 2] = True
+    assert grown(one).sum() == 27
+
+
+def test_presets_take_single_numbers() -> None:
+    options = preset("tiny", resolution=56, rays=100, canonical_iterations=7, motion_iterations=10, seed=3)
+    assert options.canonical.resolution == 56 and options.canonical.rays == options.motion.rays == 100
+    assert options.canonical.iterations == 7 and options.canonical.seed == options.motion.seed == 3
+    ratio = 56 / PRESETS["tiny"].canonical.resolution
+    for level, whole in zip(options.motion.levels, PRESETS["tiny"].motion.levels, strict=True):
+        assert level == max(4, round(whole * ratio))
+    assert sum(options.motion.iterations) == pytest.approx(10, abs=2)
+    with pytest.raises(ValueError, match="expected one of tiny, fast, reference"):
+        preset("small")
+
+
+def test_voxel_size_is_the_edge_of_a_cube() -> None:
+    assert voxel_size(torch.tensor([[0.0, 0, 0], [1, 1, 1]]), (11, 11, 11)) == pytest.approx(0.1)
