@@ -17,8 +17,8 @@ def model_files(run_dir: Path) -> list[Path]:
 
 def load_renderer(run_dir: Path, device: str) -> Render:
     """`render(camera, time)` of the run's model; cameras are in the box frame."""
+    from devrf.reconstruct.model import render_view
     from devrf.reconstruct.model_io import load_model
-    from devrf.reconstruct.render import render_view
 
     model = load_model(run_dir, device)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
