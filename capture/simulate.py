@@ -11,8 +11,9 @@ exposure. `simulate_session` writes
 
 `ground_truth.json` holds, besides what docs/formats.md promises: `sweep` (K, k1 of the moving camera), per
 camera `K`, `k1`, `gain`, `clapper_distance_m` and `file_times_s`, `claps` (place and times), `object` (some
-of the object's surface points at times on cam0's clock) and `options`. K's have the centre of the first
-pixel at 0, unlike `Camera`, which has it at 0.5. The same arguments give the same session.
+of the object's surface points at times on cam0's clock) and `made_by` (scene, seed, options). K's have the
+centre of the first pixel at 0, unlike `Camera`, which has it at 0.5. The same arguments give the same
+session, up to what the video encoder makes of the same pictures.
 """
 
 import json

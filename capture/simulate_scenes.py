@@ -110,7 +110,7 @@ def _sheet(rng: np.random.Generator, contrast: float, motion_scale: float) -> Mo
         swing = 0.20 * np.sin(w) + 0.16 * np.sin(w - 2.2 * s + 2.0 * y0 + phases[0])
         wave = 0.26 * s * np.sin(1.6 * w - 5.0 * s + 3.0 * y0 / SHEET_WIDTH_M + phases[1])
         angle = folds + amount * (swing + wave)
-        sway = amount * 0.26 * np.sin(0.8 * w + phases[2] * s) * s
+        sway = amount * 0.17 * np.sin(0.8 * w + phases[2] * s) * s
         ds = SHEET_HEIGHT_M / (rows - 1)
         steps = np.stack(
             [np.sin(angle) * np.cos(sway), np.sin(sway) * np.ones_like(angle), -np.cos(angle) * np.cos(sway)],

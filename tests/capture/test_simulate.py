@@ -122,8 +122,11 @@ def test_same_seed_same_session(tmp_path: Path) -> None:
     options = SessionOptions(sweep_frames=2, fps=5, duration_s=0.5, spp=4, board=False, claps=1)
     for name in ("a", "b"):
         simulate_session(tmp_path / name, "column", cameras=1, seed=1, size=(32, 24), options=options)
-    for file in ("static.mp4", "cam0.mp4", "witness.mp4", "ground_truth.json"):
-        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    assert _truth(tmp_path / "a") == _truth(tmp_path / "b")
+    for file in ("static.mp4", "cam0.mp4", "witness.mp4"):
+        one, other = (_pictures(tmp_path / name / file)[1].astype(float) for name in ("a", "b"))
+        assert np.abs(one - other).mean() < 1.0  # grey levels: x264 itself rarely chooses otherwise
+    np.testing.assert_array_equal(_sound(tmp_path / "a" / "cam0.mp4"), _sound(tmp_path / "b" / "cam0.mp4"))
     assert _truth(tmp_path / "a")["board"] is None
     assert "board" not in yaml.safe_load((tmp_path / "a" / "scene.yaml").read_text())["capture"]
 
