@@ -146,13 +146,13 @@ class VideoReader:
             raise ValueError(f"{self.path}: a VideoReader can be read only once")
         turns = self.info.rotation_deg // 90
         while picture is not None:
-            if picture.time is None:
+            if picture.pts is None or self._stream.time_base is None:
                 raise CaptureError(
                     f"{self.path}: frame {self.decoded} has no timestamp (a raw stream without container?); "
                     "put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i in.h264 out.mp4`"
                 )
             rgb = np.rot90(_rgb(picture), turns) if turns else _rgb(picture)
-            time_s = picture.time - self._origin_s
+            time_s = float(picture.pts * self._stream.time_base) - self._origin_s  # flushed ones know no unit
             yield VideoFrame(self.decoded, time_s, np.ascontiguousarray(rgb))
             self.decoded += 1
             picture = next(self._pictures, None)

@@ -6,6 +6,7 @@ import numpy as np
 
 from devrf.calibration.sync import synchronise
 from devrf.capture.audio import Sound
+from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp
 from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.raw import linear_from_srgb
@@ -25,7 +26,24 @@ def run(context: StageContext) -> None:
     sounds = write_sounds(session, context.out)
     ranges = file_ranges(session, sounds, context.config.calibration.sync.method)
     frames = write_frames(session, sounds, context.out, context.scene_dir, ranges, context.progress)
+    refuse_damaged(frames)
     context.health.extend(health(frames))
+
+
+def refuse_damaged(frames: FrameSet) -> None:
+    """A file that ends before its announced end is not what was filmed.
+
+    Raises:
+        CaptureError: Naming each file, where it ends and what to do.
+    """
+    damaged = [
+        f"{name}: {camera.source} {camera.ended_early}; copy it from the camera again, or repair it with "
+        "`ffmpeg -i damaged.mp4 -c copy whole.mp4` to use what is there"
+        for name, camera in frames.cameras.items()
+        if camera.ended_early is not None
+    ]
+    if damaged:
+        raise CaptureError("\n".join(damaged))
 
 
 def file_ranges(
@@ -64,9 +82,6 @@ def health(frames: FrameSet) -> list[HealthRow]:
     if frames.moving:
         rows += _moving(frames.moving)
     for name, camera in frames.cameras.items():
-        if camera.ended_early is not None:
-            remedy = f"{camera.source} is damaged or cut short: copy it from the camera again."
-            rows.append(note(f"{name} is whole", camera.ended_early, verdict="warn", remedy=remedy))
         if camera.notes:
             rows.append(note(name, "; ".join(camera.notes)))
     return rows

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.audio import Sound, write_wav
+from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
 from devrf.capture.progress import no_progress
 from devrf.capture.session import CaptureSession
@@ -133,6 +134,14 @@ def test_range_in_each_cameras_own_time():
     assert ingest.file_ranges(replace(session, range_s=None), sounds, "auto") == {}
 
 
+def test_a_damaged_file_is_refused_by_name():
+    whole = FrameSet({"cam0": frames(), "cam1": frames()})
+    ingest.refuse_damaged(whole)
+    cut = replace(whole.cameras["cam1"], ended_early="ends at frame 1 of 60")
+    with pytest.raises(CaptureError, match=f"cam1: {cut.source} ends at frame 1 of 60; copy it"):
+        ingest.refuse_damaged(FrameSet({**whole.cameras, "cam1": cut}))
+
+
 def test_health_of_a_good_and_of_a_bad_capture():
     sweep = frames("sweep", 60)
     good = FrameSet({"static": sweep, "cam0": frames(), "cam1": frames()})
@@ -144,7 +153,7 @@ def test_health_of_a_good_and_of_a_bad_capture():
         {
             "static": replace(sweep, frames=blurred, notes=("mixed sizes: 9 photos of 4x3 ...",)),
             "cam0": frames(level=60.0, missing_frames=5),
-            "cam1": frames(count=1, width=66, has_audio=False, ended_early="ends at frame 1 of 60"),
+            "cam1": frames(count=1, width=66, has_audio=False),
         }
     )
     rows = ingest.health(bad)
@@ -156,7 +165,6 @@ def test_health_of_a_good_and_of_a_bad_capture():
         ("frames of a moving camera, fewest (cam1)", "fail"),
         ("share of frames dropped while filming, worst camera (cam0)", "warn"),
         ("exposure between cameras, cam1 against cam0", "warn"),
-        ("cam1 is whole", "warn"),
     ):
         assert found[check][0] == verdict, (check, found)
     assert found["sound"] == ("ok", "silent: cam1")
