@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from devrf.capture.errors import DevrfError
-from devrf.capture.formats import read_transforms
-from devrf.capture.scene import PosedFrame
+from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.report_html import absent, figure, number, section, table, text
 from devrf.pipelines.report_pictures import picture_uri, read_picture
 from devrf.pipelines.report_run import RunFolder, evenly
@@ -35,7 +33,7 @@ def capture_section(run: RunFolder) -> str:
         strip = _strip(_ingest_pictures(run.path, boards))
         body += f"<details><summary>Board clips</summary>{strip}</details>" if strip else ""
         return section("capture", "Capture", lead, body)
-    pictures = _dataset_pictures(run.path)
+    pictures = _dataset_pictures(run.scene)
     if not pictures:
         return section("capture", "Capture", lead, absent(run.why_absent("ingest")))
     lead = "A finished data set: its pictures came with cameras and times, so nothing was ingested."
@@ -97,16 +95,10 @@ def _below_ingest(file: str) -> str:
     return file.removeprefix("ingest/")
 
 
-def _dataset_pictures(run_dir: Path) -> list[tuple[str, list[tuple[Path, str]]]]:
+def _dataset_pictures(scene: Scene | None) -> list[tuple[str, list[tuple[Path, str]]]]:
     rows = []
-    for part, count in (("static", SWEEP_THUMBNAILS), ("dynamic", CAMERA_THUMBNAILS)):
-        path = run_dir / "scene" / part / "transforms.json"
-        if not path.is_file():
-            continue
-        try:
-            frames = read_transforms(path)
-        except (DevrfError, OSError, ValueError, KeyError):
-            continue
+    parts = ((scene.static, SWEEP_THUMBNAILS), (scene.dynamic, CAMERA_THUMBNAILS)) if scene else ()
+    for frames, count in parts:
         by_camera: dict[str, list[PosedFrame]] = {}
         for frame in frames:
             by_camera.setdefault(frame.camera_name, []).append(frame)

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 
 from devrf.capture.errors import DevrfError
-from devrf.capture.formats import read_transforms
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.report_html import absent, figure, number, section, table, text
 from devrf.pipelines.report_pictures import (
@@ -53,10 +52,9 @@ def _checks_table(run: RunFolder) -> str:
 def _pictures(run: RunFolder) -> str:
     try:
         flows = list(read_flows(run.path / "flow").values())[:MAX_CAMERAS]
-        frames = read_transforms(run.path / "scene" / "dynamic" / "transforms.json")
-    except (DevrfError, OSError, ValueError, KeyError) as error:
+    except (DevrfError, OSError) as error:
         return absent(f"No flow pictures: {error}")
-    files = {(f.camera_name, f.index): f.path for f in frames}
+    files = {(f.camera_name, f.index): f.path for f in run.scene.dynamic} if run.scene is not None else {}
     shown = [(flow, _liveliest(flow)) for flow in flows if len(flow.index)]
     if not shown:
         return ""

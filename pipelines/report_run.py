@@ -2,8 +2,13 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+from devrf.capture.errors import DevrfError
+from devrf.capture.formats import read_scene
+from devrf.capture.scene import Scene
 
 
 class RunFolder:
@@ -51,6 +56,17 @@ class RunFolder:
         value = self.object(file).get("cameras")
         entries = value.items() if isinstance(value, dict) else ()
         return {str(name): entry for name, entry in entries if isinstance(entry, dict)}
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """The scene, None where it is missing or damaged."""
+        if not self.has("scene"):
+            return None
+        try:
+            return read_scene(self.path / "scene")
+        except (DevrfError, OSError, ValueError, KeyError, TypeError) as error:
+            self.unreadable["scene/"] = str(error)
+            return None
 
     def why_absent(self, stage: str) -> str:
         """A sentence for a section whose stage left nothing."""

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from devrf.capture.camera import Camera
 from devrf.capture.colmap_points import read_colmap_points
 from devrf.capture.errors import DevrfError
-from devrf.capture.formats import read_scene
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.report_html import absent, link, section, text
 from devrf.pipelines.report_run import RunFolder
@@ -30,11 +29,9 @@ def space_section(run: RunFolder) -> str:
         "Drag to turn, wheel or two fingers to zoom, Shift and drag to move. "
         "Frusta show where each camera stands and looks; the box is what the model fills."
     )
-    try:
-        scene = read_scene(run.path / "scene")
-    except (DevrfError, OSError, ValueError, KeyError, TypeError) as error:
-        reason = run.why_absent("scene") if not run.has("scene") else f"scene/ cannot be read: {error}"
-        return section("space", "Cameras in space", lead, absent(reason))
+    scene = run.scene
+    if scene is None:
+        return section("space", "Cameras in space", lead, absent(run.why_absent("scene")))
     points, colours, note = _points(run.path, scene)
     data = space_data(scene, points, colours)
     switches = "".join(_switch(g["id"], g["label"], g["colour"]) for g in data["groups"])
