@@ -24,8 +24,8 @@ LOSSES = {
     "variation": "total variation",
 }
 LEAD = (
-    "Means over the rays of the iterations since the point before. A curve that still rises at its end would "
-    "gain from more iterations."
+    "Means over the rays of the iterations since the point before. The motion field visits its key times one after "
+    "the other at every level, so its curves follow the motion, not only the learning."
 )
 
 

@@ -75,7 +75,7 @@ def _over_time(views: Sequence[View]) -> str:
 
 
 def _viewer(views: Sequence[View], total: int, folder: Path) -> str:
-    frames, buttons = [], []
+    shown: list[tuple[View, dict[str, Any]]] = []
     for view in views:
         pictures = {
             kind: _picture(folder, view.row.get(kind)) for kind in ("true", "rendered", "error", "rest")
@@ -85,12 +85,13 @@ def _viewer(views: Sequence[View], total: int, folder: Path) -> str:
             continue
         if pictures["error"] is None:
             pictures["error"] = error_picture(true, rendered)
-        on = not frames
-        frames.append(_frame(view, pictures, on))
-        pressed = str(on).lower()
-        buttons.append(
-            f'<button type="button" aria-pressed="{pressed}">{text(_short_name(view.row))}</button>'
-        )
+        shown.append((view, pictures))
+    first = len(shown) // 2  # at the first time of a clip nothing has moved yet
+    frames = [_frame(view, pictures, n == first) for n, (view, pictures) in enumerate(shown)]
+    buttons = [
+        f'<button type="button" aria-pressed="{str(n == first).lower()}">{text(_short_name(view.row))}</button>'
+        for n, (view, _) in enumerate(shown)
+    ]
     if not frames:
         return absent("The true and rendered pictures are not in evaluate/.")
     some = (
