@@ -25,10 +25,10 @@ def silhouette(frame: PosedFrame, background: Background) -> Bool[np.ndarray, "h
     """Pixels of the full-size picture that show the subject."""
     image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
     if image is not None and image.ndim == 3 and image.shape[2] == 4:
-        return image[..., 3] > MATTE * np.iinfo(image.dtype).max
+        return image[..., 3] > MATTE * np.iinfo(str(image.dtype)).max
     image = cv2.imread(str(frame.path), cv2.IMREAD_COLOR)
     plain = 255.0 if background == "white" else 0.0
-    return (np.abs(np.asarray(image, dtype=np.float32) - plain) > MATTE * 255).any(-1)
+    return np.any(np.abs(np.asarray(image, dtype=np.float32) - plain) > MATTE * 255, axis=-1)
 
 
 def visual_hull(

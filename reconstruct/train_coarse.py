@@ -84,7 +84,7 @@ def hand_on(
     centres: Float[Tensor, "F 3"],
 ) -> None:
     """Start the box's density and the surroundings from the coarse model; colours in the box are learned anew."""
-    shell.grid = upsample(coarse.grid, (shell.size,) * 3)
+    shell.grid = upsample(coarse.grid, (shell.size, shell.size, shell.size))
     shell.clear_around(centres)
     lo, hi = canonical.aabb
     x = vertices(canonical.aabb, canonical.shape).reshape(-1, 3)

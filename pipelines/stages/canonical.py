@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from typing import Any
 
 from devrf.capture.formats import read_scene
 from devrf.pipelines.health import row
@@ -19,7 +20,7 @@ def run(context: StageContext) -> None:
     options = training_options(context.config).canonical
     model = train_canonical(scene, options, context.device, context.progress)
     save_rest(context.out / FILE, model)
-    metrics = model.metrics | {"options": asdict(options)}
+    metrics: dict[str, Any] = model.metrics | {"options": asdict(options)}
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
         row(

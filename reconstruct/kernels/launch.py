@@ -79,7 +79,7 @@ def _ready(device_type: str) -> bool:
         if hasattr(wp.config, "log_level"):
             wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
         else:  # Warp before 1.13 or so
-            wp.config.quiet = True
+            setattr(wp.config, "quiet", True)  # noqa: B010, unknown to this version's types
         wp.init()
         if device_type == "cuda" and not wp.is_cuda_available():
             raise RuntimeError("Warp sees no CUDA device")

@@ -49,4 +49,4 @@ def test_a_file_that_is_no_picture_is_named(tmp_path):
 
 @pytest.mark.parametrize(("size", "scale"), [((400, 400), 0.5), ((100, 100), 1.0)])
 def test_image_scale_keeps_the_pixel_budget_and_never_enlarges(size, scale):
-    assert image_scale_for(*size, 40_000) == pytest.approx(scale)
+    assert image_scale_for(size[0], size[1], 40_000) == pytest.approx(scale)
