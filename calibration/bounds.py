@@ -17,6 +17,7 @@ from devrf.calibration.scale import closest_point
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
 
+LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
 GRID = 64  # cells per axis of the visual hull
 HULL_REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
@@ -198,6 +199,10 @@ def _upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[n
     """Rotation whose z axis is the mean up of cameras and whose y axis is a mean view direction, levelled."""
     up = -np.mean([c.cam_from_world[1, :3] for c in up_from], axis=0)
     up /= max(float(np.linalg.norm(up)), 1e-9)
+    rights = np.array([c.cam_from_world[0, :3] for c in up_from])
+    _, spread, axes = np.linalg.svd(rights)
+    if len(spread) == 3 and spread[1] > LEVEL_SPREAD * spread[0] and spread[2] < LEVEL_SPREAD * spread[1]:
+        up = axes[2] * np.sign(axes[2] @ up)  # people hold cameras level: up is across all right axes
     front = np.mean([c.cam_from_world[2, :3] for c in front_from], axis=0)
     front = front - (front @ up) * up
     if np.linalg.norm(front) < 1e-3:

@@ -111,7 +111,7 @@ def rig_from_board(
     for round_number in range(ROUNDS):
         progress(round_number / ROUNDS, f"bundle adjustment, round {round_number + 1}")
         _optimise(state)
-        state.noise_px = max(robust_sigma(state.residuals()), MIN_NOISE_PX)
+        state.noise_px = _common_noise(state)
         _optimise(state)  # once more with the velocities and the noise that the better poses show
         bad = _bad_views(state)
         if not bad.any():
@@ -165,7 +165,7 @@ class _State:
     obs_id: Int[np.ndarray, " observations"]
     obs_xy: Float[np.ndarray, "observations 2"]
     corners: Float[np.ndarray, "corners 3"]
-    noise_px: float = 1.0  # of a coordinate; weighs the priors against the corners
+    noise_px: float = 1.0  # weighs the priors against the corners
 
     def keep(self, views: Bool[np.ndarray, " views"]) -> None:
         """Drop views and their observations; instants without views stay and cost nothing."""
@@ -427,6 +427,16 @@ def _cost(s: _State) -> float:
     deviation = (s.intrinsics - s.prior_mean)[has_prior] / s.prior_std[has_prior]
     squared = (s.residuals() ** 2).sum(1)
     return float(loss_value(squared, "soft_l1").sum() + s.noise_px**2 * (deviation**2).sum())
+
+
+def _common_noise(s: _State) -> float:
+    """Noise of an observation for weighing priors: a view's corners err together.
+
+    The views of one instant are not quite simultaneous and the print is not quite flat, so the corners of a view
+    share their error: n of them are worth one, and the noise of each counts sqrt(n) times.
+    """
+    per_view = len(s.obs_view) / max(len(np.unique(s.obs_view)), 1)
+    return max(robust_sigma(s.residuals()), MIN_NOISE_PX) * float(np.sqrt(per_view))
 
 
 def _bad_views(s: _State) -> Bool[np.ndarray, " views"]:

@@ -8,7 +8,7 @@ sweep's model. Or a distance that somebody measured.
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from devrf.calibration.board import BoardSpec, BoardView
 from devrf.calibration.bundle import Problem, adjust
@@ -59,7 +59,7 @@ def scale_from_board(
 
 def triangulate_corners(
     views: list[BoardView], cameras: list[Camera]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], int]:
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], int]:
     """Corners in the sweep's frame from all views that see them: ids [n], positions [n, 3], pictures used."""
     sightings: dict[int, list[tuple[int, np.ndarray]]] = {}
     for view in views:

@@ -1,0 +1,125 @@
+"""The scene box of synthetic captures: a moving ball in a room, a subject in a ring of cameras."""
+
+import numpy as np
+import pytest
+
+from devrf.calibration.bounds import MotionMask, focus_point, motion_mask, scene_bounds, visual_hull
+from devrf.calibration.intrinsics import guess
+from devrf.capture.camera import Camera
+
+BALL = np.array([0.4, -0.3, 0.2])
+RADIUS = 0.3
+
+
+def look_at(centre: np.ndarray, target: np.ndarray) -> Camera:
+    """A level camera, world z up."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    return guess(200, 150).at(np.column_stack([R, -R @ centre]))
+
+
+def ring(count: int, arc: float, radius: float = 2.5) -> list[Camera]:
+    """Cameras on an arc, all looking at the origin."""
+    angles = np.linspace(-arc / 2, arc / 2, count)
+    return [look_at(np.array([radius * np.sin(a), -radius * np.cos(a), 0.6]), np.zeros(3)) for a in angles]
+
+
+def ball_mask(camera: Camera, centre: np.ndarray = BALL, radius: float = RADIUS) -> MotionMask:
+    """Pixels whose ray passes through a ball."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = camera.directions(np.stack([u + 0.5, v + 0.5], axis=-1).astype(float))
+    to_ball = centre - camera.centre
+    away = np.linalg.norm(np.cross(rays, to_ball), axis=-1)
+    return MotionMask(camera, away < radius)
+
+
+def in_box(bounds, points: np.ndarray) -> np.ndarray:
+    """Points in the box frame."""
+    return points @ bounds.box_from_world[:3, :3].T + bounds.box_from_world[:3, 3]
+
+
+def room(rng: np.random.Generator) -> np.ndarray:
+    """Points on the walls of a room."""
+    points = rng.uniform(-3, 3, (2000, 3))
+    points[np.arange(2000), rng.integers(0, 3, 2000)] = rng.choice([-3.0, 3.0], 2000)
+    return points
+
+
+def test_the_box_holds_what_moves_and_not_much_more():
+    fixed = ring(4, 2.2)
+    points = room(np.random.default_rng(0))
+    distances = np.linalg.norm(points - fixed[0].centre, axis=1)
+    bounds = scene_bounds(ring(20, 5.0), fixed, points, distances, [ball_mask(c) for c in fixed])
+    surface = np.random.default_rng(1).normal(size=(500, 3))
+    surface = BALL + RADIUS * surface / np.linalg.norm(surface, axis=1, keepdims=True)
+    assert (np.abs(in_box(bounds, surface)) <= bounds.aabb[1] + 1e-9).all()
+    assert (bounds.size < 4 * 2 * RADIUS).all()
+    assert "visual hull" in bounds.basis
+    assert bounds.kind == "inward"
+    assert bounds.points_outside is not None and bounds.points_outside > 0.95
+    assert np.abs(bounds.aabb).max() == pytest.approx(1.0)
+    np.testing.assert_allclose(bounds.aabb[0], -bounds.aabb[1])
+
+
+def test_near_does_not_cut_the_box_and_far_reaches_the_walls():
+    fixed = ring(4, 2.2)
+    points = room(np.random.default_rng(0))
+    distances = np.linalg.norm(points - fixed[0].centre, axis=1)
+    bounds = scene_bounds(fixed, fixed, points, distances, [ball_mask(c) for c in fixed])
+    unit = np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
+    for camera in fixed:
+        assert bounds.near / unit <= np.linalg.norm(camera.centre - BALL) - RADIUS
+    assert bounds.far / unit >= np.percentile(distances, 99)
+
+
+def test_up_is_up():
+    bounds = scene_bounds(ring(12, 5.0), [], np.zeros((0, 3)), np.zeros(0))
+    z = bounds.box_from_world[2, :3]
+    np.testing.assert_allclose(z / np.linalg.norm(z), [0, 0, 1], atol=0.02)
+    R = bounds.box_from_world[:3, :3] / np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_a_sweep_alone_gets_the_points_around_its_focus():
+    rng = np.random.default_rng(0)
+    subject = 0.5 * rng.uniform(-1, 1, (800, 3))
+    points = np.concatenate([subject, 3 * room(rng)])
+    bounds = scene_bounds(ring(20, 5.0), [], points, np.full(10, 2.5))
+    share = (np.abs(in_box(bounds, subject)) <= bounds.aabb[1]).all(1).mean()
+    assert share > 0.9
+    assert (bounds.size < 1.6).all()
+
+
+def test_forward_facing_cameras_are_told_apart():
+    cameras = [look_at(np.array([x, -3.0, 0.2]), np.array([x, 0.0, 0.0])) for x in np.linspace(-0.5, 0.5, 6)]
+    assert scene_bounds(cameras, [], np.zeros((0, 3)), np.zeros(0)).kind == "forward"
+    with pytest.raises(ValueError, match="without cameras"):
+        scene_bounds([], [], np.zeros((0, 3)), np.zeros(0))
+
+
+def test_focus_ignores_a_camera_that_looks_away():
+    cameras = [*ring(8, 3.0), look_at(np.array([2.0, 2.0, 0.5]), np.array([9.0, 2.0, 0.5]))]
+    assert np.linalg.norm(focus_point(cameras)) < 0.15
+
+
+def test_masks_that_contradict_give_no_hull():
+    fixed = ring(2, 1.0)
+    masks = [ball_mask(fixed[0]), ball_mask(fixed[1], BALL + [0.0, 0.0, 0.9], 0.1)]
+    assert visual_hull(masks, np.zeros(3), np.eye(3)) is None
+    assert visual_hull(masks[:1], np.zeros(3), np.eye(3)) is None
+
+
+def test_motion_mask_sees_motion_but_neither_noise_nor_exposure():
+    rng = np.random.default_rng(0)
+    scene = rng.integers(60, 190, (90, 120)).astype(np.float64)
+    pictures = []
+    for n in range(16):
+        picture = scene * (1 + 0.1 * np.sin(n)) + rng.normal(0, 1.5, scene.shape)
+        picture[30:50, 20 + 3 * n : 40 + 3 * n] = 230
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+    mask = motion_mask(pictures)
+    assert mask[32:48, 30:70].mean() > 0.9
+    assert mask[:22].mean() < 0.05 and mask[60:].mean() < 0.05

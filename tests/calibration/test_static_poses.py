@@ -1,0 +1,191 @@
+"""Structure from motion of rendered pictures with known poses; the worker process when things go wrong."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration import sfm_process
+from devrf.calibration.intrinsics import from_vector, guess
+from devrf.calibration.sfm_process import run_job
+from devrf.calibration.static_poses import (
+    EXHAUSTIVE_UP_TO,
+    device_groups,
+    plan_pairs,
+    read_static_poses,
+    recover_static_poses,
+)
+from devrf.calibration.truth import rotation_angle_deg, similarity
+from devrf.capture.errors import CalibrationError, HealthError
+
+SIZE = (320, 240)
+FOCAL = 300.0
+VIEWS = 9
+
+
+def texture(rng: np.random.Generator, side: int) -> np.ndarray:
+    """Blobs of many sizes: what SIFT likes."""
+    picture = np.full((side, side), 128, dtype=np.uint8)
+    for _ in range(900):
+        centre = tuple(int(x) for x in rng.integers(0, side, 2))
+        cv2.circle(picture, centre, int(rng.integers(3, 18)), int(rng.integers(0, 256)), -1)
+    return cv2.GaussianBlur(picture, (0, 0), 1.0)
+
+
+def render_corner(folder: Path) -> dict[str, np.ndarray]:
+    """Pictures of two textured walls that meet in a corner; true world_from_cam [4, 4] by name."""
+    rng = np.random.default_rng(0)
+    walls = [texture(rng, 900) for _ in range(2)]
+    corners = [  # of each wall, metres: the walls stand at right angles along z
+        np.array([[0, 0, 0], [3, 0, 0], [3, 0, -3], [0, 0, -3.0]]),
+        np.array([[0, 0, 0], [0, 3, 0], [0, 3, -3], [0, 0, -3.0]]),
+    ]
+    k = from_vector(*SIZE, np.array([FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2, 0, 0, 0, 0, 0]))
+    truth = {}
+    for n, angle in enumerate(np.linspace(0.15, 1.2, VIEWS)):
+        centre = np.array([4.2 * np.cos(angle), 4.2 * np.sin(angle), -1.5 + 0.5 * np.sin(5 * angle)])
+        forward = np.array([0.5, 0.5, -1.5]) - centre
+        forward /= np.linalg.norm(forward)
+        right = np.cross([0.0, 0.0, 1.0], forward)  # z points down
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(forward, right), forward])
+        camera = k.at(np.column_stack([R, -R @ centre]))
+        picture = np.full(SIZE[::-1], 90, dtype=np.uint8)
+        for wall, corner in zip(walls, corners, strict=True):
+            source = np.array([[0, 0], [899, 0], [899, 899], [0, 899]], dtype=np.float32)
+            target = (camera.project(corner) - 0.5).astype(np.float32)
+            H = cv2.getPerspectiveTransform(source, target)
+            drawn = cv2.warpPerspective(wall, H, SIZE, flags=cv2.INTER_AREA)
+            inside = cv2.warpPerspective(np.full_like(wall, 255), H, SIZE) > 127
+            picture[inside] = drawn[inside]
+        name = f"static/{n:06d}.png"
+        (folder / "static").mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / name), picture)
+        truth[name] = camera.world_from_cam
+    return truth
+
+
+@pytest.fixture(scope="module")
+def corner(tmp_path_factory):
+    """(picture folder, truth, result folder, model) of one run."""
+    pictures, out = tmp_path_factory.mktemp("pictures"), tmp_path_factory.mktemp("out")
+    truth = render_corner(pictures)
+    groups = device_groups(dict.fromkeys(truth, SIZE), FOCAL, None)
+    return pictures, truth, out, recover_static_poses(pictures, groups, out)
+
+
+def test_every_view_is_registered_where_it_was(corner):
+    _, truth, _, model = corner
+    assert list(model.names) == sorted(truth)
+    ours = np.array([c.centre for c in model.cameras])
+    true = np.array([truth[n][:3, 3] for n in model.names])
+    true_from_ours = similarity(ours, true)
+    turn = true_from_ours[:3, :3] / np.cbrt(np.linalg.det(true_from_ours[:3, :3]))
+    for camera, name in zip(model.cameras, model.names, strict=True):
+        assert rotation_angle_deg(turn @ camera.cam_from_world[:, :3].T, truth[name][:3, :3]) < 0.5
+    moved = ours @ true_from_ours[:3, :3].T + true_from_ours[:3, 3]
+    assert np.linalg.norm(moved - true, axis=1).max() < 0.03  # metres, at a distance of 4
+    assert model.cameras[0].K[0, 0] == pytest.approx(FOCAL, rel=0.02)
+
+
+def test_what_is_left_on_disk(corner):
+    _, _, out, model = corner
+    report = json.loads((out / "static_poses.json").read_text())
+    assert report["registered"] == report["given"] == VIEWS
+    assert report["unregistered"] == [] and report["models"] == [VIEWS]
+    assert report["mean_reprojection_px"] < 1.0
+    assert report["median_triangulation_angle_deg"] > 3.0
+    assert {p.name for p in (out / "colmap").iterdir()} >= {"cameras.bin", "images.bin", "points3D.bin"}
+    again = read_static_poses(out)
+    assert again.names == model.names and len(again.xyz) == report["points"]
+    projected = again.cameras[0].project(again.xyz[again.obs_point[again.obs_image == 0]])
+    error = np.linalg.norm(projected - again.obs_xy[again.obs_image == 0], axis=1)
+    assert np.median(error) < 0.7  # our camera projects as COLMAP's does
+    assert not list(out.glob("work-*"))
+
+
+def test_the_same_pictures_give_the_same_model(corner, tmp_path):
+    pictures, truth, _, model = corner
+    groups = device_groups(dict.fromkeys(truth, SIZE), FOCAL, None)
+    again = recover_static_poses(pictures, groups, tmp_path)
+    for a, b in zip(model.cameras, again.cameras, strict=True):
+        np.testing.assert_array_equal(a.cam_from_world, b.cam_from_world)
+
+
+def test_blank_walls_are_refused_with_counts(tmp_path):
+    (tmp_path / "static").mkdir()
+    names = [f"static/{n:06d}.png" for n in range(4)]
+    for name in names:
+        cv2.imwrite(str(tmp_path / name), np.full((120, 160), 140, dtype=np.uint8))
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(HealthError, match=r"0 of 4 pictures.*best pair: 0 inliers.*blank walls"):
+        recover_static_poses(tmp_path, device_groups(dict.fromkeys(names, (160, 120)), None, None), out)
+
+
+def test_two_pictures_are_no_sweep(tmp_path):
+    sizes = {"a.png": (160, 120), "b.png": (160, 120)}
+    with pytest.raises(CalibrationError, match="the sweep has 2 pictures, need at least 3"):
+        recover_static_poses(tmp_path, device_groups(sizes, None, None), tmp_path)
+
+
+def test_a_crash_of_the_worker_is_an_error_with_its_last_words(tmp_path):
+    code = "import os, sys; print('F2026 fatal check failed', file=sys.stderr, flush=True); os.abort()"
+    with pytest.raises(CalibrationError, match=r"(?s)crashed \(signal 6\).*fatal check failed"):
+        run_job({}, tmp_path, tmp_path / "colmap.log", command=[sys.executable, "-c", code])
+
+
+def test_a_worker_that_ignores_sigterm_is_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr(sfm_process, "GRACE_S", 0.5)
+    code = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(600)"
+    start = time.monotonic()
+    with pytest.raises(CalibrationError, match="was stopped after 2 s"):
+        run_job({}, tmp_path, tmp_path / "colmap.log", timeout_s=2.0, command=[sys.executable, "-c", code])
+    assert time.monotonic() - start < 60
+
+
+def test_a_worker_without_a_result_is_an_error(tmp_path):
+    with pytest.raises(CalibrationError, match=r"failed \(exit code 0\)"):
+        run_job({}, tmp_path, tmp_path / "colmap.log", command=[sys.executable, "-c", "pass"])
+
+
+def test_importing_pycolmap_first_through_the_package_does_not_corrupt_zlib():
+    """The wheel embeds zlib; loaded first it breaks PNG and npz writing (double free)."""
+    code = (
+        "import devrf.calibration.sfm_worker, io, zlib, cv2, numpy as np\n"
+        "x = np.random.default_rng(0).integers(0, 255, (300, 300, 3)).astype(np.uint8)\n"
+        "for _ in range(5):\n"
+        "    ok, png = cv2.imencode('.png', x); assert ok\n"
+        "    assert (cv2.imdecode(png, 1) == x).all()\n"
+        "    f = io.BytesIO(); np.savez_compressed(f, x=x); f.seek(0); assert (np.load(f)['x'] == x).all()\n"
+        "print('fine')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stdout.strip() == "fine", done.stderr
+
+
+def test_pairs_of_small_and_long_sweeps():
+    names = [f"{n:03d}" for n in range(10)]
+    assert len(plan_pairs(names, ordered=True)) == 45
+    names = [f"{n:03d}" for n in range(EXHAUSTIVE_UP_TO + 130)]
+    pairs = plan_pairs(names, ordered=True)
+    assert len(pairs) == len(set(pairs)) < len(names) * (len(names) - 1) / 4
+    assert (names[0], names[1]) in pairs and (names[0], names[-1]) in pairs  # neighbours, and the loop
+    assert all(a < b for a, b in pairs)
+    assert len(plan_pairs(names, ordered=False)) == len(names) * (len(names) - 1) // 2
+
+
+def test_groups_by_size_share_a_camera():
+    known = from_vector(320, 240, np.array([300.0, 300, 160, 120, 0, 0, 0, 0, 0]))
+    sizes = {"a": (320, 240), "b": (240, 320), "c": (320, 240)}
+    tall, wide = device_groups(sizes, None, known)
+    assert wide.names == ("a", "c") and wide.fixed and wide.intrinsics is known
+    assert tall.names == ("b",) and not tall.trusted
+    by_exif = device_groups({"a": (320, 240)}, 280.0, None)[0]
+    assert by_exif.trusted and not by_exif.fixed and by_exif.intrinsics.K[0, 0] == 280.0
+    assert guess(320, 240).K[0, 0] == pytest.approx(384.0)
