@@ -13,12 +13,12 @@ from torch import Tensor
 
 from devrf.reconstruct.canonical import EMPTY, shift_for
 from devrf.reconstruct.grids import grown, upsample, vertices
-from devrf.reconstruct.kernels.background import Surroundings, background
+from devrf.reconstruct.kernels.background import Surroundings, background, expand
 from devrf.reconstruct.kernels.march import RaySegments
 
 CUBE = torch.tensor([[-2.0] * 3, [2.0] * 3])
 ALPHA_INIT = 1e-3  # a ray takes about a hundred steps: enough to start from, little enough to see through
-STEPSIZE = 0.5  # voxels
+STEPSIZE = 1.0  # at the box's surface, in units of a voxel inside it: about half a voxel outside
 ALPHA_THRESHOLD = 1e-3
 
 
@@ -92,13 +92,11 @@ class Shell:
 
     def clear_around(self, centres: Float[Tensor, "F 3"]) -> None:
         """Empty the box's inside and everything nearer than `near` to a camera."""
-        y = vertices(CUBE, (self.size,) * 3).to(self.grid)
+        y = vertices(CUBE, (self.size, self.size, self.size)).to(self.grid)
         r = y.abs().amax(-1)
         inside = (r < 1 - 2 * 4 / (self.size - 1)) & (not self.inside)
-        radius = 1 / (2 - r.clamp(1, 2 - 1e-3))  # undo r' = 2 - 1/r
         lo, hi = self.aabb.to(self.grid)
-        u = torch.where(r[..., None] > 1, y / r.clamp(min=1e-6)[..., None] * radius[..., None], y)
-        x = (u * (hi - lo) / 2 + (lo + hi) / 2).reshape(-1, 3)
+        x = (expand(y) * (hi - lo) / 2 + (lo + hi) / 2).reshape(-1, 3)
         blocked = torch.zeros(len(x), dtype=torch.bool, device=x.device)
         for centre in centres.to(x):
             blocked |= (x - centre).square().sum(-1) < self.near**2

@@ -4,12 +4,15 @@
 """Render the static surroundings of the box in one pass, forward and backward, without keeping samples.
 
 The surroundings are one grid over space contracted to [-2, 2]^3: u is the position in half sizes of the box
-from its centre, r = max |u|, and y = u inside the box, (2 - 1/r) u / r outside (Barron et al. 2022, mip-NeRF
-360, Eq. 10, with the largest component in place of the length, as DirectVoxGO's successor does). The grid
-holds raw density and raw colour; steps grow with r. The backward pass walks the same samples again: what lies
+from its centre, r = max |u|, and y = u inside the box, (1 + log r / log REACH) u / r outside, at most 2. Like
+mip-NeRF 360's (2 - 1/r) u / r (Barron et al. 2022, Eq. 10; here with the largest component in place of the
+length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, a few half
+sizes away, keep twice the resolution. What is farther than REACH lies on the cube's faces. The grid holds raw
+density and raw colour; steps grow with r. The backward pass walks the same samples again: what lies
 behind sample i is the final colour minus what has been passed, so nothing needs to be stored.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, no_type_check
 
@@ -23,6 +26,8 @@ from devrf.reconstruct.kernels.launch import array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest
 from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, trilinear_ref
 
+REACH = 6.0  # half sizes of the box that the cube holds: a room around its subject
+LOG_REACH = wp.constant(math.log(REACH))
 vec4 = wp.types.vector(length=4, dtype=wp.float32)
 
 
@@ -80,7 +85,13 @@ def background(
 def contract(u: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
     """Contract positions in half sizes of the box to [-2, 2]^3."""
     r = u.abs().amax(-1, keepdim=True).clamp(min=1)
-    return (2 - 1 / r) * u / r
+    return (1 + torch.log(r) / math.log(REACH)).clamp(max=2) * u / r
+
+
+def expand(y: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+    """Undo `contract`."""
+    s = y.abs().amax(-1, keepdim=True)
+    return torch.where(s > 1, y / s.clamp(min=1) * REACH ** (s - 1), y)
 
 
 def background_ref(
@@ -230,7 +241,7 @@ def colour_of(v: vec4) -> wp.vec3:
 @no_type_check
 def index_of(u: wp.vec3, r: float, grid: wp.array3d(dtype=vec4)) -> wp.vec3:
     """Index coordinates of a position given in half sizes of the box."""
-    y = u * ((2.0 - 1.0 / r) / r) + wp.vec3(2.0, 2.0, 2.0)
+    y = u * (wp.min(1.0 + wp.log(r) / LOG_REACH, 2.0) / r) + wp.vec3(2.0, 2.0, 2.0)
     return wp.vec3(
         y[0] * 0.25 * float(grid.shape[0] - 1),
         y[1] * 0.25 * float(grid.shape[1] - 1),

@@ -6,6 +6,7 @@ import torch
 from devrf.reconstruct.canonical import EMPTY, Canonical, shift_for
 from devrf.reconstruct.grids import grid_shape, grown, upsample, vertices, voxel_size
 from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.kernels.background import contract
 from devrf.reconstruct.options import PRESETS, preset
 from devrf.reconstruct.shell import Shell
 
@@ -88,7 +89,7 @@ def test_shell_is_empty_in_the_box_and_around_cameras() -> None:
     y = vertices(torch.tensor([[-2.0] * 3, [2.0] * 3]), (33, 33, 33))
     inside = y.abs().amax(-1) < 0.7
     assert (shell.grid[..., 0][inside] == EMPTY).all()
-    camera = torch.tensor([2 - 1 / 3, 0, 0])  # x = 3 half sides along the first axis
+    camera = contract(torch.tensor([[3.0, 0, 0]]))[0]  # x = 3 half sides along the first axis
     nearest = (y - camera).norm(dim=-1).reshape(-1).argmin()
     assert shell.grid[..., 0].reshape(-1)[nearest] == EMPTY
     assert (shell.grid[..., 0] == 0).float().mean() > 0.5

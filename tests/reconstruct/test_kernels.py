@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 import torch
 
+from devrf.reconstruct.kernels import background as around
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step, masked_step
-from devrf.reconstruct.kernels.background import Surroundings, background, background_ref, contract
+from devrf.reconstruct.kernels.background import (
+    Surroundings,
+    background,
+    background_ref,
+    contract,
+    expand,
+)
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights, composite_weights_ref
 from devrf.reconstruct.kernels.march import RaySegments, Volume, Warp, march, march_ref
 from devrf.reconstruct.kernels.occupancy import (
@@ -229,9 +236,14 @@ def test_background_matches_reference(closed: bool) -> None:
 
 
 def test_contraction_keeps_the_box_and_brings_infinity_to_two() -> None:
-    u = torch.tensor([[0.5, -1.0, 0.2], [4.0, 0, 0], [1e9, 1e9, -1e9]])
-    expected = torch.tensor([[0.5, -1.0, 0.2], [1.75, 0, 0], [2.0, 2.0, -2.0]])
+    u = torch.tensor([[0.5, -1.0, 0.2], [around.REACH**0.5, 0, 0], [1e9, 1e9, -1e9]])
+    expected = torch.tensor([[0.5, -1.0, 0.2], [1.5, 0, 0], [2.0, 2.0, -2.0]])
     torch.testing.assert_close(contract(u), expected)
+
+
+def test_expand_undoes_contraction() -> None:
+    u = torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) * 2 * around.REACH - around.REACH
+    torch.testing.assert_close(expand(contract(u)), u, rtol=1e-4, atol=1e-4)
 
 
 def test_adam_matches_torch() -> None:

@@ -1,0 +1,99 @@
+"""Both stages learn a ball whose look and path are known, repeatably, and notice when they fail."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from devrf.capture.errors import ReconstructError
+from devrf.capture.scene import load_image
+from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.training_log import TrainingLog
+
+REST = CanonicalOptions(
+    resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
+    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
+    occupancy_every=20, hull_resolution=24, shell_resolution=32, coarse_iterations=24, coarse_rays=512,
+    coarse_size=32,
+)  # fmt: skip
+MOTION = MotionOptions(
+    levels=(4, 8), iterations=(60, 25), rays=512, importance=0.7, lr=6e-3, weight_threshold=1e-3
+)
+
+
+@pytest.fixture(scope="module")
+def rest(ball) -> RestModel:
+    return train_canonical(ball.scene, REST)
+
+
+def _psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(((a - b) ** 2).mean()))
+
+
+def test_scene_at_rest_is_learned(ball, rest: RestModel) -> None:
+    assert (rest.canonical.aabb.abs() < 1.5 * ball.radius).all()  # the hull has found the ball
+    model = DynamicModel(rest)
+    for frame in ball.scene.static:
+        if frame.split == "test":
+            true = load_image(frame, 1.0, "white").astype(np.float64) / 255
+            assert _psnr(render_view(model, frame.camera, None), true) > 22
+    assert rest.metrics["iterations"] == 120
+    assert rest.metrics["curve"][-1]["psnr"] > rest.metrics["curve"][0]["psnr"]
+
+
+def test_training_repeats_bit_by_bit(ball) -> None:
+    short = replace(REST, iterations=12)
+    first, second = (train_canonical(ball.scene, short).canonical for _ in range(2))
+    assert torch.equal(first.density, second.density) and torch.equal(first.features, second.features)
+    other = train_canonical(ball.scene, replace(short, seed=1)).canonical
+    assert not torch.equal(first.density, other.density)
+
+
+def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
+    """The centre's path, from the forward field at exact times that are and are not key times."""
+    motion, metrics = train_motion(ball.scene, rest, {}, replace(MOTION, most_keys=4))
+    assert motion.keys == 4 and motion.rest_key == 0
+    assert (motion.backward[0] == 0).all() and (motion.forward[0] == 0).all()
+    surface = torch.nn.functional.normalize(torch.randn(200, 3), dim=-1) * 0.9 * ball.radius
+    for time in (0.5, 0.75, 1.0):
+        tau = motion.tau(torch.full((200,), time))
+        moved = (motion.from_rest(surface, tau) - surface).mean(0).numpy()
+        error = np.linalg.norm(moved - time * ball.travel)
+        assert error < 0.2 * np.linalg.norm(ball.travel), f"{moved} at {time}"
+    model = DynamicModel(rest, motion)
+    for frame in ball.scene.dynamic:
+        if frame.split == "test" and (frame.time or 0) > 0.4:
+            true = load_image(frame, 1.0, "white").astype(np.float64) / 255
+            moving = _psnr(render_view(model, frame.camera, frame.time), true)
+            still = _psnr(render_view(model, frame.camera, None), true)
+            assert moving > still + 3
+    assert metrics["left_box_share"] < 0.2
+
+
+def test_surroundings_are_learned_without_mattes(ball) -> None:
+    """The same pictures taken as a room: the white around the ball is part of the scene."""
+    scene = replace(ball.scene, background="shell", aabb=np.array([[-0.7] * 3, [0.7] * 3]), far=8.0)
+    model = train_canonical(scene, REST)
+    assert model.shell is not None
+    frame = next(f for f in scene.static if f.split == "test")
+    true = load_image(frame, 1.0, "white").astype(np.float64) / 255
+    assert _psnr(render_view(DynamicModel(model), frame.camera, None), true) > 16
+
+
+def test_scene_without_pictures_is_refused(ball, rest: RestModel) -> None:
+    with pytest.raises(ReconstructError, match="no training pictures"):
+        train_motion(replace(ball.scene, dynamic=()), rest, {}, MOTION)
+    held_out = tuple(replace(f, split="test") for f in ball.scene.static)
+    with pytest.raises(ReconstructError, match="no training pictures"):
+        train_canonical(replace(ball.scene, static=held_out), REST)
+
+
+def test_divergence_is_noticed() -> None:
+    log = TrainingLog("cpu", 2)
+    log.add(10, {"mse": torch.tensor(0.1)})
+    with pytest.raises(ReconstructError, match="diverged"):
+        log.add(10, {"mse": torch.tensor(float("nan"))})
