@@ -153,29 +153,55 @@ def test_webcams_without_until_are_refused(devrf: Callable, data_dir: Path, tmp_
 # --- pose2sim: portrait clips of two sizes, two codecs ---
 
 
-def test_portrait_clips_of_two_sizes(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
-    """Works with the calibration that comes with them, or refuses it by name."""
-    source = data_dir / "pose2sim_single"
-    clips = {path.stem: str(path) for path in sorted((source / "videos").glob("cam*.mp4"))}
+def portrait(folder: Path, data_dir: Path, given: Path) -> Path:
+    source = data_dir / "pose2sim_single" / "videos"
+    clips = {path.stem: str(path) for path in sorted(source.glob("cam*.mp4"))}
     assert len(clips) == 4
-    scene = write_scene(
-        tmp_path,
-        name="portrait",
-        capture={"cameras": clips, "range_s": [0, 0.4]},
-        calibration={
-            "rig": {"given": str(source / "calibration" / "Calib.qca.txt")},
-            "sync": {"method": "none"},
-        },
-    )
-    result = devrf("run", scene, "--until", "flow")
-    assert "Traceback" not in result.said
-    assert result.code in (0, 1, 2, 3)
+    capture = {"cameras": clips, "range_s": [0, 0.2]}
+    calibration = {"rig": {"given": str(given)}, "sync": {"method": "none"}}
+    return write_scene(folder, name="portrait", capture=capture, calibration=calibration)
+
+
+def test_portrait_clips_of_two_sizes(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
+    """Two codecs and two widths go through to flow, each camera at its own size."""
+    sizes = {"cam01": 1080, "cam02": 1080, "cam03": 1088, "cam04": 1088}
+    given = tmp_path / "rig.json"
+    given.write_text(json.dumps({"cameras": {name: upright(width) for name, width in sizes.items()}}))
+    result = devrf("run", portrait(tmp_path, data_dir, given), "--until", "flow")
+    assert result.code == 0, result.said
+    assert "1080x1920" in result.said or "1080x1920" in (tmp_path / "run/devrf.log").read_text()
     ingest = read(tmp_path / "run/ingest/ingest.json")["cameras"]
-    assert {(camera["width"], camera["height"]) for camera in ingest.values()} == {(1080, 1920), (1088, 1920)}
-    if result.code == 0:
-        assert len(list((tmp_path / "run/flow").glob("*.npz"))) == 4
-    else:
-        assert "Calib.qca.txt" in result.err or "cam0" in result.err
+    assert {name: (c["width"], c["height"]) for name, c in ingest.items()} == {
+        name: (width, 1920) for name, width in sizes.items()
+    }
+    assert {path.stem for path in (tmp_path / "run/flow").glob("*.npz")} == set(sizes)
+
+
+def upright(width: int) -> dict[str, Any]:
+    """A camera as rig.json has it; where it stands does not matter to flow."""
+    centre = [width / 2, 960.0]
+    K = [[1680.0, 0.0, centre[0]], [0.0, 1680.0, centre[1]], [0.0, 0.0, 1.0]]
+    pose = np.eye(3, 4).tolist()
+    std = {"rotation_deg": 0.1, "position": 0.01}
+    return {
+        "model": "OPENCV",
+        "K": K,
+        "distortion": [0.0] * 5,
+        "width": width,
+        "height": 1920,
+        "cam_from_world": pose,
+        "std": std,
+    }
+
+
+def test_a_calibration_of_another_tool_is_refused_by_name(
+    devrf: Callable, data_dir: Path, tmp_path: Path
+) -> None:
+    given = data_dir / "pose2sim_single" / "calibration" / "Calib.qca.txt"
+    result = devrf("run", portrait(tmp_path, data_dir, given), "--until", "flow")
+    assert result.code in (1, 2)
+    assert "calibration.rig.given" in result.err and "Calib.qca.txt" in result.err
+    assert "Traceback" not in result.said
 
 
 # --- devrf_cloth: a finished data set ---
