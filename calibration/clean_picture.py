@@ -20,7 +20,7 @@ REST_FRAMES = 3
 def clean_pictures(
     name: str, files: list[Path], rest: Literal["start", "end", "none"], out: Path
 ) -> list[Path]:
-    """Write the candidates `<name>_clip.png` and `<name>_rest.png` into `out`.
+    """Write the candidates `<name>_rest.png` (where there is a rest) and `<name>_clip.png` into `out`.
 
     Args:
         name: Of the camera.
@@ -31,9 +31,10 @@ def clean_pictures(
     if not files:
         raise CaptureError(f"camera '{name}' has no frames; check its clip and capture.range_s")
     chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
-    candidates = {"clip": [files[i] for i in chosen]}
+    candidates = {}
     if rest != "none":
         candidates["rest"] = files[:REST_FRAMES] if rest == "start" else files[-REST_FRAMES:]
+    candidates["clip"] = [files[i] for i in chosen]
     written = []
     for label, sources in candidates.items():
         path = out / f"{name}_{label}.png"

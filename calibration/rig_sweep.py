@@ -33,6 +33,7 @@ from devrf.capture.errors import HealthError
 from devrf.capture.progress import Progress, no_progress
 
 MIN_INLIERS = 30  # COLMAP's own minimum for a pose
+PLENTY_INLIERS = 300  # another picture of the same camera would add nothing
 INLIER_PX = 4.0
 
 
@@ -42,7 +43,7 @@ class FixedCameraInput:
 
     Attributes:
         name: Of the camera.
-        pictures: Clean pictures of it; the one that registers best is used.
+        pictures: Clean pictures of it; tried in this order, the one that registers best is used.
         width, height: Their size.
         intrinsics: Board calibration with standard deviations, or None.
     """
@@ -130,6 +131,8 @@ def _best_registration(
         registration, inliers = register(xy, descriptors, model, start, known)
         if inliers > best[2]:
             best = (registration, picture.stem, inliers)
+        if best[2] >= PLENTY_INLIERS:
+            break
     return best
 
 

@@ -159,6 +159,9 @@ def _attempt(
         return list(models.values())
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = 0
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = (
+        1.3  # _polish ends with a full one anyway
+    )
     options.ba_refine_focal_length = options.ba_refine_extra_params = not fixed
     options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = not fixed
     options.mapper.abs_pose_min_num_inliers = attempt["pose_inliers"]
@@ -186,6 +189,7 @@ def _polish(model: pycolmap.Reconstruction, job: dict[str, Any]) -> None:
     options = pycolmap.BundleAdjustmentOptions()
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.loss_function_scale = 1.0
+    options.ceres.solver_options.max_num_iterations = 50
     fixed = any(group["fixed"] for group in job["groups"])
     options.refine_focal_length = options.refine_extra_params = not fixed
     options.refine_principal_point = not fixed and model.num_reg_images() >= job["principal_point_from"]

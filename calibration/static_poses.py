@@ -32,7 +32,7 @@ FINE_OCTAVE_BELOW = (
 PRINCIPAL_POINT_FROM = 20  # registered pictures; fewer do not fix the principal point
 EXHAUSTIVE_UP_TO = 70  # pictures; all pairs beyond that would take many minutes without a GPU
 OVERLAP = 8  # neighbours in a longer sequence
-LOOP_PICTURES = 40  # of a longer sequence are matched with each other, to close loops
+LOOP_PICTURES = 28  # of a longer sequence are matched with each other, to close loops
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
 LADDER: tuple[dict[str, Any], ...] = (
     {"name": "incremental", "mapper": "incremental", "pose_inliers": 30, "init_inliers": 100,

@@ -174,7 +174,7 @@ def test_clean_pictures_drop_what_moves(tmp_path):
         picture[10:20, 5 * n : 5 * n + 6] = 255
         files.append(tmp_path / f"{n}.png")
         cv2.imwrite(str(files[-1]), picture)
-    clip, rest = clean_pictures("cam0", files, "start", tmp_path)
+    rest, clip = clean_pictures("cam0", files, "start", tmp_path)
     np.testing.assert_array_equal(cv2.imread(str(clip)), scene)
     assert (cv2.imread(str(rest)) != scene).any()
     with pytest.raises(CaptureError, match="camera 'cam0' has no frames"):
