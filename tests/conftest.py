@@ -1,7 +1,6 @@
 """Fixtures that many tests share."""
 
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -33,13 +32,12 @@ def data_dir() -> Path:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command left: exit code, what it printed, how long it took, its peak memory."""
+    """What a command left: exit code, what it printed, how long it took."""
 
     code: int
     out: str
     err: str
     seconds: float
-    peak_gb: float
 
     @property
     def said(self) -> str:
@@ -62,9 +60,8 @@ def devrf() -> Command:
             text=True,
             timeout=limit_s,
         )
-        peak_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9  # of all so far
         seconds = time.monotonic() - start
-        return CommandResult(result.returncode, result.stdout, result.stderr, seconds, peak_gb)
+        return CommandResult(result.returncode, result.stdout, result.stderr, seconds)
 
     return call
 

@@ -10,6 +10,7 @@ import pytest
 RIG_ROTATION_DEG = 0.15  # largest over the fixed cameras, after a similarity fitted on all centres
 RIG_POSITION_PERCENT = 0.4  # of a camera's distance from the scene
 SYNC_MS = 1.0
+MEMORY_GB = 4.0  # resident, of the program or of one of its workers
 MOTION_GAIN_DB = 3.0  # over the canonical model rendered as if nothing moved
 LEAST_MOTION_GAIN_DB = 0.5  # what is reached today with room to spare, so that a loss of it is seen
 STAGES = (
@@ -89,6 +90,11 @@ def test_motion_is_better_than_none(metrics: dict[str, Any]) -> None:
 
 def motion_gain_db(metrics: dict[str, Any]) -> float:
     return metrics["test_moving"]["psnr"] - metrics["static_baseline"]["test_moving"]["psnr"]
+
+
+def test_it_fits_into_the_memory_of_a_laptop(example_run: Any) -> None:
+    peaks = {stage: read(example_run.run_dir / stage / "stamp.json")["peak_rss_gb"] for stage in STAGES}
+    assert max(peaks.values()) <= MEMORY_GB, peaks
 
 
 def test_metrics_have_every_key_of_the_contract(metrics: dict[str, Any]) -> None:

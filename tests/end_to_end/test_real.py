@@ -157,7 +157,7 @@ def portrait(folder: Path, data_dir: Path, given: Path) -> Path:
     source = data_dir / "pose2sim_single" / "videos"
     clips = {path.stem: str(path) for path in sorted(source.glob("cam*.mp4"))}
     assert len(clips) == 4
-    capture = {"cameras": clips, "range_s": [0, 0.2]}
+    capture = {"cameras": clips, "range_s": [0, 0.1]}
     calibration = {"rig": {"given": str(given)}, "sync": {"method": "none"}}
     return write_scene(folder, name="portrait", capture=capture, calibration=calibration)
 
