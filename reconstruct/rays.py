@@ -66,7 +66,7 @@ class RaySet:
             if background != "shell":
                 mattes.append(load_matte(frame, pictures[-1].shape[:2]))
             progress((n + 1) / len(frames), f"reading picture {n + 1} of {len(frames)}")
-        cameras = [_resized(f.camera, p) for f, p in zip(frames, pictures, strict=True)]
+        cameras = [f.camera.scaled(image_scale) for f in frames]  # rounds sizes as load_image does
         self._fill(frames, cameras, pictures, device)
         if mattes and all(m is not None for m in mattes):
             flat = np.concatenate([m.reshape(-1) for m in mattes if m is not None])
@@ -178,7 +178,3 @@ def intersect(
     t_out = torch.maximum(a, b).amin(-1)
     hit = t_out > t_in
     return torch.where(hit, t_in, near), torch.where(hit, t_out, near), hit
-
-
-def _resized(camera: Camera, picture: np.ndarray) -> Camera:
-    return camera.scaled(picture.shape[1] / camera.width)

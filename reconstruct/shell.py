@@ -20,6 +20,7 @@ CUBE = torch.tensor([[-2.0] * 3, [2.0] * 3])
 ALPHA_INIT = 1e-3  # a ray takes about a hundred steps: enough to start from, little enough to see through
 STEPSIZE = 1.0  # at the box's surface, in units of a voxel inside it: about half a voxel outside
 ALPHA_THRESHOLD = 1e-3
+BLOCK = 1 << 17  # vertices whose distances to all cameras are computed at once
 
 
 class Shell:
@@ -97,9 +98,11 @@ class Shell:
         inside = (r < 1 - 2 * 4 / (self.size - 1)) & (not self.inside)
         lo, hi = self.aabb.to(self.grid)
         x = (expand(y) * (hi - lo) / 2 + (lo + hi) / 2).reshape(-1, 3)
+        centres = centres.to(x)
+        around = ((x > centres.amin(0) - self.near) & (x < centres.amax(0) + self.near)).all(-1)
         blocked = torch.zeros(len(x), dtype=torch.bool, device=x.device)
-        for centre in centres.to(x):
-            blocked |= (x - centre).square().sum(-1) < self.near**2
+        for part in around.nonzero()[:, 0].split(BLOCK):
+            blocked[part] = torch.cdist(x[part], centres).amin(-1) < self.near
         self.grid[..., 0][inside | blocked.reshape(r.shape)] = EMPTY
 
     def rebuild_occupancy(self) -> Bool[Tensor, "N N N"]:

@@ -1,10 +1,12 @@
 """Rays: right pixel, direction, colour and time, for lenses and sizes of all kinds."""
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
 from devrf.capture.camera import Camera
+from devrf.capture.scene import PosedFrame
 from devrf.reconstruct.rays import RaySet, camera_rays, intersect
 
 POSE = np.array([[0, 1, 0, 0.1], [0, 0, 1, -0.2], [1, 0, 0, 3.0]])
@@ -78,3 +80,14 @@ def test_box_is_entered_and_left_where_it_should(origin, direction, expected) ->
     torch.testing.assert_close(
         torch.stack([t_in, t_out])[:, 0], torch.tensor(expected if expected else (0.1, 0.1))
     )
+
+
+def test_cameras_have_the_size_of_their_pictures_whatever_the_scale(tmp_path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((960, 540, 3), np.uint8))
+    K = np.array([[500.0, 0, 270], [0, 500.0, 480], [0, 0, 1]])
+    frame = PosedFrame(
+        tmp_path / "a.png", Camera(540, 960, K, np.eye(4)[:3]), "static", 0, None, None, "train"
+    )
+    for scale in (0.35136418, 0.608, 0.51):
+        rays = RaySet((frame,), scale, "shell")
+        assert int(rays.first[-1]) == len(rays.pixels)
