@@ -24,6 +24,9 @@ RANSAC_SHARE = 0.006  # of the longer side: threshold of the first round, 8 px a
 GUIDED_SHARE = 0.006  # search radius of the second round
 FOCALS = np.geomspace(0.5, 3.0, 19)  # of the longer side, tried where the focal length is unknown
 MIN_POINTS = 6
+FIRST_ROUND_INLIERS = (
+    12  # pictures of another place reach 7 by chance, and the second round would add to these
+)
 RICH_MATCHES = 150  # from here on a picture can say something about its principal point
 PRINCIPAL_POINT_STD = 0.012  # of the longer side; phones and webcams are off by about 1 %
 INLIER_PX = 3.0  # of the final pose, at 1000 px; COLMAP filters at 4
@@ -94,7 +97,7 @@ def register(
         return None, len(feature)
     longest = max(intrinsics.width, intrinsics.height)
     pose, start, inliers = _ransac(xy[feature], model.xyz[point], intrinsics, known, RANSAC_SHARE * longest)
-    if pose is None:
+    if pose is None or inliers.sum() < FIRST_ROUND_INLIERS:
         return None, int(inliers.sum())
     first = intrinsics if known else weak_prior(intrinsics, 0)
     solution = refine(start, pose, model.xyz[point[inliers]], xy[feature[inliers]], first)
