@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.scene import Background, PosedFrame, Scene, Split
+from devrf.capture.scene import Background, PosedFrame, Scene, SparsePoints, Split
 
 DatasetFormat = Literal["devrf", "blender", "nerfstudio"]
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -27,10 +27,15 @@ RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they ar
 
 
 def write_scene(folder: Path, scene: Scene) -> None:
-    """Write `scene.json`, `static/transforms.json` and `dynamic/transforms.json` into `folder`."""
+    """Write `scene.json`, `static/transforms.json`, `dynamic/transforms.json`, `points.npz` into `folder`."""
     for part, frames in (("static", scene.static), ("dynamic", scene.dynamic)):
         if frames:
             write_transforms(folder / part / "transforms.json", frames)
+    if scene.points is not None:
+        points = scene.points
+        np.savez(
+            folder / "points.npz", xyz=points.xyz, obs_point=points.obs_point, obs_frame=points.obs_frame
+        )
     lo, hi = scene.aabb.tolist()
     _write_json(
         folder / "scene.json",
@@ -55,9 +60,14 @@ def read_scene(folder: Path) -> Scene:
     meta = _read_json(folder / "scene.json")
     parts = {part: folder / part / "transforms.json" for part in ("static", "dynamic")}
     frames = {part: read_transforms(path) if path.is_file() else () for part, path in parts.items()}
+    points = None
+    if (folder / "points.npz").is_file():
+        with np.load(folder / "points.npz") as stored:
+            points = SparsePoints(**{key: stored[key] for key in ("xyz", "obs_point", "obs_frame")})
     return Scene(
         static=frames["static"],
         dynamic=frames["dynamic"],
+        points=points,
         box_from_world=np.array(meta["box_from_world"], dtype=np.float64),
         aabb=np.array([meta["box"]["min"], meta["box"]["max"]], dtype=np.float64),
         **{

@@ -12,7 +12,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -46,6 +46,21 @@ class PosedFrame:
 
 
 @dataclass(frozen=True)
+class SparsePoints:
+    """Points of the scene at rest, as structure from motion found them, and which pictures show them.
+
+    Attributes:
+        xyz: Positions in the world.
+        obs_point: Of every observation: the point, a row of `xyz`.
+        obs_frame: Of every observation: the picture, a place in `Scene.static`.
+    """
+
+    xyz: Float[np.ndarray, "points 3"]
+    obs_point: Int[np.ndarray, " observations"]
+    obs_frame: Int[np.ndarray, " observations"]
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything the reconstruction needs to know.
 
@@ -61,6 +76,7 @@ class Scene:
         rest_time: `time` at which the moving clips show the scene as in the sweep; None if never.
         image_scale: Pictures are trained on and evaluated at this relative size.
         metric: Whether world units are metres.
+        points: What structure from motion found beside the poses; None for data sets without.
     """
 
     static: tuple[PosedFrame, ...]
@@ -76,6 +92,7 @@ class Scene:
     rest_time: float | None
     image_scale: float
     metric: bool = False
+    points: SparsePoints | None = None
 
     def __post_init__(self) -> None:
         if not self.static and not self.dynamic:
@@ -98,10 +115,15 @@ class Scene:
         def moved(frames: Iterable[PosedFrame]) -> tuple[PosedFrame, ...]:
             return tuple(replace(f, camera=f.camera.moved(self.box_from_world)) for f in frames)
 
+        points = self.points
+        if points is not None:
+            R, t = self.box_from_world[:3, :3], self.box_from_world[:3, 3]
+            points = replace(points, xyz=points.xyz @ R.T + t)
         return replace(
             self,
             static=moved(self.static),
             dynamic=moved(self.dynamic),
+            points=points,
             box_from_world=np.eye(4),
             metric=False,
         )

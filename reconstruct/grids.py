@@ -57,6 +57,7 @@ class GridTrainer:
 
     Attributes:
         values: The grid; changed in place.
+        copies: Buffers for the gradient, for as many threads.
         grad: Where the backward passes add.
         reachable: Vertices that a step visits, as numbers of the flattened grid.
         step: Steps so far.
@@ -64,21 +65,23 @@ class GridTrainer:
 
     values: Float[Tensor, "X Y Z C"]
     reachable: Int[Tensor, " A"]
-    grad: Float[Tensor, "X Y Z C"] = field(init=False)
+    copies: int = 1
+    grad: Float[Tensor, "P X Y Z C"] = field(init=False)
     moment1: Float[Tensor, "X Y Z C"] = field(init=False)
     moment2: Float[Tensor, "X Y Z C"] = field(init=False)
     step: int = 0
 
     def __post_init__(self) -> None:
-        self.grad, self.moment1, self.moment2 = (torch.zeros_like(self.values) for _ in range(3))
+        self.grad = self.values.new_zeros(self.copies, *self.values.shape)
+        self.moment1, self.moment2 = (torch.zeros_like(self.values) for _ in range(2))
 
     def update(self, lr: float, flag: Float[Tensor, "X Y Z 1"] | None = None) -> None:
         """One step with the gradient that has gathered, which is cleared; vertices of flag 0 have none."""
         self.step += 1
         channels = self.values.shape[3]
-        flat = [x.view(-1, channels) for x in (self.values, self.grad, self.moment1, self.moment2)]
-        flags = None if flag is None else flag.view(-1)
-        masked_step(flat[0], flat[1], flat[2], flat[3], self.reachable, self.step, lr, BETAS, EPS, flags)
+        values, moment1, moment2 = (x.view(-1, channels) for x in (self.values, self.moment1, self.moment2))
+        grad, flags = self.grad.view(self.copies, -1, channels), None if flag is None else flag.view(-1)
+        masked_step(values, grad, moment1, moment2, self.reachable, self.step, lr, BETAS, EPS, flags)
 
     def touched(self) -> Bool[Tensor, "X Y Z"]:
         """Vertices that have ever had a gradient."""

@@ -18,7 +18,7 @@ GROW = 0.015  # of the picture's width, around what changed: motion that is stil
 class ChangingPixels:
     """Pixels that change, per camera."""
 
-    def __init__(self, of_frame: list[Int[Tensor, " n"]]) -> None:
+    def __init__(self, of_frame: list[Int[Tensor, " _"]]) -> None:
         self.of_frame = of_frame
 
     def draw(

@@ -118,7 +118,7 @@ PRESETS: dict[str, Options] = {
     "tiny": Options(
         CanonicalOptions(
             resolution=112,
-            iterations=500,
+            iterations=600,
             rays=4096,
             scale_at=(0.15, 0.3, 0.45, 0.6),
             lr_grid=0.3,
@@ -139,7 +139,8 @@ PRESETS: dict[str, Options] = {
             iterations=(50, 30, 20),
             rays=1536,
             most_keys=25,
-            lr=3e-3,
+            lr=8e-3,
+            flow=0.02,
             importance=0.8,
             stepsize=1.0,
             alpha_threshold=5e-3,

@@ -12,14 +12,17 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from devrf.reconstruct.canonical import EMPTY, shift_for
-from devrf.reconstruct.grids import grown, upsample, vertices
+from devrf.reconstruct.grids import upsample, vertices
 from devrf.reconstruct.kernels.background import Surroundings, background, expand
 from devrf.reconstruct.kernels.march import RaySegments
+from devrf.reconstruct.kernels.occupancy import distance
 
 CUBE = torch.tensor([[-2.0] * 3, [2.0] * 3])
 ALPHA_INIT = 1e-3  # a ray takes about a hundred steps: enough to start from, little enough to see through
+SURFACE = 4.0  # raw density where a surface is known to be: fifty times as opaque as unknown space
 STEPSIZE = 1.0  # at the box's surface, in units of a voxel inside it: about half a voxel outside
-ALPHA_THRESHOLD = 1e-3
+ALPHA_THRESHOLD = 1e-2  # below, a vertex counts as empty
+ALPHA_THRESHOLD_INSIDE = 1e-3  # while nothing is known, everything is
 BLOCK = 1 << 17  # vertices whose distances to all cameras are computed at once
 
 
@@ -29,7 +32,7 @@ class Shell:
     Attributes:
         aabb: The box in the middle [2, 3], on the CPU.
         grid: Raw density and colour [N, N, N, 4].
-        empty: 0 where a vertex is occupied, else 1 [N, N, N].
+        distance: Vertices to the nearest occupied vertex [N, N, N].
         final: N at the end of training; densities are per voxel of that size.
         near, far: Where rays start and where they have left all content behind.
         inside: The box's inside is modelled here, too (for a first, coarse model of everything).
@@ -47,7 +50,7 @@ class Shell:
     ) -> None:
         self.aabb, self.grid, self.final = aabb.cpu().float(), grid, final
         self.near, self.far, self.inside = near, far, inside
-        self.empty = torch.zeros(grid.shape[:3], dtype=torch.uint8, device=grid.device)
+        self.distance = torch.zeros(grid.shape[:3], dtype=torch.uint8, device=grid.device)
 
     @staticmethod
     def new(
@@ -73,19 +76,30 @@ class Shell:
         """Vertices along each axis."""
         return self.grid.shape[0]
 
+    @property
+    def interval(self) -> float:
+        """Length of a step in voxels of the final size: the exponent of the opacity."""
+        return STEPSIZE * (self.final - 1) / (self.size - 1)
+
+    @property
+    def alpha_threshold(self) -> float:
+        """Opacity of a step below which a vertex counts as empty."""
+        return ALPHA_THRESHOLD_INSIDE if self.inside else ALPHA_THRESHOLD
+
     def surroundings(self) -> Surroundings:
         """What the renderer needs to know."""
-        interval = STEPSIZE * (self.final - 1) / (self.size - 1)
         step = STEPSIZE * 4 / (self.size - 1)
         shift = shift_for(ALPHA_INIT)
-        return Surroundings(self.grid, self.empty, self.aabb, shift, interval, step, ALPHA_THRESHOLD / 10)
+        return Surroundings(
+            self.grid, self.distance, self.aabb, shift, self.interval, step, self.alpha_threshold / 10
+        )
 
     def render(
         self,
         rays: RaySegments,
         closed: bool,
         target: Float[Tensor, "R 3"] | None = None,
-        grid_grad: Float[Tensor, "N N N 4"] | None = None,
+        grid_grad: Float[Tensor, "P N N N 4"] | None = None,
         seen: Float[Tensor, "N N N"] | None = None,
     ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, " R"]]:
         """Colour, transmittance left and per-point loss of segments outside the box."""
@@ -105,13 +119,19 @@ class Shell:
             blocked[part] = torch.cdist(x[part], centres).amin(-1) < self.near
         self.grid[..., 0][inside | blocked.reshape(r.shape)] = EMPTY
 
+    def start_from(self, free: Bool[Tensor, "N N N"], surface: Bool[Tensor, "N N N"]) -> None:
+        """Take over what is known of empty space and of surfaces, before anything is learned."""
+        density, device = self.grid[..., 0], self.grid.device
+        density[surface.to(device) & (density > EMPTY)] = SURFACE
+        density[free.to(device)] = EMPTY
+        self.rebuild_occupancy()
+
     def rebuild_occupancy(self) -> Bool[Tensor, "N N N"]:
         """Look again at what is empty; returns the vertices that samples can touch."""
-        s = self.surroundings()
-        alpha = 1 - torch.exp(-s.interval * F.softplus(self.grid[..., 0] + s.shift))
-        occupied = grown(alpha > ALPHA_THRESHOLD)
-        self.empty = (~occupied).to(torch.uint8)
-        reachable = grown(occupied)
+        alpha = 1 - torch.exp(-self.interval * F.softplus(self.grid[..., 0] + shift_for(ALPHA_INIT)))
+        away = distance(alpha > self.alpha_threshold)
+        self.distance = away - (away > 0).to(torch.uint8)  # neighbours count as occupied: samples blend them
+        reachable = away <= 2
         for axis in range(3):  # rays that hit nothing end on the cube's faces
             reachable.narrow(axis, 0, 2).fill_(True)
             reachable.narrow(axis, self.size - 2, 2).fill_(True)

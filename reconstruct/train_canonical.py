@@ -18,6 +18,7 @@ from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
 from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.losses import entropy_loss, opacity_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
@@ -62,7 +63,7 @@ def train_canonical(
     generator = torch.Generator().manual_seed(options.seed)
     if recipe.shell is not None:
         progress(READING, "coarse model")
-        coarse = train_coarse(rays, aabb, scene.near, scene.far, options, device, generator)
+        coarse = train_coarse(scene, rays, options, device, generator)
         seen = visible(coarse, rays, SEEN_BATCHES, options.coarse_rays, generator)
         hand_on(coarse, seen, recipe.canonical, recipe.shell, rays.centres)
         recipe.restart()
@@ -175,7 +176,8 @@ class _Recipe:
     def step(self, batch: RayBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """One iteration; returns the unweighted losses."""
         jitter = torch.rand(2, len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
-        grads = (self.density.grad, self.features.grad, None if self.surround is None else self.surround.grad)
+        around = None if self.surround is None else self.surround.grad
+        grads = (self.density.grad[0], self.features.grad[0], around)
         out = render_rest(
             self.canonical, self.shell, self.plain, batch.rays_o, batch.rays_d,
             near=self.near, far=self.far, jitter=jitter, target=batch.rgb, grads=grads,
@@ -190,7 +192,7 @@ class _Recipe:
         if batch.opacity is not None:
             loss = loss + self.options.opacity * opacity_loss(out.left, batch.opacity)
         loss.backward()
-        self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad)  # touched alike
+        self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad[0])  # touched alike
         self.density.update(self.options.lr_grid * self.decay)
         if self.surround is not None:
             self.surround.update(self.options.lr_grid * self.decay)
@@ -219,7 +221,11 @@ class _Recipe:
         nothing = torch.zeros(0, dtype=torch.int64, device=self.canonical.density.device)
         self.density = GridTrainer(self.canonical.density, nothing)
         self.features = GridTrainer(self.canonical.features, nothing)
-        self.surround = None if self.shell is None else GridTrainer(self.shell.grid, nothing)
+        self.surround = (
+            None
+            if self.shell is None
+            else GridTrainer(self.shell.grid, nothing, copies_for(self.shell.grid.device))
+        )
         self._find_reachable()
 
     def _find_reachable(self) -> None:

@@ -10,8 +10,11 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.carving import carve, lines_of_sight
 from devrf.reconstruct.grids import GridTrainer, grown, upsample, vertices
+from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.trilinear import trilinear
 from devrf.reconstruct.losses import rendering_loss
@@ -19,7 +22,7 @@ from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.shell import CUBE, Shell
 
-SIZES = (0.4, 0.6, 0.8, 1.0)  # of `coarse_size`, each for a quarter of the iterations
+SIZES = (0.4, 0.6, 0.8, 1.0)  # of `coarse_size`, each for a quarter of the iterations, where nothing is known
 OCCUPANCY_EVERY = 20
 LR = 0.5  # the coarse model has few steps to get from translucent to opaque
 SEEN_BATCHES = 40  # of rays, to find what is visible
@@ -28,25 +31,33 @@ MOST_ALPHA = 0.5  # opacities are handed on no higher: what is opaque no longer 
 
 
 def train_coarse(
+    scene: Scene,
     rays: RaySet,
-    aabb: Float[Tensor, "2 3"],
-    near: float,
-    far: float,
     options: CanonicalOptions,
     device: str,
     generator: torch.Generator,
 ) -> Shell:
-    """Train the coarse model on the sweep."""
-    sizes = [max(8, round(share * options.coarse_size)) for share in SIZES]
+    """Train the coarse model on the sweep; from the sweep's points where there are any."""
+    lines, near, far = lines_of_sight(scene), scene.near, scene.far
+    aabb = torch.tensor(scene.aabb, dtype=torch.float32)
+    sizes = [max(8, round(share * options.coarse_size)) for share in (SIZES if lines is None else (1.0,))]
     model = Shell.new(
         aabb, sizes[0], sizes[-1], near=near, far=far, centres=rays.centres, device=device, inside=True
     )
-    trainer = GridTrainer(model.grid, model.rebuild_occupancy().reshape(-1).nonzero()[:, 0])
+    if lines is not None:
+        model.start_from(*carve(*lines, aabb, sizes[0], near))
+    trainer = GridTrainer(
+        model.grid, model.rebuild_occupancy().reshape(-1).nonzero()[:, 0], copies_for(model.grid.device)
+    )
     per_size = max(1, options.coarse_iterations // len(sizes))
     for iteration in range(per_size * len(sizes)):
         if iteration and iteration % per_size == 0:
             model.refine(sizes[iteration // per_size], rays.centres)
-            trainer = GridTrainer(model.grid, model.rebuild_occupancy().reshape(-1).nonzero()[:, 0])
+            trainer = GridTrainer(
+                model.grid,
+                model.rebuild_occupancy().reshape(-1).nonzero()[:, 0],
+                copies_for(model.grid.device),
+            )
         elif iteration and iteration % OCCUPANCY_EVERY == 0:
             trainer.reachable = model.rebuild_occupancy().reshape(-1).nonzero()[:, 0]
         batch = rays.draw(options.coarse_rays, generator)
@@ -91,9 +102,9 @@ def hand_on(
     u = ((x - (lo + hi) / 2) * 2 / (hi - lo)).to(coarse.grid)
     raw = trilinear(coarse.grid[..., :1].contiguous(), u, CUBE)[:, 0]
     s = coarse.surroundings()
-    # Opacity per length: a step of `s.step` in units of the box's half size has the exponent s.interval.
+    # Opacity per length: a step of `s.step` in units of the box's half size has the exponent `interval`.
     half = float(((hi - lo) / 2).prod() ** (1 / 3))
-    per_length = s.interval * F.softplus(raw + s.shift) / (s.step * half)
+    per_length = coarse.interval * F.softplus(raw + s.shift) / (s.step * half)
     most = -torch.log(torch.tensor(1 - MOST_ALPHA)) / canonical.interval
     optical = (per_length * canonical.base_voxel).clamp(1e-6, float(most))
     density = optical + torch.log(-torch.expm1(-optical)) - canonical.shift  # the softplus undone

@@ -23,7 +23,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats import DatasetFormat, read_dataset, write_scene
 from devrf.capture.frames import CameraFrames, FrameSet
-from devrf.capture.scene import PosedFrame, Scene, image_scale_for
+from devrf.capture.scene import PosedFrame, Scene, SparsePoints, image_scale_for
 from devrf.pipelines.clocks import read_clocks
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.scene_config import SceneConfig
@@ -39,7 +39,7 @@ TIME_SLACK_S = 1e-6
 
 
 def run(context: StageContext) -> None:
-    """Write `scene.json`, `static/transforms.json` and `dynamic/transforms.json`."""
+    """Write `scene.json`, `static/transforms.json`, `dynamic/transforms.json` and `points.npz`."""
     config = context.config
     if config.dataset is not None:
         scene = _from_dataset(context)
@@ -88,12 +88,14 @@ def _from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     masks = [
         m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
     ]
-    points, distances = np.zeros((0, 3)), np.zeros(0)
-    if model is not None:
-        points, distances = _points(model, factor)
+    points = None if model is None else _points(model, factor)
     context.progress(0.8, "box")
     bounds = scene_bounds(
-        [f.camera for f in static], [c.camera for c in rig.cameras.values()], points, distances, masks
+        [f.camera for f in static],
+        [c.camera for c in rig.cameras.values()],
+        np.zeros((0, 3)) if points is None else points.xyz,
+        np.zeros(0) if points is None else _distances(points, static),
+        masks,
     )
     rest = config.capture.rest
     scene = Scene(
@@ -110,6 +112,7 @@ def _from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         rest_time={"start": 0.0, "end": 1.0}.get(rest) if dynamic else None,
         image_scale=1.0,
         metric=rig.scale.metric,
+        points=points,
     )
     return scene, bounds
 
@@ -184,14 +187,19 @@ def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask 
     return MotionMask(small, motion_mask(pictures))
 
 
-def _points(model: SweepModel, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Good points in the rig's unit, and the distances at which the sweep saw them."""
+def _points(model: SweepModel, factor: float) -> SparsePoints:
+    """Good points in the rig's unit, and the pictures that show them."""
     track = np.bincount(model.obs_point, minlength=len(model.xyz))
     good = (model.error_px < MAX_ERROR_PX) & (track >= MIN_TRACK)
-    centres = np.array([c.centre for c in model.cameras])
+    number = np.cumsum(good) - 1
     seen = good[model.obs_point]
-    rays = model.xyz[model.obs_point[seen]] - centres[model.obs_image[seen]]
-    return factor * model.xyz[good], factor * np.linalg.norm(rays, axis=1)
+    return SparsePoints(factor * model.xyz[good], number[model.obs_point[seen]], model.obs_image[seen])
+
+
+def _distances(points: SparsePoints, static: tuple[PosedFrame, ...]) -> np.ndarray:
+    """Of every observation: how far the point was from the camera."""
+    centres = np.array([frame.camera.centre for frame in static])
+    return np.linalg.norm(points.xyz[points.obs_point] - centres[points.obs_frame], axis=1)
 
 
 def health(bounds: Bounds, scene: Scene) -> list[HealthRow]:

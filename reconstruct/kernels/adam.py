@@ -9,7 +9,8 @@ motion field's total variation it carries motion into space that no ray has touc
 gradient by its own size. Both clear the gradient behind them.
 """
 
-from typing import no_type_check
+import functools
+from typing import Any, no_type_check
 
 import torch
 import warp as wp
@@ -21,7 +22,7 @@ from devrf.reconstruct.kernels.launch import array, launch, use_warp
 
 def masked_step(
     values: Float[Tensor, "V C"],
-    grad: Float[Tensor, "V C"],
+    grad: Float[Tensor, "P V C"],
     moment1: Float[Tensor, "V C"],
     moment2: Float[Tensor, "V C"],
     vertices: Int[Tensor, " A"],
@@ -31,24 +32,25 @@ def masked_step(
     eps: float,
     flag: Float[Tensor, " V"] | None = None,
 ) -> None:
-    """One step on the listed vertices, in place; `step` counts from 1.
+    """One step on the listed vertices, in place; `step` counts from 1; the gradient is the sum over its copies.
 
     Where `flag` is given, vertices whose flag is 0 are known to have no gradient and are passed over unread.
     """
     rate, root = _corrected(step, lr, betas)
     if use_warp(values.device):
         flags = values.new_zeros(1) if flag is None else flag
-        arguments = [array(x) for x in (values, grad, moment1, moment2, vertices, flags)]
+        vec, kernel = _masked(values.shape[1])
+        arguments = [array(x, vec) for x in (values, grad, moment1, moment2)]
         numbers = [int(flag is not None), rate, root, *betas, eps]
-        launch(_masked, len(vertices), [*arguments, *numbers], values.device)
+        launch(kernel, len(vertices), [*arguments, array(vertices), array(flags), *numbers], values.device)
         return
-    g = grad[vertices]
+    g = grad[:, vertices].sum(0)
     touched = g != 0
     m = torch.where(touched, betas[0] * moment1[vertices] + (1 - betas[0]) * g, moment1[vertices])
     v = torch.where(touched, betas[1] * moment2[vertices] + (1 - betas[1]) * g * g, moment2[vertices])
     moment1[vertices], moment2[vertices] = m, v
     values[vertices] -= torch.where(touched, rate * m / (v.sqrt() * root + eps), 0.0)
-    grad[vertices] = 0
+    grad[:, vertices] = 0
 
 
 def dense_step(
@@ -93,36 +95,51 @@ def _corrected(step: int, lr: float, betas: tuple[float, float]) -> tuple[float,
     return lr / (1 - betas[0] ** step), (1 - betas[1] ** step) ** -0.5
 
 
-@wp.kernel(enable_backward=False)
-@no_type_check
-def _masked(
-    first: int,
-    values: wp.array2d(dtype=float),
-    grad: wp.array2d(dtype=float),
-    moment1: wp.array2d(dtype=float),
-    moment2: wp.array2d(dtype=float),
-    vertices: wp.array(dtype=wp.int64),
-    flag: wp.array(dtype=float),
-    has_flag: int,
-    rate: float,
-    root: float,
-    beta1: float,
-    beta2: float,
-    eps: float,
-):
-    v = int(vertices[first + wp.tid()])
-    if has_flag == 1:
-        if flag[v] == 0.0:
+@functools.cache
+def _masked(channels: int) -> Any:
+    vec = wp.types.vector(length=channels, dtype=wp.float32)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    @no_type_check
+    def masked(
+        first: int,
+        values: wp.array(dtype=vec),
+        grad: wp.array2d(dtype=vec),
+        moment1: wp.array(dtype=vec),
+        moment2: wp.array(dtype=vec),
+        vertices: wp.array(dtype=wp.int64),
+        flag: wp.array(dtype=float),
+        has_flag: int,
+        rate: float,
+        root: float,
+        beta1: float,
+        beta2: float,
+        eps: float,
+    ):
+        v = int(vertices[first + wp.tid()])
+        if has_flag == 1:
+            if flag[v] == 0.0:
+                return
+        g = grad[0, v]
+        for p in range(1, grad.shape[0]):
+            g += grad[p, v]
+        if wp.length_sq(g) == 0.0:
             return
-    for c in range(values.shape[1]):
-        g = grad[v, c]
-        if g != 0.0:
-            m1 = beta1 * moment1[v, c] + (1.0 - beta1) * g
-            m2 = beta2 * moment2[v, c] + (1.0 - beta2) * g * g
-            moment1[v, c] = m1
-            moment2[v, c] = m2
-            values[v, c] = values[v, c] - rate * m1 / (wp.sqrt(m2) * root + eps)
-            grad[v, c] = 0.0
+        m1 = moment1[v]
+        m2 = moment2[v]
+        x = values[v]
+        for c in range(channels):
+            if g[c] != 0.0:
+                m1[c] = beta1 * m1[c] + (1.0 - beta1) * g[c]
+                m2[c] = beta2 * m2[c] + (1.0 - beta2) * g[c] * g[c]
+                x[c] = x[c] - rate * m1[c] / (wp.sqrt(m2[c]) * root + eps)
+        moment1[v] = m1
+        moment2[v] = m2
+        values[v] = x
+        for p in range(grad.shape[0]):
+            grad[p, v] = vec()
+
+    return vec, masked
 
 
 @wp.kernel(enable_backward=False)

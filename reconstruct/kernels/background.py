@@ -13,7 +13,7 @@ behind sample i is the final colour minus what has been passed, so nothing needs
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, no_type_check
 
 import torch
@@ -22,9 +22,9 @@ import warp as wp
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from devrf.reconstruct.kernels.launch import array, launch, use_warp
+from devrf.reconstruct.kernels.launch import array, copies_for, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest
-from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, trilinear_ref
+from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, gathered_in, trilinear_ref
 
 REACH = 6.0  # half sizes of the box that the cube holds: a room around its subject
 LOG_REACH = wp.constant(math.log(REACH))
@@ -37,7 +37,7 @@ class Surroundings:
 
     Attributes:
         grid: Raw density and raw red, green, blue at vertices of the contracted cube.
-        empty: 0 where a vertex is occupied, anything else where samples are skipped.
+        distance: Vertices to the nearest occupied vertex (occupancy.py); samples elsewhere are skipped.
         aabb: The box in the middle [2, 3], on the CPU.
         shift: Added to the raw density before the softplus.
         interval: Step length in base voxels.
@@ -46,7 +46,7 @@ class Surroundings:
     """
 
     grid: Float[Tensor, "X Y Z 4"]
-    empty: UInt8[Tensor, "X Y Z"]
+    distance: UInt8[Tensor, "X Y Z"]
     aabb: Float[Tensor, "2 3"]
     shift: float
     interval: float
@@ -59,7 +59,7 @@ def background(
     surroundings: Surroundings,
     closed: bool,
     target: Float[Tensor, "R 3"] | None = None,
-    grid_grad: Float[Tensor, "X Y Z 4"] | None = None,
+    grid_grad: Float[Tensor, "P X Y Z 4"] | None = None,
     seen: Float[Tensor, "X Y Z"] | None = None,
 ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, " R"]]:
     """Render the surroundings along ray segments; differentiable in the grid.
@@ -69,13 +69,16 @@ def background(
         surroundings: What to render.
         closed: The segment ends at infinity: what is left takes the colour of the cube's face there.
         target: True colours, for the third result.
-        grid_grad: Where given, the grid's gradient is added here instead of being returned to autograd.
+        grid_grad: Where given, the grid's gradient is added here instead of being returned to autograd: to one
+            copy or, in parts, to `copies_for(device)` of them.
         seen: Where given, raised to the largest weight of a sample nearest to each vertex (Warp only).
     Returns:
         Colours [R, 3]; transmittance left [R] (0 where closed); per ray the sum of weight times squared
         distance of each sample's colour from `target` (0 without), whose gradient reaches the colours only.
     """
     if not use_warp(surroundings.grid.device):
+        if grid_grad is not None:
+            surroundings = replace(surroundings, grid=gathered_in(surroundings.grid, grid_grad[0]))
         return background_ref(rays, surroundings, closed, target)
     grid = surroundings.grid if grid_grad is None else surroundings.grid.detach().requires_grad_()
     wanted = target if target is not None else rays.rays_o
@@ -113,7 +116,8 @@ def background_ref(
         u = u0 + t[:, None] * du
         y = contract(u)
         vertex = ((y + 2) / 4 * last + 0.5).floor().long().clamp(min=torch.zeros_like(last), max=last)
-        valid = (t < rays.t_out) & (surroundings.empty[tuple(vertex.unbind(-1))] == 0) & (trans >= STOP)
+        away = surroundings.distance[tuple(vertex.unbind(-1))].float()
+        valid = (t < rays.t_out) & (away == 0) & (trans >= STOP)
         raw = trilinear_ref(surroundings.grid, y, cube)
         alpha = 1 - torch.exp(-surroundings.interval * F.softplus(raw[:, 0] + surroundings.shift))
         alpha = torch.where(valid & (alpha > surroundings.alpha_threshold), alpha, 0.0)
@@ -122,7 +126,8 @@ def background_ref(
         if target is not None:
             per_point = per_point + weight.detach() * ((colour - target) ** 2).sum(-1)
         trans = trans * (1 - alpha)
-        t = t + surroundings.step * u.abs().amax(-1).clamp(min=1) / speed
+        room = (away - 1).clamp(min=0) * 4 / last.max()
+        t = t + (room / (2 + room)).clamp(min=surroundings.step) * u.abs().amax(-1).clamp(min=1) / speed
     if closed:
         face = 2 * du / du.abs().amax(-1, keepdim=True)
         rgb = rgb + trans[:, None] * torch.sigmoid(trilinear_ref(surroundings.grid, face, cube)[:, 1:])
@@ -148,8 +153,14 @@ class _Background(torch.autograd.Function):
         rgb, left, per_point = (torch.empty(n, *shape, device=device) for shape in ((3,), (), ()))
         outputs = [array(rgb, wp.vec3), array(left), array(per_point)]
         most = torch.zeros(1, 1, 1, device=device) if seen is None else seen
-        arguments = [*shared, *outputs, array(most), int(seen is not None)]
-        launch(_forward, n, arguments, device, scatters=seen is not None)
+        arguments = [*shared, *outputs, int(seen is not None)]
+        launch(
+            _forward,
+            n,
+            arguments,
+            device,
+            into=[array(most)] * (1 if seen is not None else copies_for(device)),
+        )
         ctx.save_for_backward(rgb, left)
         ctx.rest = rays, surroundings, closed, target, has_target, grid_grad
         return rgb, left, per_point
@@ -158,15 +169,15 @@ class _Background(torch.autograd.Function):
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Any, ...]:
         rgb, left = ctx.saved_tensors
         rays, surroundings, closed, target, has_target, grid_grad = ctx.rest
-        out = grid_grad if grid_grad is not None else torch.zeros_like(surroundings.grid)
+        out = grid_grad if grid_grad is not None else torch.zeros_like(surroundings.grid)[None]
         rgb_grad, left_grad, point_grad = (g.contiguous() for g in grad_outputs)
         arguments = [
             *_arguments(rays, surroundings, closed, target, has_target),
             *(array(rgb, wp.vec3), array(left)),
-            *(array(rgb_grad, wp.vec3), array(left_grad), array(point_grad), array(out, vec4)),
+            *(array(rgb_grad, wp.vec3), array(left_grad), array(point_grad)),
         ]
-        launch(_backward, len(left), arguments, out.device, scatters=True)
-        return out if grid_grad is None else None, *(None,) * 7
+        launch(_backward, len(left), arguments, out.device, into=[array(copy, vec4) for copy in out])
+        return out[0] if grid_grad is None else None, *(None,) * 7
 
 
 def _arguments(
@@ -178,7 +189,7 @@ def _arguments(
     return [
         *(array(rays.rays_o.contiguous(), wp.vec3), array(rays.rays_d.contiguous(), wp.vec3)),
         *(array(rays.t_in), array(rays.t_out), array(rays.jitter)),
-        *(array(surroundings.grid, vec4), array(surroundings.empty), wp.vec3(*centre), wp.vec3(*per_half)),
+        *(array(surroundings.grid, vec4), array(surroundings.distance), wp.vec3(*centre), wp.vec3(*per_half)),
         *(surroundings.shift, surroundings.interval, surroundings.step, surroundings.alpha_threshold),
         *(int(closed), array(target.contiguous(), wp.vec3), int(has_target)),
     ]
@@ -188,6 +199,17 @@ def _arguments(
 @no_type_check
 def radius_of(u: wp.vec3) -> float:
     return wp.max(1.0, wp.max(wp.max(wp.abs(u[0]), wp.abs(u[1])), wp.abs(u[2])))
+
+
+@wp.func
+@no_type_check
+def leap(away: int, voxel: float) -> float:
+    """How far all is empty, as a share of the radius, `away` vertices from what is occupied.
+
+    The contraction stretches a way from radius r to r - d by 2 / (r - d) at most.
+    """
+    room = float(away - 1) * voxel
+    return room / (2.0 + room)
 
 
 @wp.func
@@ -259,7 +281,7 @@ def _forward(
     t_out: wp.array(dtype=float),
     jitter: wp.array(dtype=float),
     grid: wp.array3d(dtype=vec4),
-    empty: wp.array3d(dtype=wp.uint8),
+    distance: wp.array3d(dtype=wp.uint8),
     centre: wp.vec3,
     per_half: wp.vec3,
     shift: float,
@@ -272,13 +294,14 @@ def _forward(
     rgb: wp.array(dtype=wp.vec3),
     left: wp.array(dtype=float),
     per_point: wp.array(dtype=float),
-    seen: wp.array3d(dtype=float),
     has_seen: int,
+    seen: wp.array3d(dtype=float),
 ):
     n = first + wp.tid()
     u0 = wp.cw_mul(rays_o[n] - centre, per_half)
     du = wp.cw_mul(rays_d[n], per_half)
     stride = step / wp.length(du)
+    voxel = 4.0 / float(wp.max(wp.max(grid.shape[0], grid.shape[1]), grid.shape[2]) - 1)
     t = t_in[n]
     t += jitter[n] * stride * radius_of(u0 + du * t)
     trans = float(1.0)
@@ -288,14 +311,10 @@ def _forward(
         u = u0 + du * t
         r = radius_of(u)
         q = index_of(u, r, grid)
-        if (
-            int(
-                empty[
-                    nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])
-                ]
-            )
-            == 0
-        ):
+        away = int(
+            distance[nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])]
+        )
+        if away == 0:
             v = look_up(grid, q)
             alpha = alpha_of(v[0] + shift, interval)
             if alpha > alpha_threshold:
@@ -311,7 +330,7 @@ def _forward(
                 trans *= 1.0 - alpha
                 if trans < STOP:
                     break
-        t += stride * r
+        t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
         far = du / wp.max(wp.max(wp.abs(du[0]), wp.abs(du[1])), wp.abs(du[2]))
         total += colour_of(look_up(grid, index_of(far * 1.0e6, 1.0e6, grid))) * trans
@@ -331,7 +350,7 @@ def _backward(
     t_out: wp.array(dtype=float),
     jitter: wp.array(dtype=float),
     grid: wp.array3d(dtype=vec4),
-    empty: wp.array3d(dtype=wp.uint8),
+    distance: wp.array3d(dtype=wp.uint8),
     centre: wp.vec3,
     per_half: wp.vec3,
     shift: float,
@@ -352,6 +371,7 @@ def _backward(
     u0 = wp.cw_mul(rays_o[n] - centre, per_half)
     du = wp.cw_mul(rays_d[n], per_half)
     stride = step / wp.length(du)
+    voxel = 4.0 / float(wp.max(wp.max(grid.shape[0], grid.shape[1]), grid.shape[2]) - 1)
     t = t_in[n]
     t += jitter[n] * stride * radius_of(u0 + du * t)
     g = rgb_grad[n]
@@ -361,14 +381,10 @@ def _backward(
         u = u0 + du * t
         r = radius_of(u)
         q = index_of(u, r, grid)
-        if (
-            int(
-                empty[
-                    nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])
-                ]
-            )
-            == 0
-        ):
+        away = int(
+            distance[nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])]
+        )
+        if away == 0:
             v = look_up(grid, q)
             alpha = alpha_of(v[0] + shift, interval)
             if alpha > alpha_threshold:
@@ -389,7 +405,7 @@ def _backward(
                 scatter(grid_grad, q, out)
                 if trans < STOP:
                     break
-        t += stride * r
+        t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
         far = du / wp.max(wp.max(wp.abs(du[0]), wp.abs(du[1])), wp.abs(du[2]))
         q = index_of(far * 1.0e6, 1.0e6, grid)

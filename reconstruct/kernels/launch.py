@@ -2,9 +2,9 @@
 
 Every kernel takes `first` as its first argument and works on element `first + tid`. On the CPU one Warp
 launch is one thread, so a launch whose elements write to places of their own is cut into one chunk per core;
-a launch that scatters into shared memory is not, which also keeps its sums in one order (bit-equal from run
-to run). Where Warp cannot be used (no compiler backend, an unknown processor) the plain PyTorch references
-take over; that is logged once.
+a launch that scatters into shared memory is not, unless it brings a copy of that memory for each thread.
+Either way sums keep one order, whatever the number of cores (bit-equal from run to run). Where Warp cannot be
+used (no compiler backend, an unknown processor) the plain PyTorch references take over; that is logged once.
 """
 
 import functools
@@ -16,6 +16,7 @@ from typing import Any, no_type_check
 import torch
 import warp as wp
 
+SCATTER_COPIES = 2  # of memory that CPU threads scatter into; more would cost more to add up than they bring
 CHUNK_MINIMUM = 256  # elements; below this a second thread costs more than it brings
 log = logging.getLogger(__name__)
 
@@ -26,7 +27,7 @@ def use_warp(device: torch.device) -> bool:
 
 
 def launch(
-    kernel: Any, size: int, arguments: list[Any], device: torch.device, *, scatters: bool = False
+    kernel: Any, size: int, arguments: list[Any], device: torch.device, *, into: list[Any] | None = None
 ) -> None:
     """Run `kernel` on elements 0 .. size-1.
 
@@ -35,26 +36,38 @@ def launch(
         size: Number of elements.
         arguments: The other arguments; torch tensors already wrapped by `array`.
         device: Where the tensors are.
-        scatters: The kernel adds to places that other elements add to as well.
+        into: What the kernel scatters into, its last argument: one copy for every part of the elements.
     """
     if size == 0:
         return
     name = "cpu" if device.type == "cpu" else str(device)
-    threads = 1 if device.type != "cpu" or scatters else min(_cores(), size // CHUNK_MINIMUM)
-    if threads < 2:
-        wp.launch(kernel, dim=size, inputs=[0, *arguments], device=name)
+    if into is not None:
+        last = [[copy] for copy in into]
+    else:
+        parts = min(_cores(), size // CHUNK_MINIMUM) if device.type == "cpu" else 1
+        last = [[]] * max(1, parts)
+    if len(last) == 1:
+        wp.launch(kernel, dim=size, inputs=[0, *arguments, *last[0]], device=name)
         return
     kernel.module.load(
         name, block_dim=1
     )  # compile once, here: what the threads' launches would all start to do
-    bounds = [size * n // threads for n in range(threads + 1)]
-    jobs = [
-        _pool().submit(wp.launch, kernel, dim=b - a, inputs=[a, *arguments], device=name)
-        for a, b in zip(bounds[:-2], bounds[1:-1], strict=True)
-    ]
-    wp.launch(kernel, dim=bounds[-1] - bounds[-2], inputs=[bounds[-2], *arguments], device=name)
+    bounds = [size * n // len(last) for n in range(len(last) + 1)]
+
+    def part(n: int) -> None:
+        if bounds[n + 1] > bounds[n]:
+            inputs = [bounds[n], *arguments, *last[n]]
+            wp.launch(kernel, dim=bounds[n + 1] - bounds[n], inputs=inputs, device=name)
+
+    jobs = [_pool().submit(part, n) for n in range(len(last) - 1)]
+    part(len(last) - 1)
     for job in jobs:
         job.result()
+
+
+def copies_for(device: torch.device) -> int:
+    """Copies of memory to scatter into: one on a GPU, whose additions are atomic."""
+    return SCATTER_COPIES if device.type == "cpu" else 1
 
 
 def array(tensor: torch.Tensor, dtype: Any = None) -> Any:

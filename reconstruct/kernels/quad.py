@@ -15,8 +15,8 @@ import warp as wp
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.reconstruct.kernels.launch import array, box_arguments, launch, use_warp
-from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, slope_of, trilinear_ref
+from devrf.reconstruct.kernels.launch import array, box_arguments, copies_for, launch, use_warp
+from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, gathered_in, slope_of, trilinear_ref
 
 
 def quad(
@@ -69,14 +69,7 @@ def _quad_plain(
     if keys_grad is None:
         return quad_ref(field, points, tau, aabb)
     keys = slice(first_key, first_key + len(keys_grad))
-    leaf = field[keys].detach().requires_grad_()
-
-    def add(grid: Tensor) -> None:
-        if grid.grad is not None:
-            keys_grad.add_(grid.grad)
-            grid.grad = None
-
-    leaf.register_post_accumulate_grad_hook(add)
+    leaf = gathered_in(field[keys], keys_grad)
     whole = torch.cat([field[: keys.start].detach(), leaf, field[keys.stop :].detach()])
     return quad_ref(whole, points, tau, aabb)
 
@@ -114,10 +107,16 @@ class _Quad(torch.autograd.Function):
         lo, scale = ctx.box
         arguments = [
             *(array(field, wp.vec3), array(points, wp.vec3), array(tau), wp.vec3(*lo), wp.vec3(*scale)),
-            *(array(grad_out, wp.vec3), array(field_grad, wp.vec3), ctx.first_key, int(wants_field)),
+            *(array(grad_out, wp.vec3), ctx.first_key, int(wants_field)),
             *(array(points_grad, wp.vec3), int(wants_points)),
         ]
-        launch(_backward, len(points), arguments, field.device, scatters=wants_field)
+        copies = [field_grad] * copies_for(field.device)
+        if wants_field:
+            copies[1:] = [torch.zeros_like(field_grad) for _ in copies[1:]]
+        into = [array(copy, wp.vec3) for copy in copies]
+        launch(_backward, len(points), arguments, field.device, into=into)
+        for copy in copies[1:] if wants_field else ():
+            field_grad += copy
         returned = field_grad if wants_field and not into_buffer else None
         return returned, points_grad if wants_points else None, None, None, None, None
 
@@ -177,11 +176,11 @@ def _backward(
     lo: wp.vec3,
     scale: wp.vec3,
     grad_out: wp.array(dtype=wp.vec3),
-    field_grad: wp.array4d(dtype=wp.vec3),
     first_key: int,
     wants_field: int,
     points_grad: wp.array(dtype=wp.vec3),
     wants_points: int,
+    field_grad: wp.array4d(dtype=wp.vec3),
 ):
     n = first + wp.tid()
     g = grad_out[n]

@@ -18,7 +18,7 @@ import warp as wp
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.reconstruct.kernels.launch import array, box_arguments, launch, use_warp
+from devrf.reconstruct.kernels.launch import array, box_arguments, copies_for, launch, use_warp
 
 
 def trilinear(
@@ -60,9 +60,14 @@ def trilinear_ref(
 def _trilinear_plain(grid: Tensor, points: Tensor, aabb: Tensor, grid_grad: Tensor | None) -> Tensor:
     if grid_grad is None:
         return trilinear_ref(grid, points, aabb)
+    return trilinear_ref(gathered_in(grid, grid_grad), points, aabb)
+
+
+def gathered_in(grid: Float[Tensor, "*shape"], buffer: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """The grid as a leaf whose gradient autograd adds to `buffer`."""
     leaf = grid.detach().requires_grad_()
-    leaf.register_post_accumulate_grad_hook(lambda g: _move_grad(g, grid_grad))
-    return trilinear_ref(leaf, points, aabb)
+    leaf.register_post_accumulate_grad_hook(lambda g: _move_grad(g, buffer))
+    return leaf
 
 
 def _move_grad(leaf: Tensor, grid_grad: Tensor) -> None:
@@ -97,9 +102,10 @@ class _Trilinear(torch.autograd.Function):
         lo, scale = ctx.box
         arguments = [
             *(array(grid, vec), array(points, wp.vec3), wp.vec3(*lo), wp.vec3(*scale), array(grad_out, vec)),
-            *(array(grid_grad, vec), array(points_grad, wp.vec3), int(wants_grid), int(wants_points)),
+            *(array(points_grad, wp.vec3), int(wants_grid), int(wants_points)),
         ]
-        launch(backward, len(points), arguments, grid.device, scatters=wants_grid)
+        into = [array(grid_grad, vec)] if wants_grid else [array(grid, vec)] * copies_for(grid.device)
+        launch(backward, len(points), arguments, grid.device, into=into)
         returned = grid_grad if wants_grid and not into_buffer else None
         return returned, points_grad if wants_points else None, None, None
 
@@ -162,10 +168,10 @@ def _kernels(channels: int) -> tuple[Any, Any, Any]:
         lo: wp.vec3,
         scale: wp.vec3,
         grad_out: wp.array(dtype=vec),
-        grid_grad: wp.array3d(dtype=vec),
         points_grad: wp.array(dtype=wp.vec3),
         wants_grid: int,
         wants_points: int,
+        grid_grad: wp.array3d(dtype=vec),
     ):
         n = first + wp.tid()
         g = grad_out[n]

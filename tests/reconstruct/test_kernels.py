@@ -208,11 +208,12 @@ def test_zero_motion_marches_as_at_rest() -> None:
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_background_matches_reference(closed: bool) -> None:
+@pytest.mark.parametrize("share", [0.5, 0.01])
+def test_background_matches_reference(closed: bool, share: float) -> None:
     g = torch.Generator().manual_seed(4)
     grid = torch.randn(15, 16, 17, 4, generator=g)
     grid[..., 0] = grid[..., 0] * 2 - 3
-    occupied = torch.rand(15, 16, 17, generator=g) > 0.5
+    occupied = torch.rand(15, 16, 17, generator=g) < share  # little: most steps are leaps
     surroundings = Surroundings(grid.requires_grad_(), distance(occupied), AABB, 0.0, 0.7, 0.06, 1e-4)
     rays = _rays(150, g, AABB)._replace(t_in=torch.full((150,), 0.3), t_out=torch.full((150,), 9.0))
     target = torch.rand(150, 3, generator=g)
@@ -229,10 +230,24 @@ def test_background_matches_reference(closed: bool) -> None:
     ours = torch.autograd.grad(out, grid, cotangent)[0]
     theirs = torch.autograd.grad(ref, grid, cotangent)[0]
     assert (ours - theirs).norm() < 0.01 * theirs.norm()
-    buffer = torch.zeros_like(grid)
-    again = background(rays, surroundings, closed, target, buffer)
-    torch.autograd.backward(again, cotangent)
-    torch.testing.assert_close(buffer, ours)
+    for copies in (1, 2):
+        buffer = torch.zeros(copies, *grid.shape)
+        again = background(rays, surroundings, closed, target, buffer)
+        torch.autograd.backward(again, cotangent)
+        assert (buffer != 0).flatten(1).any(1).all()
+        torch.testing.assert_close(buffer.sum(0), ours, rtol=1e-4, atol=1e-4)
+
+
+def test_background_learns_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(around, "use_warp", lambda device: False)
+    grid = torch.zeros(9, 9, 9, 4)
+    nothing_empty = torch.zeros(9, 9, 9, dtype=torch.uint8)
+    surroundings = Surroundings(grid, nothing_empty, AABB, 0.0, 0.7, 0.1, 1e-4)
+    rays = _rays(20, torch.Generator().manual_seed(0), AABB)
+    buffer = torch.zeros(1, *grid.shape)
+    colours, _, _ = background(rays, surroundings, True, None, buffer)
+    colours.sum().backward()
+    assert buffer.abs().sum() > 0 and grid.grad is None
 
 
 def test_contraction_keeps_the_box_and_brings_infinity_to_two() -> None:
@@ -259,17 +274,26 @@ def test_adam_matches_torch() -> None:
         for values, (grad, m, v), masked in zip(ours, state, (True, False), strict=True):
             grad.copy_(gradient)
             if masked:
-                masked_step(values, grad, m, v, torch.arange(50), step, 0.1, (0.9, 0.99), 1e-8)
+                copies = torch.stack([0.25 * grad, 0.75 * grad])
+                masked_step(values, copies, m, v, torch.arange(50), step, 0.1, (0.9, 0.99), 1e-8)
             else:
                 dense_step(values, grad, m, v, step, 0.1, (0.9, 0.99), 1e-8)
             torch.testing.assert_close(values, theirs.detach(), rtol=1e-4, atol=1e-5)
-            assert (grad == 0).all()
+            assert ((copies if masked else grad) == 0).all()
 
 
 def test_masked_adam_leaves_untouched_values_alone() -> None:
     values, grad = torch.zeros(4, 2), torch.tensor([[1.0, 0], [0, 0], [1.0, 1.0], [1.0, 1.0]])
     masked_step(
-        values, grad, torch.zeros(4, 2), torch.zeros(4, 2), torch.tensor([0, 1, 2]), 1, 0.1, (0.9, 0.99), 1e-8
+        values,
+        grad[None],
+        torch.zeros(4, 2),
+        torch.zeros(4, 2),
+        torch.tensor([0, 1, 2]),
+        1,
+        0.1,
+        (0.9, 0.99),
+        1e-8,
     )
     np.testing.assert_allclose(values, [[-0.1, 0], [0, 0], [-0.1, -0.1], [0, 0]], atol=1e-6)
 
