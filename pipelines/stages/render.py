@@ -15,7 +15,7 @@ from devrf.pipelines.trained_model import load_renderer
 from devrf.reconstruct.film import film_cameras, film_frames, film_times, orbit
 
 # preset: pictures, pictures per second, most pixels of a picture
-SIZES = {"tiny": (60, 15.0, 80_000), "fast": (96, 24.0, 500_000), "reference": (192, 24.0, 1_000_000)}
+SIZES = {"tiny": (48, 12.0, 64_000), "fast": (96, 24.0, 500_000), "reference": (192, 24.0, 1_000_000)}
 POSTER = 0.5  # of the film: mid-motion
 
 

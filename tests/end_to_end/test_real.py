@@ -102,7 +102,7 @@ def caliscope(folder: Path, data_dir: Path, **changes: object) -> Path:
         "dictionary": "DICT_4X4_1000",
         "joint_clips": clips,
     }
-    capture = {"cameras": clips, "timestamps": str(times), "board": board}
+    capture = {"cameras": clips, "timestamps": str(times), "board": board, "range_s": [25, 30]}
     return write_scene(folder, name="webcams", capture=capture, **changes)
 
 
@@ -211,7 +211,7 @@ def test_a_calibration_of_another_tool_is_refused_by_name(
 def cloth(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of the waving sheet, to its metrics."""
     folder = tmp_path_factory.mktemp("cloth")
-    dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 2}
+    dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 5}
     scene = write_scene(folder, name="cloth", dataset=dataset)
     result = devrf("run", scene, "--until", "evaluate")
     assert result.code == 0, result.said

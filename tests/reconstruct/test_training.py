@@ -21,7 +21,7 @@ REST = CanonicalOptions(
     coarse_size=32,
 )  # fmt: skip
 MOTION = MotionOptions(
-    levels=(4, 8), iterations=(60, 25), rays=512, importance=0.7, lr=6e-3, weight_threshold=1e-3
+    levels=(4, 8), iterations=(90, 40), rays=400, importance=0.7, lr=6e-3, weight_threshold=1e-3
 )
 
 
