@@ -59,6 +59,13 @@ class SparsePoints:
     obs_point: Int[np.ndarray, " observations"]
     obs_frame: Int[np.ndarray, " observations"]
 
+    def lines_of_sight(
+        self, static: tuple[PosedFrame, ...]
+    ) -> tuple[Float[np.ndarray, "observations 3"], Float[np.ndarray, "observations 3"]]:
+        """Of every observation: the camera's centre and the point, for the pictures of `Scene.static`."""
+        centres = np.array([frame.camera.centre for frame in static])
+        return centres[self.obs_frame], self.xyz[self.obs_point]
+
 
 @dataclass(frozen=True)
 class Scene:

@@ -186,7 +186,6 @@ class Canonical:
         return grown(occupied)
 
     def refine(self, resolution: float | int) -> None:
-        """Interpolate both grids onto more vertices."""
+        """Interpolate both grids onto more vertices; `rebuild_occupancy` has to follow."""
         shape = grid_shape(self.aabb, resolution)
         self.density, self.features = upsample(self.density, shape), upsample(self.features, shape)
-        self.rebuild_occupancy()

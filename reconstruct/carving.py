@@ -14,14 +14,16 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct.kernels.background import contract
 
 LEAST_LINES = 2  # of sight through a vertex' cell, before it counts as free: one may be a wrong match
-ENDS_SHARE = 0.05  # share of a neighbourhood's lines that may end in it without it being a surface
+ENDS_SHARE = (
+    0.05  # ends in a vertex' neighbourhood over lines through it, up to which it is free all the same
+)
 SHORT_OF = 1.5  # voxels that a line is cut before its point: the point's own depth is not exact
 STRIDE = 0.8  # voxels from one look at a line to the next
 BLOCK = 1 << 17  # lines followed at once
 
 
-def lines_of_sight(scene: Scene) -> tuple[Float[Tensor, "M 3"], Float[Tensor, "M 3"]] | None:
-    """Camera centres and points, one pair for every point in every training picture; None without points.
+def trained_lines(scene: Scene) -> tuple[Float[Tensor, "M 3"], Float[Tensor, "M 3"]] | None:
+    """Lines of sight of the training pictures: camera centres and points; None without points.
 
     Args:
         scene: In the box frame.
@@ -32,9 +34,8 @@ def lines_of_sight(scene: Scene) -> tuple[Float[Tensor, "M 3"], Float[Tensor, "M
     seen = trained[scene.points.obs_frame]
     if not seen.any():
         return None
-    centres = np.array([frame.camera.centre for frame in scene.static])
-    start, end = centres[scene.points.obs_frame[seen]], scene.points.xyz[scene.points.obs_point[seen]]
-    return torch.from_numpy(start).float(), torch.from_numpy(end).float()
+    start, end = scene.points.lines_of_sight(scene.static)
+    return torch.from_numpy(start[seen]).float(), torch.from_numpy(end[seen]).float()
 
 
 def carve(

@@ -58,22 +58,27 @@ class GridTrainer:
     Attributes:
         values: The grid; changed in place.
         copies: Buffers for the gradient, for as many threads.
+        reachable: Vertices that a step visits, as numbers of the flattened grid; none before `visit`.
         grad: Where the backward passes add.
-        reachable: Vertices that a step visits, as numbers of the flattened grid.
         step: Steps so far.
     """
 
     values: Float[Tensor, "X Y Z C"]
-    reachable: Int[Tensor, " A"]
     copies: int = 1
+    reachable: Int[Tensor, " A"] = field(init=False)
     grad: Float[Tensor, "P X Y Z C"] = field(init=False)
     moment1: Float[Tensor, "X Y Z C"] = field(init=False)
     moment2: Float[Tensor, "X Y Z C"] = field(init=False)
     step: int = 0
 
     def __post_init__(self) -> None:
+        self.reachable = torch.zeros(0, dtype=torch.int64, device=self.values.device)
         self.grad = self.values.new_zeros(self.copies, *self.values.shape)
         self.moment1, self.moment2 = (torch.zeros_like(self.values) for _ in range(2))
+
+    def visit(self, reachable: Bool[Tensor, "X Y Z"]) -> None:
+        """Say which vertices steps visit from now on."""
+        self.reachable = reachable.reshape(-1).nonzero()[:, 0]
 
     def update(self, lr: float, flag: Float[Tensor, "X Y Z 1"] | None = None) -> None:
         """One step with the gradient that has gathered, which is cleared; vertices of flag 0 have none."""

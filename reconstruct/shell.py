@@ -120,11 +120,10 @@ class Shell:
         self.grid[..., 0][inside | blocked.reshape(r.shape)] = EMPTY
 
     def start_from(self, free: Bool[Tensor, "N N N"], surface: Bool[Tensor, "N N N"]) -> None:
-        """Take over what is known of empty space and of surfaces, before anything is learned."""
+        """Take over what is known of empty space and of surfaces; `rebuild_occupancy` has to follow."""
         density, device = self.grid[..., 0], self.grid.device
         density[surface.to(device) & (density > EMPTY)] = SURFACE
         density[free.to(device)] = EMPTY
-        self.rebuild_occupancy()
 
     def rebuild_occupancy(self) -> Bool[Tensor, "N N N"]:
         """Look again at what is empty; returns the vertices that samples can touch."""
@@ -138,7 +137,6 @@ class Shell:
         return reachable
 
     def refine(self, size: int, centres: Float[Tensor, "F 3"]) -> None:
-        """Interpolate onto more vertices."""
+        """Interpolate onto more vertices; `rebuild_occupancy` has to follow."""
         self.grid = upsample(self.grid, (size, size, size))
         self.clear_around(centres)
-        self.rebuild_occupancy()

@@ -218,21 +218,20 @@ class _Recipe:
 
     def restart(self) -> None:
         """Fresh moments for grids that are new or have been replaced."""
-        nothing = torch.zeros(0, dtype=torch.int64, device=self.canonical.density.device)
-        self.density = GridTrainer(self.canonical.density, nothing)
-        self.features = GridTrainer(self.canonical.features, nothing)
-        self.surround = (
-            None
-            if self.shell is None
-            else GridTrainer(self.shell.grid, nothing, copies_for(self.shell.grid.device))
+        self.density, self.features = (
+            GridTrainer(self.canonical.density),
+            GridTrainer(self.canonical.features),
         )
+        self.surround = None
+        if self.shell is not None:
+            self.surround = GridTrainer(self.shell.grid, copies_for(self.shell.grid.device))
         self._find_reachable()
 
     def _find_reachable(self) -> None:
-        reachable = self.canonical.rebuild_occupancy(self._within()).reshape(-1).nonzero()[:, 0]
-        self.density.reachable = self.features.reachable = reachable
+        self.density.visit(self.canonical.rebuild_occupancy(self._within()))
+        self.features.reachable = self.density.reachable
         if self.shell is not None and self.surround is not None:
-            self.surround.reachable = self.shell.rebuild_occupancy().reshape(-1).nonzero()[:, 0]
+            self.surround.visit(self.shell.rebuild_occupancy())
 
     def _within(self) -> Tensor | None:
         """Vertices of the present grid that lie in the hull."""

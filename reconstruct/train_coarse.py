@@ -12,7 +12,7 @@ from torch import Tensor
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
-from devrf.reconstruct.carving import carve, lines_of_sight
+from devrf.reconstruct.carving import carve, trained_lines
 from devrf.reconstruct.grids import GridTrainer, grown, upsample, vertices
 from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import RaySegments
@@ -38,38 +38,30 @@ def train_coarse(
     generator: torch.Generator,
 ) -> Shell:
     """Train the coarse model on the sweep; from the sweep's points where there are any."""
-    lines, near, far = lines_of_sight(scene), scene.near, scene.far
+    lines, near, far = trained_lines(scene), scene.near, scene.far
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     sizes = [max(8, round(share * options.coarse_size)) for share in (SIZES if lines is None else (1.0,))]
+    per_size = max(1, options.coarse_iterations // len(sizes))
     model = Shell.new(
         aabb, sizes[0], sizes[-1], near=near, far=far, centres=rays.centres, device=device, inside=True
     )
     if lines is not None:
         model.start_from(*carve(*lines, aabb, sizes[0], near))
-    trainer = GridTrainer(
-        model.grid, model.rebuild_occupancy().reshape(-1).nonzero()[:, 0], copies_for(model.grid.device)
-    )
-    per_size = max(1, options.coarse_iterations // len(sizes))
-    for iteration in range(per_size * len(sizes)):
-        if iteration and iteration % per_size == 0:
-            model.refine(sizes[iteration // per_size], rays.centres)
-            trainer = GridTrainer(
-                model.grid,
-                model.rebuild_occupancy().reshape(-1).nonzero()[:, 0],
-                copies_for(model.grid.device),
-            )
-        elif iteration and iteration % OCCUPANCY_EVERY == 0:
-            trainer.reachable = model.rebuild_occupancy().reshape(-1).nonzero()[:, 0]
-        batch = rays.draw(options.coarse_rays, generator)
-        n = len(batch.rgb)
-        jitter = torch.rand(n, generator=generator, device=generator.device).to(batch.rgb)
-        segment = RaySegments(
-            batch.rays_o, batch.rays_d, torch.full_like(jitter, near), torch.full_like(jitter, far), jitter
-        )
-        rgb, _, apart = model.render(segment, True, batch.rgb, trainer.grad)
-        loss = rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
-        loss.backward()
-        trainer.update(LR * 0.1 ** (iteration / (per_size * len(sizes))))
+    for n, size in enumerate(sizes):
+        if n > 0:
+            model.refine(size, rays.centres)
+        trainer = GridTrainer(model.grid, copies_for(model.grid.device))
+        for iteration in range(per_size):
+            if iteration % OCCUPANCY_EVERY == 0:
+                trainer.visit(model.rebuild_occupancy())
+            batch = rays.draw(options.coarse_rays, generator)
+            jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
+            begin, end = torch.full_like(jitter, near), torch.full_like(jitter, far)
+            segment = RaySegments(batch.rays_o, batch.rays_d, begin, end, jitter)
+            rgb, _, apart = model.render(segment, True, batch.rgb, trainer.grad)
+            loss = rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
+            loss.backward()
+            trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
     return model
 
 
@@ -102,9 +94,9 @@ def hand_on(
     u = ((x - (lo + hi) / 2) * 2 / (hi - lo)).to(coarse.grid)
     raw = trilinear(coarse.grid[..., :1].contiguous(), u, CUBE)[:, 0]
     s = coarse.surroundings()
-    # Opacity per length: a step of `s.step` in units of the box's half size has the exponent `interval`.
+    # Opacity per length: a step of `s.step` in units of the box's half size has the exponent s.interval.
     half = float(((hi - lo) / 2).prod() ** (1 / 3))
-    per_length = coarse.interval * F.softplus(raw + s.shift) / (s.step * half)
+    per_length = s.interval * F.softplus(raw + s.shift) / (s.step * half)
     most = -torch.log(torch.tensor(1 - MOST_ALPHA)) / canonical.interval
     optical = (per_length * canonical.base_voxel).clamp(1e-6, float(most))
     density = optical + torch.log(-torch.expm1(-optical)) - canonical.shift  # the softplus undone

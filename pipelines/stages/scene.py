@@ -88,13 +88,18 @@ def _from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     masks = [
         m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
     ]
-    points = None if model is None else _points(model, factor)
+    points = None
+    xyz, distances = np.zeros((0, 3)), np.zeros(0)
+    if model is not None:
+        points = _points(model, factor)
+        start, end = points.lines_of_sight(static)
+        xyz, distances = points.xyz, np.linalg.norm(end - start, axis=1)
     context.progress(0.8, "box")
     bounds = scene_bounds(
         [f.camera for f in static],
         [c.camera for c in rig.cameras.values()],
-        np.zeros((0, 3)) if points is None else points.xyz,
-        np.zeros(0) if points is None else _distances(points, static),
+        xyz,
+        distances,
         masks,
     )
     rest = config.capture.rest
@@ -194,12 +199,6 @@ def _points(model: SweepModel, factor: float) -> SparsePoints:
     number = np.cumsum(good) - 1
     seen = good[model.obs_point]
     return SparsePoints(factor * model.xyz[good], number[model.obs_point[seen]], model.obs_image[seen])
-
-
-def _distances(points: SparsePoints, static: tuple[PosedFrame, ...]) -> np.ndarray:
-    """Of every observation: how far the point was from the camera."""
-    centres = np.array([frame.camera.centre for frame in static])
-    return np.linalg.norm(points.xyz[points.obs_point] - centres[points.obs_frame], axis=1)
 
 
 def health(bounds: Bounds, scene: Scene) -> list[HealthRow]:

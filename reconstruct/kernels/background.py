@@ -6,10 +6,10 @@
 The surroundings are one grid over space contracted to [-2, 2]^3: u is the position in half sizes of the box
 from its centre, r = max |u|, and y = u inside the box, (1 + log r / log REACH) u / r outside, at most 2. Like
 mip-NeRF 360's (2 - 1/r) u / r (Barron et al. 2022, Eq. 10; here with the largest component in place of the
-length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, a few half
-sizes away, keep twice the resolution. What is farther than REACH lies on the cube's faces. The grid holds raw
-density and raw colour; steps grow with r. The backward pass walks the same samples again: what lies
-behind sample i is the final colour minus what has been passed, so nothing needs to be stored.
+length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, three or
+four half sizes away, keep twice the resolution in depth. What is farther than REACH lies on the cube's faces. The
+grid holds raw density and raw colour; steps grow with r. The backward pass walks the same samples again: what
+lies behind sample i is the final colour minus what has been passed, so nothing needs to be stored.
 """
 
 import math
@@ -22,7 +22,7 @@ import warp as wp
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from devrf.reconstruct.kernels.launch import array, copies_for, launch, use_warp
+from devrf.reconstruct.kernels.launch import array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest
 from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, gathered_in, trilinear_ref
 
@@ -152,15 +152,10 @@ class _Background(torch.autograd.Function):
         shared = _arguments(rays, surroundings, closed, target, has_target)
         rgb, left, per_point = (torch.empty(n, *shape, device=device) for shape in ((3,), (), ()))
         outputs = [array(rgb, wp.vec3), array(left), array(per_point)]
-        most = torch.zeros(1, 1, 1, device=device) if seen is None else seen
-        arguments = [*shared, *outputs, int(seen is not None)]
-        launch(
-            _forward,
-            n,
-            arguments,
-            device,
-            into=[array(most)] * (1 if seen is not None else copies_for(device)),
-        )
+        if seen is None:
+            launch(_forward, n, [*shared, *outputs, 0, array(torch.zeros(1, 1, 1, device=device))], device)
+        else:
+            launch(_forward, n, [*shared, *outputs, 1], device, into=[array(seen)])
         ctx.save_for_backward(rgb, left)
         ctx.rest = rays, surroundings, closed, target, has_target, grid_grad
         return rgb, left, per_point

@@ -16,7 +16,9 @@ from typing import Any, no_type_check
 import torch
 import warp as wp
 
-SCATTER_COPIES = 2  # of memory that CPU threads scatter into; more would cost more to add up than they bring
+SCATTER_COPIES = (
+    2  # of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
+)
 CHUNK_MINIMUM = 256  # elements; below this a second thread costs more than it brings
 log = logging.getLogger(__name__)
 

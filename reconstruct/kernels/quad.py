@@ -110,13 +110,14 @@ class _Quad(torch.autograd.Function):
             *(array(grad_out, wp.vec3), ctx.first_key, int(wants_field)),
             *(array(points_grad, wp.vec3), int(wants_points)),
         ]
-        copies = [field_grad] * copies_for(field.device)
         if wants_field:
-            copies[1:] = [torch.zeros_like(field_grad) for _ in copies[1:]]
-        into = [array(copy, wp.vec3) for copy in copies]
-        launch(_backward, len(points), arguments, field.device, into=into)
-        for copy in copies[1:] if wants_field else ():
-            field_grad += copy
+            more = [torch.zeros_like(field_grad) for _ in range(copies_for(field.device) - 1)]
+            into = [array(copy, wp.vec3) for copy in (field_grad, *more)]
+            launch(_backward, len(points), arguments, field.device, into=into)
+            for copy in more:
+                field_grad += copy
+        else:
+            launch(_backward, len(points), [*arguments, array(field_grad, wp.vec3)], field.device)
         returned = field_grad if wants_field and not into_buffer else None
         return returned, points_grad if wants_points else None, None, None, None, None
 

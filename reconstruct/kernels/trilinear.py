@@ -18,7 +18,7 @@ import warp as wp
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.reconstruct.kernels.launch import array, box_arguments, copies_for, launch, use_warp
+from devrf.reconstruct.kernels.launch import array, box_arguments, launch, use_warp
 
 
 def trilinear(
@@ -104,8 +104,10 @@ class _Trilinear(torch.autograd.Function):
             *(array(grid, vec), array(points, wp.vec3), wp.vec3(*lo), wp.vec3(*scale), array(grad_out, vec)),
             *(array(points_grad, wp.vec3), int(wants_grid), int(wants_points)),
         ]
-        into = [array(grid_grad, vec)] if wants_grid else [array(grid, vec)] * copies_for(grid.device)
-        launch(backward, len(points), arguments, grid.device, into=into)
+        if wants_grid:
+            launch(backward, len(points), arguments, grid.device, into=[array(grid_grad, vec)])
+        else:
+            launch(backward, len(points), [*arguments, array(grid_grad, vec)], grid.device)
         returned = grid_grad if wants_grid and not into_buffer else None
         return returned, points_grad if wants_points else None, None, None
 

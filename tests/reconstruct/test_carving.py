@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from devrf.capture.scene import Scene, SparsePoints
-from devrf.reconstruct.carving import carve, lines_of_sight
+from devrf.reconstruct.carving import carve, trained_lines
 from devrf.reconstruct.kernels.background import contract
 
 AABB = torch.tensor([[-1.0, -1, -1], [1, 1, 1]])
@@ -38,10 +38,10 @@ def test_one_wrong_match_carves_nothing() -> None:
 
 def test_held_out_pictures_give_no_lines(ball) -> None:
     scene: Scene = ball.scene
-    assert lines_of_sight(scene) is None
+    assert trained_lines(scene) is None
     frames = np.arange(len(scene.static))
     points = SparsePoints(np.zeros((1, 3)), np.zeros_like(frames), frames)
-    lines = lines_of_sight(replace(scene, points=points))
+    lines = trained_lines(replace(scene, points=points))
     assert lines is not None
     centres = {tuple(np.round(f.camera.centre, 4)) for f in scene.static if f.split == "train"}
     assert {tuple(np.round(c, 4)) for c in lines[0].double().numpy()} == centres
