@@ -84,6 +84,9 @@ class Scene:
         image_scale: Pictures are trained on and evaluated at this relative size.
         metric: Whether world units are metres.
         points: What structure from motion found beside the poses; None for data sets without.
+        ndc: Where the scene is modelled in normalised device coordinates: tangents of the reference camera's half
+            angles (width / 2 / fx, height / 2 / fy). That camera is at the origin of the box frame and looks along
+            +z; the near plane is at z = 1. None elsewhere.
     """
 
     static: tuple[PosedFrame, ...]
@@ -100,6 +103,7 @@ class Scene:
     image_scale: float
     metric: bool = False
     points: SparsePoints | None = None
+    ndc: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.static and not self.dynamic:

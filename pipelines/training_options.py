@@ -2,19 +2,21 @@
 
 from typing import TYPE_CHECKING
 
+from devrf.capture.scene import Scene
 from devrf.pipelines.scene_config import SceneConfig
 
 if TYPE_CHECKING:
     from devrf.reconstruct.options import Options
 
 
-def training_options(config: SceneConfig) -> "Options":
-    """The preset with what the file overrides."""
+def training_options(config: SceneConfig, scene: Scene) -> "Options":
+    """The preset, for such a scene, with what the file overrides."""
     from devrf.reconstruct.options import preset
 
     chosen = config.reconstruct
     return preset(
         config.preset,
+        forward=scene.ndc is not None,
         resolution=chosen.resolution,
         rays=chosen.rays,
         canonical_iterations=chosen.canonical_iterations,

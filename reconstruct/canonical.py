@@ -17,8 +17,11 @@ from devrf.reconstruct.grids import grid_shape, grown, upsample, voxel_size
 from devrf.reconstruct.kernels.march import Volume
 from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.kernels.trilinear import trilinear
+from devrf.reconstruct.ndc import Ndc
 
 VIEW_FREQUENCIES = 4  # sin and cos at 2^0 .. 2^3 of each component
+PUBLISHED_PLANES = 256  # multi-plane densities are per this part of the depth (DirectVoxGO)
+OPAQUE = 10.0  # raw density of the last plane: every ray ends there
 EMPTY = -10.0  # raw density of space taken to be empty: invisible, but Adam can still raise it
 
 
@@ -27,16 +30,29 @@ def shift_for(alpha_init: float) -> float:
     return math.log(1 / (1 - alpha_init) - 1)
 
 
+def even_planes(planes: int) -> Float[Tensor, " planes"]:
+    """Raw densities with which a ray is equally likely to stop at each of `planes` planes; the last is opaque.
+
+    Of the rays that reach plane i of N, one in N - i stops there (DirectVoxGO's start for multi-plane images).
+    """
+    per_plane = PUBLISHED_PLANES / (planes - 1)
+    stops = 1 / (planes - torch.arange(planes - 1, dtype=torch.float64))
+    optical = -torch.log1p(-stops) / per_plane
+    raw = torch.log(torch.expm1(optical))  # the softplus undone
+    return torch.cat([raw, torch.tensor([OPAQUE], dtype=torch.float64)]).float()
+
+
 class ColourNet(nn.Module):
     """Features and view direction to colour: two hidden layers.
 
     The first layer is split: its part for the view direction is computed once per ray, not per sample.
     """
 
-    def __init__(self, channels: int, width: int) -> None:
+    def __init__(self, channels: int, width: int, frequencies: int = VIEW_FREQUENCIES) -> None:
         super().__init__()
+        self.frequencies = frequencies
         self.features = nn.Linear(channels, width)
-        self.view = nn.Linear(3 + 6 * VIEW_FREQUENCIES, width, bias=False)
+        self.view = nn.Linear(3 + 6 * frequencies, width, bias=False)
         self.hidden = nn.Linear(width, width)
         self.out = nn.Linear(width, 3)
         nn.init.zeros_(self.out.bias)
@@ -45,14 +61,24 @@ class ColourNet(nn.Module):
         self, features: Float[Tensor, "S C"], rays_d: Float[Tensor, "R 3"], ray_id: Int[Tensor, " S"]
     ) -> Float[Tensor, "S 3"]:
         """Colours in [0, 1] of samples on rays of unit direction."""
-        view = self.view(encode(rays_d)).index_select(0, ray_id)
+        view = self.view(encode(rays_d, self.frequencies)).index_select(0, ray_id)
         hidden = F.relu(self.hidden(F.relu(self.features(features) + view)))
         return torch.sigmoid(self.out(hidden))
 
 
-def encode(d: Float[Tensor, "R 3"]) -> Float[Tensor, "R 27"]:
+class PlainColour(nn.Module):
+    """Three features as a colour, the same from everywhere: for a first, coarse model."""
+
+    def forward(
+        self, features: Float[Tensor, "S 3"], rays_d: Float[Tensor, "R 3"], ray_id: Int[Tensor, " S"]
+    ) -> Float[Tensor, "S 3"]:
+        """Colours in [0, 1]."""
+        return torch.sigmoid(features)
+
+
+def encode(d: Float[Tensor, "R 3"], frequencies: int) -> Float[Tensor, "R C"]:
     """Directions with sines and cosines of their multiples (Mildenhall et al. 2020, Eq. 4)."""
-    multiples = (d[..., None] * 2.0 ** torch.arange(VIEW_FREQUENCIES, device=d.device)).flatten(-2)
+    multiples = (d[..., None] * 2.0 ** torch.arange(frequencies, device=d.device)).flatten(-2)
     return torch.cat([d, multiples.sin(), multiples.cos()], dim=-1)
 
 
@@ -66,6 +92,8 @@ class Canonical:
         net: The MLP.
         distance: Vertices to the nearest occupied vertex [X, Y, Z].
         base_voxel: Voxel of the final resolution; densities are per this length.
+        ndc: Where given, the grids fill a frustum (multi-plane images, as DirectVoxGO has them) instead of a box:
+            positions are normalised device coordinates, z of the grids counts planes, and steps go along z.
     """
 
     def __init__(
@@ -73,15 +101,16 @@ class Canonical:
         aabb: Float[Tensor, "2 3"],
         density: Float[Tensor, "X Y Z 1"],
         features: Float[Tensor, "X Y Z C"],
-        net: ColourNet,
+        net: ColourNet | PlainColour,
         *,
         base_voxel: float,
         stepsize: float,
         shift: float,
         alpha_threshold: float,
         weight_threshold: float,
+        ndc: Ndc | None = None,
     ) -> None:
-        self.aabb = aabb.cpu().float()
+        self.aabb, self.ndc = aabb.cpu().float(), ndc
         self.density, self.features, self.net = density, features, net
         self.base_voxel, self.stepsize, self.shift = base_voxel, stepsize, shift
         self.alpha_threshold, self.weight_threshold = alpha_threshold, weight_threshold
@@ -101,23 +130,37 @@ class Canonical:
         weight_threshold: float,
         device: str,
         seed: int,
+        planes: int | None = None,
+        ndc: Ndc | None = None,
     ) -> "Canonical":
-        """A model that knows nothing yet: equally translucent everywhere."""
-        shape = grid_shape(aabb, resolution)
+        """A model that knows nothing yet: equally translucent everywhere, or its planes equally likely to stop a ray.
+
+        Without hidden layers (`mlp_width` 0) features are colours.
+        """
+        shape = grid_shape(aabb, resolution, planes)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            net = ColourNet(channels, mlp_width).to(device)
-        return Canonical(
+            net = PlainColour()
+            if mlp_width:
+                net = ColourNet(channels, mlp_width, VIEW_FREQUENCIES if ndc is None else 0).to(device)
+        depth = float(aabb[1, 2] - aabb[0, 2])
+        model = Canonical(
             aabb,
             torch.zeros(*shape, 1, device=device),
             torch.zeros(*shape, channels, device=device),
             net,
-            base_voxel=voxel_size(aabb, grid_shape(aabb, final_resolution)),
+            base_voxel=voxel_size(aabb, grid_shape(aabb, final_resolution))
+            if ndc is None
+            else depth / PUBLISHED_PLANES,
             stepsize=stepsize,
-            shift=shift_for(alpha_init),
+            shift=shift_for(alpha_init) if ndc is None else 0.0,
             alpha_threshold=alpha_threshold,
             weight_threshold=weight_threshold,
+            ndc=ndc,
         )
+        if ndc is not None:
+            model.density += even_planes(shape[2]).to(device)[:, None]
+        return model
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -127,7 +170,9 @@ class Canonical:
 
     @property
     def step(self) -> float:
-        """Step along rays, in the units of the box."""
+        """Step along rays, in the units of the box; along z where planes are stepped through."""
+        if self.ndc is not None:
+            return self.stepsize * float(self.aabb[1, 2] - self.aabb[0, 2]) / (self.shape[2] - 1)
         return self.stepsize * voxel_size(self.aabb, self.shape)
 
     @property
@@ -187,5 +232,5 @@ class Canonical:
 
     def refine(self, resolution: float | int) -> None:
         """Interpolate both grids onto more vertices; `rebuild_occupancy` has to follow."""
-        shape = grid_shape(self.aabb, resolution)
+        shape = grid_shape(self.aabb, resolution, None if self.ndc is None else self.shape[2])
         self.density, self.features = upsample(self.density, shape), upsample(self.features, shape)

@@ -16,9 +16,21 @@ BETAS = (0.9, 0.99)  # DirectVoxGO's; the papers say "Adam"
 EPS = 1e-8
 
 
-def grid_shape(aabb: Float[Tensor, "2 3"], resolution: float | int) -> tuple[int, int, int]:
-    """Vertices along each axis of a grid of about resolution^3 vertices, in proportion to the box, at least 2."""
+def grid_shape(
+    aabb: Float[Tensor, "2 3"], resolution: float | int, planes: int | None = None
+) -> tuple[int, int, int]:
+    """Vertices along each axis of a grid of about resolution^3 vertices, in proportion to the box, at least 2.
+
+    Args:
+        aabb: The box.
+        resolution: Cube root of the number of vertices.
+        planes: Vertices along z, where they are given (multi-plane grids).
+    """
     extent = (aabb[1] - aabb[0]).double()
+    if planes is not None:
+        voxel = float((extent[0] * extent[1] * planes / resolution**3) ** 0.5)
+        x, y = (max(2, round(float(e) / voxel)) for e in extent[:2])
+        return x, y, planes
     voxel = float(extent.prod() ** (1 / 3)) / resolution
     x, y, z = (max(2, round(float(e) / voxel)) for e in extent)
     return x, y, z

@@ -20,7 +20,7 @@ from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.rays import camera_rays, intersect
-from devrf.reconstruct.render import PLAIN, render_rest
+from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in
 from devrf.reconstruct.train_canonical import RestModel
 
 CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
@@ -92,9 +92,10 @@ class DynamicModel:
     def around(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Around:
         """Surroundings of rays."""
         rest, n = self.rest, len(rays_o)
-        if rest.shell is None:
-            plain = PLAIN[rest.background]
-            return Around(torch.zeros_like(rays_o), rays_o.new_ones(n), torch.full_like(rays_o, plain))
+        plain = plain_of(rest.background, rays_o.device)
+        if rest.shell is None or plain is not None:
+            back = rays_o.new_zeros(3) if plain is None else plain
+            return Around(torch.zeros_like(rays_o), rays_o.new_ones(n), back.expand(n, 3).contiguous())
         t_in, t_out, _ = intersect(rays_o, rays_d, rest.canonical.aabb, rest.near)
         middle = rays_o.new_full((n,), 0.5)
         near, far = torch.full_like(t_in, rest.near), torch.full_like(t_in, rest.far)
@@ -133,14 +134,14 @@ def render_moved(
 ) -> Moved:
     """March through the scene as it is at each ray's own time; differentiable in the backward motion's keys."""
     canonical = rest.canonical
-    t_in, t_out, _ = intersect(rays_o, rays_d, motion.aabb, rest.near)
-    segments = RaySegments(rays_o, rays_d, t_in, t_out, jitter)
+    segments = segments_in(motion.aabb, canonical.ndc, rays_o, rays_d, rest.near, jitter)
     samples = march(segments, canonical.volume(), Warp(motion.backward, tau.contiguous(), motion.aabb, live))
-    x = rays_o[samples.ray_id] + samples.t[:, None] * rays_d[samples.ray_id]
+    x = points_on(segments, samples)
     x0 = x + quad(motion.backward, x, tau[samples.ray_id], motion.aabb, keys_grad, first_key)
     weights, left = composite_weights(canonical.alpha(x0), samples.offsets)
     colours = canonical.colour(x0, rays_d, samples.ray_id)
-    seen = accumulate(weights, torch.cat([colours, samples.t[:, None]], dim=1), samples.ray_id, len(rays_o))
+    away = distances(x, samples, canonical.ndc, rays_o)
+    seen = accumulate(weights, torch.cat([colours, away[:, None]], dim=1), samples.ray_id, len(rays_o))
     return Moved(seen[:, :3], left, seen[:, 3].detach(), samples, x, x0, weights, colours)
 
 
@@ -166,7 +167,7 @@ def render_layers(
     around = model.around_camera(camera)
     live = tau = None
     if motion is not None and time is not None:
-        tau = motion.tau(torch.tensor([time], device=device))
+        motion, tau = motion.at(time, device)
         live = live_distance(rest, motion, tau, 1)
     out: list[tuple[Tensor, Tensor, Tensor]] = []
     for o, d in _chunks(rays_o, rays_d):
@@ -174,7 +175,7 @@ def render_layers(
         if motion is not None and live is not None and tau is not None:
             seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
         else:
-            black, still = torch.zeros((), device=device), middle.expand(2, -1)
+            black, still = torch.zeros(3, device=device), middle.expand(2, -1)
             seen = render_rest(
                 rest.canonical, None, black, o, d, near=rest.near, far=rest.far, jitter=still.contiguous()
             )

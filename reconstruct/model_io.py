@@ -5,6 +5,7 @@ motion fields. Numbers that are not tensors stand in the file's metadata, as JSO
 """
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,29 +18,34 @@ from devrf.capture.errors import ReconstructError
 from devrf.reconstruct.canonical import Canonical, ColourNet
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_canonical import RestModel
 
 FILE = "model.safetensors"
-FORMAT = 1
+FORMAT = 2
 CANONICAL_NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")
 
 
 def save_rest(path: Path, model: RestModel) -> None:
     """Write the scene at rest."""
-    canonical, shell = model.canonical, model.shell
+    canonical, shell, net = model.canonical, model.shell, model.canonical.net
+    if not isinstance(net, ColourNet):
+        raise ValueError("a coarse model without an MLP is not saved")
     tensors = {
         "canonical.aabb": canonical.aabb,
         "canonical.density": canonical.density.half(),
         "canonical.features": canonical.features.half(),
         "canonical.distance": canonical.distance,
-        **{f"net.{name}": value for name, value in canonical.net.state_dict().items()},
+        **{f"net.{name}": value for name, value in net.state_dict().items()},
     }
     meta: dict[str, Any] = {
         "kind": "rest",
         "canonical": {name: getattr(canonical, name) for name in CANONICAL_NUMBERS},
         "channels": canonical.features.shape[3],
-        "mlp_width": canonical.net.hidden.out_features,
+        "mlp_width": net.hidden.out_features,
+        "view_frequencies": net.frequencies,
+        "ndc": asdict(canonical.ndc) if canonical.ndc is not None else None,
         "background": model.background,
         "near": model.near,
         "far": model.far,
@@ -73,7 +79,7 @@ def load_rest(path: Path, device: str = "cpu") -> RestModel:
         ReconstructError: The file is missing, damaged, or holds something else.
     """
     tensors, meta = _load(path, "rest", device)
-    net = ColourNet(meta["channels"], meta["mlp_width"]).to(device)
+    net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"]).to(device)
     net.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")})
     for parameter in net.parameters():
         parameter.requires_grad_(False)
@@ -82,6 +88,7 @@ def load_rest(path: Path, device: str = "cpu") -> RestModel:
         tensors["canonical.density"].float(),
         tensors["canonical.features"].float(),
         net,
+        ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
         **{name: float(meta["canonical"][name]) for name in CANONICAL_NUMBERS},
     )
     canonical.distance = tensors["canonical.distance"]
@@ -100,8 +107,8 @@ def load_rest(path: Path, device: str = "cpu") -> RestModel:
 
 
 def load_motion(path: Path, device: str = "cpu") -> MotionField:
-    """Read what `save_motion` wrote; errors as `load_rest`."""
-    tensors, meta = _load(path, "motion", device)
+    """Read what `save_motion` wrote, for work on `device`; errors as `load_rest`."""
+    tensors, meta = _load(path, "motion", "cpu")
     return MotionField(
         tensors["aabb"].cpu(),
         tensors["backward"].float(),
@@ -109,7 +116,7 @@ def load_motion(path: Path, device: str = "cpu") -> MotionField:
         float(meta["t_first"]),
         float(meta["t_last"]),
         meta["rest_key"],
-    )
+    ).stored(device)
 
 
 def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:

@@ -6,7 +6,7 @@ number depends on a scene's scale.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 PresetName = Literal["tiny", "fast", "reference"]
 REFERENCE_EXTENT = (
@@ -26,15 +26,20 @@ class CanonicalOptions:
         channels: Colour features per voxel.
         mlp_width: Width of the two hidden layers behind them.
         scale_at: Shares of the iterations after which the number of voxels doubles.
+        planes: Of a forward-facing scene in normalised device coordinates: vertices along its depth, at all levels.
         shell_resolution: Vertices along each axis of the surroundings.
         stepsize: Step along rays, in voxels.
         alpha_init: Opacity of a voxel that nothing is known about.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
         lr_grid, lr_mlp: Initial learning rates; both fall by 10 over all iterations.
         entropy, per_point, opacity: Weights of the losses beside the re-rendering loss.
-        coarse_iterations, coarse_rays, coarse_size: The first, coarse model where surroundings are modelled:
-            iterations, rays per iteration, vertices along each axis.
-        hull_resolution: Vertices along the longest side where the tight box is searched (plain background).
+        variation: Weight of the total variation of density and features.
+        coarse_iterations, coarse_rays, coarse_size: The first, coarse model where surroundings are modelled, or where
+            it searches the box: iterations, rays per iteration, vertices along each axis.
+        box_search: How the tight box is found before a plain background: from silhouettes, or by a coarse model, as
+            published.
+        hitting_rays: Only rays that meet the space where the subject can be are drawn (plain background), as published.
+        hull_resolution: Vertices along the longest side of the grid of silhouettes.
         box_margin: The tight box is enlarged by this factor about its centre.
         occupancy_every: Iterations between rebuilds of the occupancy.
         seed: Of every random draw.
@@ -47,6 +52,7 @@ class CanonicalOptions:
     channels: int = 12
     mlp_width: int = 128
     scale_at: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2)
+    planes: int = 128
     shell_resolution: int = 256
     stepsize: float = 0.5
     alpha_init: float = 1e-2
@@ -57,9 +63,12 @@ class CanonicalOptions:
     entropy: float = 1e-3
     per_point: float = 1e-2
     opacity: float = 0.0
+    variation: float = 0.0
     coarse_iterations: int = 1000
     coarse_rays: int = 8192
     coarse_size: int = 128
+    box_search: Literal["silhouettes", "coarse"] = "silhouettes"
+    hitting_rays: bool = False
     hull_resolution: int = 64
     box_margin: float = 1.2
     occupancy_every: int = 500
@@ -76,6 +85,7 @@ class MotionOptions:
         rays: Rays per iteration.
         most_keys: Most key times; a scene with fewer distinct times has fewer.
         lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
+        one_camera: Each step draws from one camera, the cameras in turn, as published.
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
         live_every: Iterations between rebuilds of where the moving scene may be.
@@ -89,6 +99,7 @@ class MotionOptions:
     rays: int
     most_keys: int = 50
     lr: float = 1e-3
+    one_camera: bool = False
     importance: float = 0.0
     cycle: float = 100.0
     flow: float = 0.005
@@ -154,15 +165,44 @@ PRESETS: dict[str, Options] = {
         ),
     ),
     "reference": Options(
-        CanonicalOptions(resolution=160, iterations=20000, rays=8192),
-        MotionOptions(levels=(10, 20, 40, 80, 160), iterations=(200, 100, 100, 50, 50), rays=8192),
+        CanonicalOptions(
+            resolution=160,
+            iterations=20000,
+            rays=8192,
+            coarse_iterations=5000,
+            coarse_size=100,
+            box_search="coarse",
+            hitting_rays=True,
+        ),
+        MotionOptions(
+            levels=(10, 20, 40, 80, 160), iterations=(200, 100, 100, 50, 50), rays=8192, most_keys=400,
+            one_camera=True,
+        ),
     ),
+}  # fmt: skip
+
+FORWARD: dict[str, dict[str, Any]] = {
+    "tiny": {"resolution": 112, "planes": 64},
+    "fast": {"resolution": 192, "planes": 96},
+    "reference": {"resolution": 256, "planes": 128, "iterations": 25000, "rays": 4096},
+}
+"""What differs at rest for a forward-facing scene in normalised device coordinates, beside PUBLISHED_FORWARD."""
+PUBLISHED_FORWARD: dict[str, Any] = {
+    "channels": 9,
+    "mlp_width": 64,
+    "scale_at": (0.08, 0.16, 0.24, 0.32),
+    "alpha_threshold": 1e-3,
+    "weight_threshold": 1e-3,
+    "opacity": 0.0045,
+    "variation": 1e-5,
+    "hitting_rays": False,
 }
 
 
 def preset(
     name: str,
     *,
+    forward: bool = False,
     resolution: int | None = None,
     rays: int | None = None,
     canonical_iterations: int | None = None,
@@ -173,23 +213,46 @@ def preset(
 
     Args:
         name: tiny, fast or reference.
-        resolution: R of the canonical grid; the motion's levels keep their proportion to it.
+        forward: The scene is modelled in normalised device coordinates.
+        resolution: R of the canonical grid; every other grid keeps its proportion to it.
         rays: Rays per iteration, both stages.
-        canonical_iterations: Of stage 1.
+        canonical_iterations: Of stage 1's fine model; the coarse model's keep their proportion to it.
         motion_iterations: Of stage 2, per key time, over all levels.
         seed: Of both stages.
     """
     if name not in PRESETS:
         raise ValueError(f"preset is {name!r}, expected one of {', '.join(PRESETS)}")
     canonical, motion = PRESETS[name].canonical, PRESETS[name].motion
+    inward = canonical.resolution
+    if forward:
+        canonical = replace(canonical, **PUBLISHED_FORWARD, **FORWARD[name])
     if resolution is not None:
-        ratio = resolution / canonical.resolution
+        ratio = resolution / inward
         motion = replace(motion, levels=tuple(max(4, round(level * ratio)) for level in motion.levels))
-        canonical = replace(canonical, resolution=resolution)
+        canonical = replace(
+            canonical,
+            resolution=round(ratio * canonical.resolution),
+            planes=max(8, round(ratio * canonical.planes)),
+            coarse_size=max(16, round(ratio * canonical.coarse_size)),
+            shell_resolution=max(16, round(ratio * canonical.shell_resolution)),
+        )
     if rays is not None:
-        canonical, motion = replace(canonical, rays=rays), replace(motion, rays=rays)
+        canonical, motion = (
+            replace(
+                canonical,
+                rays=rays,
+                coarse_rays=max(64, round(rays * canonical.coarse_rays / canonical.rays)),
+            ),
+            replace(motion, rays=rays),
+        )
     if canonical_iterations is not None:
-        canonical = replace(canonical, iterations=canonical_iterations)
+        ratio = canonical_iterations / PRESETS[name].canonical.iterations
+        canonical = replace(
+            canonical,
+            iterations=max(1, round(ratio * canonical.iterations)),
+            coarse_iterations=max(1, round(ratio * canonical.coarse_iterations)),
+            occupancy_every=max(10, round(ratio * canonical.occupancy_every)),
+        )
     if motion_iterations is not None:
         ratio = motion_iterations / sum(motion.iterations)
         motion = replace(motion, iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations))

@@ -5,6 +5,7 @@ distortion undone once), which a picture's rotation turns into the world. Rays h
 them is a distance. Every picture brings its own size, intrinsics, principal point, lens and time.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -90,6 +91,7 @@ class RaySet:
         self, frames: tuple[PosedFrame, ...], cameras: list[Camera], pictures: list[np.ndarray], device: str
     ) -> None:
         self.opacity: Tensor | None = None
+        self.kept: Tensor | None = None
         self.frames, self.cameras, self.device = frames, cameras, torch.device(device)
         counts = [c.width * c.height for c in cameras]
         self.first = torch.tensor(np.concatenate([[0], np.cumsum(counts)]), dtype=torch.int64, device=device)
@@ -121,10 +123,12 @@ class RaySet:
         return len(self.cameras)
 
     def draw(self, n: int, generator: torch.Generator, frames: Int[Tensor, " f"] | None = None) -> RayBatch:
-        """Draw `n` rays, each pixel of all pictures (or of `frames`, each picture alike) with equal chance."""
+        """Draw `n` rays, each kept pixel of all pictures (or any of `frames`, each picture alike) with equal chance."""
         if frames is None:
-            at = torch.randint(int(self.first[-1]), (n,), generator=generator, device=generator.device)
-            at = at.to(self.device)
+            among = int(self.first[-1]) if self.kept is None else len(self.kept)
+            at = torch.randint(among, (n,), generator=generator, device=generator.device).to(self.device)
+            if self.kept is not None:
+                at = self.kept[at].long()
             frame = torch.searchsorted(self.first, at, right=True) - 1
             return self.at(frame, at - self.first[frame])
         pick = torch.randint(len(frames), (n,), generator=generator, device=generator.device)
@@ -132,6 +136,17 @@ class RaySet:
         share = torch.rand(n, generator=generator, device=generator.device, dtype=torch.float64)
         count = self.first[frame + 1] - self.first[frame]
         return self.at(frame, (share.to(self.device) * count).long())
+
+    def keep_only(self, pixels: Bool[Tensor, " pixels"]) -> None:
+        """Draw only these of all pixels from now on, where no pictures are named."""
+        if bool(pixels.any()):
+            self.kept = pixels.nonzero()[:, 0].int()
+
+    def in_order(self, at_once: int) -> Iterator[RayBatch]:
+        """All rays, picture by picture and row by row, some at once."""
+        for at in torch.arange(int(self.first[-1]), device=self.device).split(at_once):
+            frame = torch.searchsorted(self.first, at, right=True) - 1
+            yield self.at(frame, at - self.first[frame])
 
     def at(self, frame: Int[Tensor, " n"], pixel: Int[Tensor, " n"]) -> RayBatch:
         """The rays through given pixels (row times width plus column) of given pictures."""

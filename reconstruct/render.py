@@ -12,12 +12,19 @@ from torch import Tensor
 
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
-from devrf.reconstruct.kernels.march import RaySegments, march
+from devrf.reconstruct.kernels.march import RaySegments, Samples, march
+from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.rays import intersect
 from devrf.reconstruct.shell import Shell
 
 PLAIN = {"white": 1.0, "black": 0.0}
 SEEN = 1e-3  # transmittance below which what is behind is not looked at
+
+
+def plain_of(background: str, device: str | torch.device) -> Float[Tensor, " 3"] | None:
+    """The plain colour behind the subject; None where surroundings are modelled."""
+    return None if background == "shell" else torch.full((3,), PLAIN[background], device=device)
+
 
 Grads = tuple[Tensor | None, Tensor | None, Tensor | None]
 """Buffers that density, features and surroundings add their gradient to."""
@@ -47,7 +54,7 @@ class Rendered:
 def render_rest(
     canonical: Canonical,
     shell: Shell | None,
-    plain: Float[Tensor, ""] | None,
+    plain: Float[Tensor, " 3"] | None,
     rays_o: Float[Tensor, "R 3"],
     rays_d: Float[Tensor, "R 3"],
     *,
@@ -58,20 +65,59 @@ def render_rest(
     grads: Grads = (None, None, None),
 ) -> Rendered:
     """Colours of rays through the scene at rest; differentiable."""
-    t_in, t_out, _ = intersect(rays_o, rays_d, canonical.aabb, near)
-    samples = march(RaySegments(rays_o, rays_d, t_in, t_out, jitter[0]), canonical.volume())
-    x = rays_o[samples.ray_id] + samples.t[:, None] * rays_d[samples.ray_id]
+    segments = segments_in(canonical.aabb, canonical.ndc, rays_o, rays_d, near, jitter[0])
+    samples = march(segments, canonical.volume())
+    x = points_on(segments, samples)
     weights, left = composite_weights(canonical.alpha(x, grads[0]), samples.offsets)
     colours = canonical.colour(x, rays_d, samples.ray_id, grads[1])
-    inner = accumulate(weights, torch.cat([colours, samples.t[:, None]], dim=1), samples.ray_id, len(rays_o))
+    away = distances(x, samples, canonical.ndc, rays_o)
+    inner = accumulate(weights, torch.cat([colours, away[:, None]], dim=1), samples.ray_id, len(rays_o))
     rgb, depth, per_point = inner[:, :3], inner[:, 3].detach(), torch.zeros_like(left)
     if shell is None:
         rgb = rgb if plain is None else rgb + left[:, None] * plain
     else:
         rgb, per_point = _with_surroundings(
-            shell, rays_o, rays_d, (near, t_in, t_out, far), jitter[1], rgb, left, target, grads[2]
+            shell,
+            rays_o,
+            rays_d,
+            (near, segments.t_in, segments.t_out, far),
+            jitter[1],
+            rgb,
+            left,
+            target,
+            grads[2],
         )
     return Rendered(rgb, left, depth, weights, colours, samples.ray_id, per_point)
+
+
+def segments_in(
+    aabb: Float[Tensor, "2 3"],
+    ndc: Ndc | None,
+    rays_o: Float[Tensor, "R 3"],
+    rays_d: Float[Tensor, "R 3"],
+    near: float,
+    jitter: Float[Tensor, " R"],
+) -> RaySegments:
+    """The parts of rays in a model's box, in the coordinates of its grids."""
+    if ndc is not None:
+        rays_o, rays_d = ndc.rays(rays_o, rays_d)
+        near = 0.0
+    t_in, t_out, _ = intersect(rays_o, rays_d, aabb, near)
+    return RaySegments(rays_o, rays_d, t_in, t_out, jitter)
+
+
+def points_on(segments: RaySegments, samples: Samples) -> Float[Tensor, "S 3"]:
+    """Positions of samples, in the coordinates of the grids."""
+    return segments.rays_o[samples.ray_id] + samples.t[:, None] * segments.rays_d[samples.ray_id]
+
+
+def distances(
+    x: Float[Tensor, "S 3"], samples: Samples, ndc: Ndc | None, rays_o: Float[Tensor, "R 3"]
+) -> Float[Tensor, " S"]:
+    """Distances of samples from their rays' origins, in the box frame."""
+    if ndc is None:
+        return samples.t
+    return (ndc.to_world(x.detach()) - rays_o[samples.ray_id]).norm(dim=1)
 
 
 def _with_surroundings(

@@ -1,8 +1,9 @@
 """Stage 1: learn the scene at rest, and its surroundings, from the sweep (DeVRF 3.1, after DirectVoxGO).
 
 The number of voxels doubles a few times early on; occupancy is rebuilt as density settles; the grids are trained
-by masked Adam on the vertices that rays can touch, the MLP by Adam. Where the background is plain, a visual hull
-gives the tight box (the published program trains a coarse model for that).
+by masked Adam on the vertices that rays can touch, the MLP by Adam. Where the background is plain, the tight box
+comes from a coarse model, as published, or from silhouettes. A forward-facing scene is modelled by planes in
+normalised device coordinates, without a box to find.
 """
 
 from dataclasses import dataclass
@@ -16,20 +17,27 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.coarse_box import find_subject
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
 from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.kernels.adam import add_total_variation
 from devrf.reconstruct.kernels.launch import copies_for
+from devrf.reconstruct.kernels.march import march
 from devrf.reconstruct.losses import entropy_loss, opacity_loss, per_point_loss, rendering_loss
+from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
-from devrf.reconstruct.render import PLAIN, render_rest
+from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
 
 LOG_EVERY = 25
 FEWEST_RAYS = 256
-READING = 0.05  # share of the progress bar for reading pictures
+READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
+RAYS_AT_ONCE = 1 << 16
+TV_CLAMP = 1.0  # published: larger differences pull no harder
+TV_RESOLUTION = 128  # published: variation is weighted by resolution / 128 / rays
 
 
 @dataclass
@@ -58,9 +66,12 @@ def train_canonical(
         raise ReconstructError("the sweep has no training pictures; the scene at rest cannot be learned")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
-    aabb, hull = _box(scene, frames, options)
-    recipe = _Recipe(scene, options, rays, aabb, hull, device)
     generator = torch.Generator().manual_seed(options.seed)
+    plain = plain_of(scene.background, device)
+    aabb, hull = _box(scene, frames, rays, plain, options, generator, progress)
+    recipe = _Recipe(scene, options, rays, plain, aabb, hull, device)
+    if options.hitting_rays and recipe.shell is None:
+        rays.keep_only(recipe.hitting())
     if recipe.shell is not None:
         progress(READING, "coarse model")
         coarse = train_coarse(scene, rays, options, device, generator)
@@ -88,19 +99,35 @@ def train_canonical(
 
 
 def _box(
-    scene: Scene, frames: tuple[PosedFrame, ...], options: CanonicalOptions
+    scene: Scene,
+    frames: tuple[PosedFrame, ...],
+    rays: RaySet,
+    plain: Float[Tensor, " 3"] | None,
+    options: CanonicalOptions,
+    generator: torch.Generator,
+    progress: Progress,
 ) -> tuple[Float[Tensor, "2 3"], tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None]:
-    """The box to model, and the hull with its own box where there is one."""
+    """The box to model, and where in it the subject can be, over a box of its own, where that is known."""
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
-    if scene.background == "shell":
+    if scene.ndc is not None:
+        return CUBE, None
+    if plain is None:
         return aabb, None
-    kept = visual_hull(frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
+    if options.box_search == "coarse":
+        kept = find_subject(
+            rays, aabb, scene.near, plain, options, generator,
+            lambda share, text: progress(READING + COARSE * share, text),
+        )  # fmt: skip
+        near_kept = grown(kept)
+    else:
+        kept = visual_hull(frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
+        near_kept = grown(grown(kept))
     tight = box_of(kept, aabb, options.box_margin)
     if tight is None:
         raise ReconstructError(
-            "no part of the scene box is inside the silhouettes of the sweep; check poses, box and background"
+            "nothing was found in the scene box: check poses, box and background (dataset.background)"
         )
-    return tight, (grown(grown(kept)), aabb)
+    return tight, (near_kept, aabb)
 
 
 class _Recipe:
@@ -111,17 +138,15 @@ class _Recipe:
         scene: Scene,
         options: CanonicalOptions,
         rays: RaySet,
+        plain: Tensor | None,
         aabb: Tensor,
         hull: tuple[Tensor, Tensor] | None,
         device: str,
     ) -> None:
-        self.options, self.rays, self.hull = options, rays, hull
+        self.options, self.rays, self.plain, self.hull = options, rays, plain, hull
         self.scalings = {
             max(1, round(share * options.iterations)): n for n, share in enumerate(options.scale_at, 1)
         }
-        self.plain = (
-            None if scene.background == "shell" else torch.tensor(PLAIN[scene.background], device=device)
-        )
         self.near, self.far = scene.near, scene.far
         self.canonical = Canonical.new(
             aabb,
@@ -135,9 +160,11 @@ class _Recipe:
             weight_threshold=options.weight_threshold,
             device=device,
             seed=options.seed,
+            planes=options.planes if scene.ndc is not None else None,
+            ndc=Ndc(*scene.ndc) if scene.ndc is not None else None,
         )
         self.shell: Shell | None = None
-        if scene.background == "shell":
+        if plain is None:
             self.shell = Shell.new(
                 aabb,
                 self._shell_size(0),
@@ -192,6 +219,10 @@ class _Recipe:
         if batch.opacity is not None:
             loss = loss + self.options.opacity * opacity_loss(out.left, batch.opacity)
         loss.backward()
+        if self.options.variation:
+            for grid in (self.density, self.features):
+                weight = self.options.variation * max(grid.values.shape[:3]) / TV_RESOLUTION / len(batch.rgb)
+                add_total_variation(grid.values, grid.grad[0], weight, TV_CLAMP)
         self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad[0])  # touched alike
         self.density.update(self.options.lr_grid * self.decay)
         if self.surround is not None:
@@ -201,6 +232,19 @@ class _Recipe:
         self.net_optimiser.step()
         self.net_optimiser.zero_grad()
         return {"mse": mse, "entropy": entropy, "per_point": per_point}
+
+    @torch.no_grad()
+    def hitting(self) -> Bool[Tensor, " pixels"]:
+        """Of all pixels: whether their rays meet the space where the subject can be."""
+        parts = []
+        for batch in self.rays.in_order(RAYS_AT_ONCE):
+            middle = torch.full_like(batch.rays_o[:, 0], 0.5)
+            segments = segments_in(
+                self.canonical.aabb, self.canonical.ndc, batch.rays_o, batch.rays_d, self.near, middle
+            )
+            offsets = march(segments, self.canonical.volume()).offsets
+            parts.append(offsets[1:] > offsets[:-1])
+        return torch.cat(parts)
 
     def finish(self) -> None:
         """Empty what no ray has ever touched, and look at the occupancy for the last time."""

@@ -5,10 +5,13 @@ each key's two grids are trained alone on the pictures around its time, with a f
 starts from the one before it, which tracks the motion through time; later levels start from their own, refined.
 A ray's own time lies between two keys and is interpolated; the neighbours are held fixed meanwhile.
 
-Departures from the published program: exact times instead of one picture per key; pixels drawn mostly where
-pictures change (presets tiny and fast); pixels of all cameras in every step instead of one camera's.
+The published program takes the pixels of one camera in each step, the cameras in turn, all pixels alike: preset
+`reference` does so, the others take all cameras at once and mostly pixels that change. Departures: exact times
+instead of one picture per key; what is empty is skipped; a motion out of the box leads to empty space instead of
+fog; the first key is not trained twice (the program's slot 0 falls to it).
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import torch
@@ -19,6 +22,7 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.grids import BETAS, EPS, grid_shape
 from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
@@ -47,9 +51,18 @@ def train_motion(
     options: MotionOptions,
     device: str = "cpu",
     progress: Progress = no_progress,
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
 
+    Args:
+        scene: Its moving cameras are trained on.
+        rest: The scene at rest; stays as it is.
+        flows: Backward flow by camera; may be empty.
+        options: What can be chosen.
+        device: cpu or cuda.
+        progress: Told how far it is.
+        checkpoint: Where to keep the state between two key times, and to take it up from.
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverged.
     """
@@ -60,25 +73,42 @@ def train_motion(
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
     recipe = _Recipe(scene, rest, rays, flows, options, device)
+    visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
+    begin = _take_up(recipe, log, checkpoint)
     total = sum(options.iterations) * len(recipe.order)
-    for level, (resolution, iterations) in enumerate(zip(options.levels, options.iterations, strict=True)):
-        recipe.enter_level(level, resolution)
-        for key in recipe.order:
-            recipe.enter_key(key)
-            for _ in range(iterations):
-                log.add(options.rays, recipe.step(), level=float(level), key=float(key))
-            last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
-            progress(0.05 + 0.95 * log.iteration / total, f"level {level + 1}, key {key}{last}")
+    for n, (level, key) in enumerate(visits[begin:], begin):
+        if level != recipe.level:
+            recipe.enter_level(level)
+        recipe.enter_key(key)
+        for _ in range(options.iterations[level]):
+            log.add(options.rays, recipe.step(), level=float(level), key=float(key))
+        recipe.leave_key()
+        last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
+        progress(0.05 + 0.95 * log.iteration / total, f"level {level + 1}, key {key}{last}")
+        if checkpoint is not None and checkpoint.due() and n + 1 < len(visits):
+            tensors, numbers = recipe.state()
+            checkpoint.write(tensors, {"visits": n + 1, "recipe": numbers, "log": log.state()})
     log.close_row()
     metrics = log.summary() | {
         "keys": recipe.motion.keys,
         "grid": list(recipe.motion.backward.shape[1:4]),
         "pictures": len(frames),
         "left_box_share": recipe.left_box / max(1, recipe.seen),
-        "largest_motion": float(recipe.motion.forward.norm(dim=-1).max()),
+        "largest_motion": max(float(key.norm(dim=-1).max()) for key in recipe.motion.forward),
         "flow_pictures": recipe.flow.pictures,
     }
     return recipe.motion, metrics
+
+
+def _take_up(recipe: "_Recipe", log: TrainingLog, checkpoint: Checkpoint | None) -> int:
+    """Go on from a checkpoint, if there is one; returns how many keys of how many levels it has behind it."""
+    found = checkpoint.read() if checkpoint is not None else None
+    if found is None:
+        return 0
+    tensors, numbers = found
+    recipe.take_up(tensors, numbers["recipe"])
+    log.take_up(numbers["log"])
+    return int(numbers["visits"])
 
 
 def _motion_box(
@@ -139,7 +169,8 @@ class _Recipe:
         self.flow = PixelFlow(rays, flows)
         self.changing = changing_pixels(rays) if options.importance > 0 else None
         times = sorted({f.time for f in rays.frames if f.time is not None})
-        keys = max(2, min(options.most_keys, len(times)))
+        clips = Counter(f.camera_name for f in rays.frames)
+        keys = max(2, min(options.most_keys, len(times), max(clips.values())))
         at_start = scene.rest_time is not None and scene.rest_time <= times[0]
         at_end = scene.rest_time is not None and scene.rest_time >= times[-1] and not at_start
         box = _motion_box(scene, rest, rays.frames, keys)
@@ -157,35 +188,77 @@ class _Recipe:
         self.direction = -1 if at_end else 1
         self.tau_of_frame = self.motion.tau(rays.times)
         extent = box[1] - box[0]
-        self.unit = REFERENCE_EXTENT / float(extent.max())  # published units per unit of the box frame
+        # Published units per unit of the box frame; in normalised device coordinates they are the same.
+        self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
         self.left_box = self.seen = 0
-        self.level, self.lr, self.key, self.step_of_key = 0, options.lr, 0, 0
+        self.level, self.key, self.step_of_key = 0, 0, 0
+        self.device = device
 
-    def enter_level(self, level: int, resolution: int) -> None:
-        """Refine the field; lower the rate."""
-        if level:
-            self.motion = self.motion.refined(resolution)
+    @property
+    def lr(self) -> float:
+        """Learning rate of the present level."""
         levels = len(self.options.levels)
-        self.level, self.lr = level, self.options.lr / self.unit * 0.1 ** (level / max(1, levels - 1))
+        return self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, int]]:
+        """Everything that the next key depends on."""
+        tensors = {
+            "backward": self.motion.backward,
+            "forward": self.motion.forward,
+            "generator": self.generator.get_state(),
+        }
+        return tensors, {"level": self.level, "left_box": self.left_box, "seen": self.seen}
+
+    def take_up(self, tensors: dict[str, Tensor], numbers: dict[str, int]) -> None:
+        """Go on from a `state`."""
+        self.level, self.left_box, self.seen = numbers["level"], numbers["left_box"], numbers["seen"]
+        fields = {name: tensors[name] for name in ("backward", "forward")}
+        self.motion = replace(self.motion, **fields).stored(self.device)
+        self.generator.set_state(tensors["generator"])
+
+    def enter_level(self, level: int) -> None:
+        """Refine the field; the rate follows the level."""
+        self.level = level
+        self.motion = self.motion.refined(self.options.levels[level], self.device)
 
     def enter_key(self, key: int) -> None:
         """Begin to train one key: its pictures, its starting point, a fresh Adam."""
-        before = key - self.direction
-        if self.level == 0 and 0 <= before < self.motion.keys:
-            self.motion.backward[key] = self.motion.backward[before]
-            self.motion.forward[key] = self.motion.forward[before]
-        self.key, self.step_of_key = key, 0
+        motion, before = self.motion, key - self.direction
+        if self.level == 0 and 0 <= before < motion.keys:
+            motion.backward[key] = motion.backward[before]
+            motion.forward[key] = motion.forward[before]
+        self.step_of_key = 0
         self.pictures = self._pictures_around(key)
-        self.adam = [_Moments.of(self.motion.backward), _Moments.of(self.motion.forward)]
+        names = [self.rays.frames[int(f)].camera_name for f in self.pictures]
+        of_view = [
+            [f for f, n in zip(self.pictures.tolist(), names, strict=True) if n == v]
+            for v in sorted(set(names))
+        ]
+        self.views = [torch.tensor(v, device=self.pictures.device) for v in of_view]
+        looked_at = self.tau_of_frame[torch.cat([self.pictures, self.flow.previous[self.pictures]])]
+        first = min(int(looked_at.min().floor()), key - 1 if key else 0)
+        self.window = motion.window(max(0, first), max(int(looked_at.max().ceil()), key), self.device)
+        self.first = min(max(0, first), motion.keys - 2)
+        self.whole_key, self.key = key, key - self.first
+        self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
         self.live: Tensor | None = None
+
+    def leave_key(self) -> None:
+        """Keep what has been learned, where the window is a copy."""
+        for whole, part in (
+            (self.motion.backward, self.window.backward),
+            (self.motion.forward, self.window.forward),
+        ):
+            if whole.device != part.device:
+                whole[self.whole_key] = part[self.key].to(whole.device)
 
     def step(self) -> dict[str, Tensor]:
         """One iteration on the present key; returns the unweighted losses."""
-        o, motion, key = self.options, self.motion, self.key
+        o, motion, key = self.options, self.window, self.key
         batch = self._draw()
-        tau = self.tau_of_frame[batch.frame]
+        tau = self._tau(batch.frame)
         if self.live is None or self.step_of_key % o.live_every == 0:
-            taus = self.tau_of_frame[self.pictures].unique()
+            taus = self._tau(self.pictures).unique()
             self.live = live_distance(self.rest, motion, torch.cat([taus, taus.new_tensor([key])]), 3)
         self.step_of_key += 1
         jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
@@ -210,7 +283,8 @@ class _Recipe:
         resolution = max(motion.backward.shape[1:4])
         weight = o.variation * resolution / TV_RESOLUTION / TV_RAYS * self.unit**2
         for values, adam in ((motion.backward, back), (motion.forward, forth)):
-            add_total_variation(values[key], adam.grad[0], weight, TV_CLAMP / self.unit)
+            if weight > 0:
+                add_total_variation(values[key], adam.grad[0], weight, TV_CLAMP / self.unit)
             dense_step(
                 values[key],
                 adam.grad[0],
@@ -225,6 +299,10 @@ class _Recipe:
         self.seen += int(seen.samples.seen)
         return parts
 
+    def _tau(self, frames: Int[Tensor, " f"]) -> Float[Tensor, " f"]:
+        """Times of pictures, in key spacings from the window's first."""
+        return self.tau_of_frame[frames] - self.first
+
     def _pictures_around(self, key: int) -> Int[Tensor, " f"]:
         """Pictures that this key is trained on: up to the neighbours; while tracking, only those before it."""
         away = (self.tau_of_frame - key) * self.direction
@@ -237,6 +315,8 @@ class _Recipe:
 
     def _draw(self) -> RayBatch:
         n = self.options.rays
+        if self.options.one_camera:
+            return self.rays.draw(n, self.generator, self.views[self.step_of_key % len(self.views)])
         chosen = round(n * self.options.importance) if self.changing is not None else 0
         batch = None
         if chosen and self.changing is not None:
@@ -250,7 +330,8 @@ class _Recipe:
         if self.options.flow == 0 or not self.flow.pictures:
             return x0.new_zeros(())
         target, previous, valid = self.flow.at(batch.frame, batch.pixel)
-        tau = self.tau_of_frame[previous][ray_id]
-        was = self.motion.from_rest(x0, tau)
+        was = self.window.from_rest(x0, self._tau(previous)[ray_id])
+        if self.rest.canonical.ndc is not None:
+            was = self.rest.canonical.ndc.to_world(was)
         moved = self.flow.project(was, batch.frame[ray_id])
         return flow_loss(moved, target[ray_id], weights, valid[ray_id])

@@ -54,6 +54,25 @@ class TrainingLog:
             row["psnr"] = round(psnr(means["mse"]), 3)
         self.rows.append(row | {name: float(f"{value:.4g}") for name, value in means.items()})
 
+    def state(self) -> dict[str, Any]:
+        """All of it as plain numbers, for a checkpoint."""
+        sums = {name: [float(v) for v in values] for name, values in self._sums.items()}
+        return {
+            "iteration": self.iteration,
+            "rays": self.rays,
+            "seconds": self.seconds,
+            "rows": self.rows,
+            "sums": sums,
+        }
+
+    def take_up(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        self.iteration, self.rays, self.rows = state["iteration"], state["rays"], list(state["rows"])
+        self.began = time.perf_counter() - state["seconds"]
+        self._sums = defaultdict(list)
+        for name, values in state["sums"].items():
+            self._sums[name] = [torch.tensor(v, device=self.device) for v in values]
+
     @property
     def seconds(self) -> float:
         """Since the log was begun."""

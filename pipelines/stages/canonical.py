@@ -17,7 +17,7 @@ LEAST_PSNR_DB, DOUBTFUL_PSNR_DB = 10.0, 18.0  # of training pictures: below, not
 def run(context: StageContext) -> None:
     """Write `model.safetensors` and `metrics.json`."""
     scene = read_scene(context.run_dir / "scene")
-    options = training_options(context.config).canonical
+    options = training_options(context.config, scene).canonical
     model = train_canonical(scene, options, context.device, context.progress)
     save_rest(context.out / FILE, model)
     metrics: dict[str, Any] = model.metrics | {"options": asdict(options)}

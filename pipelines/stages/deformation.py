@@ -17,7 +17,7 @@ OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out o
 def run(context: StageContext) -> None:
     """Write `model.safetensors` and `metrics.json`."""
     scene = read_scene(context.run_dir / "scene")
-    options = training_options(context.config).motion
+    options = training_options(context.config, scene).motion
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
     flows = read_flows(context.run_dir / "flow")
     motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress)

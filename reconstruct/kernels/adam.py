@@ -76,12 +76,12 @@ def dense_step(
 
 
 def add_total_variation(
-    values: Float[Tensor, "X Y Z 3"], grad: Float[Tensor, "X Y Z 3"], weight: float, clamp: float
+    values: Float[Tensor, "X Y Z C"], grad: Float[Tensor, "X Y Z C"], weight: float, clamp: float
 ) -> None:
     """Add weight / 6 times the sum over six neighbours of (value - neighbour), held to +-clamp, to `grad`."""
     if use_warp(values.device):
-        arguments = [array(values, wp.vec3), array(grad, wp.vec3), weight / 6.0, clamp]
-        launch(_variation, values.numel() // 3, arguments, values.device)
+        arguments = [array(values), array(grad), weight / 6.0, clamp]
+        launch(_variation, values.numel(), arguments, values.device)
         return
     for axis in range(3):
         n = values.shape[axis]
@@ -166,39 +166,32 @@ def _dense(
     grad[n] = 0.0
 
 
-@wp.func
-@no_type_check
-def held(a: wp.vec3, b: wp.vec3, most: float) -> wp.vec3:
-    """a - b, each component held to +-most."""
-    d = a - b
-    return wp.vec3(wp.clamp(d[0], -most, most), wp.clamp(d[1], -most, most), wp.clamp(d[2], -most, most))
-
-
 @wp.kernel(enable_backward=False)
 @no_type_check
 def _variation(
     first: int,
-    values: wp.array3d(dtype=wp.vec3),
-    grad: wp.array3d(dtype=wp.vec3),
+    values: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
     weight: float,
     most: float,
 ):
     n = first + wp.tid()
-    k = n % values.shape[2]
-    j = (n // values.shape[2]) % values.shape[1]
-    i = n // (values.shape[1] * values.shape[2])
-    here = values[i, j, k]
-    total = wp.vec3(0.0, 0.0, 0.0)
+    c = n % values.shape[3]
+    k = (n // values.shape[3]) % values.shape[2]
+    j = (n // (values.shape[2] * values.shape[3])) % values.shape[1]
+    i = n // (values.shape[1] * values.shape[2] * values.shape[3])
+    here = values[i, j, k, c]
+    total = float(0.0)
     if i > 0:
-        total += held(here, values[i - 1, j, k], most)
+        total += wp.clamp(here - values[i - 1, j, k, c], -most, most)
     if i < values.shape[0] - 1:
-        total += held(here, values[i + 1, j, k], most)
+        total += wp.clamp(here - values[i + 1, j, k, c], -most, most)
     if j > 0:
-        total += held(here, values[i, j - 1, k], most)
+        total += wp.clamp(here - values[i, j - 1, k, c], -most, most)
     if j < values.shape[1] - 1:
-        total += held(here, values[i, j + 1, k], most)
+        total += wp.clamp(here - values[i, j + 1, k, c], -most, most)
     if k > 0:
-        total += held(here, values[i, j, k - 1], most)
+        total += wp.clamp(here - values[i, j, k - 1, c], -most, most)
     if k < values.shape[2] - 1:
-        total += held(here, values[i, j, k + 1], most)
-    grad[i, j, k] = grad[i, j, k] + total * weight
+        total += wp.clamp(here - values[i, j, k + 1, c], -most, most)
+    grad[i, j, k, c] = grad[i, j, k, c] + total * weight

@@ -24,7 +24,10 @@ from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, trilinear_
 
 
 class RaySegments(NamedTuple):
-    """Parts of rays: origins and unit directions [R, 3], entry and exit [R], jitter in [0, 1) [R]."""
+    """Parts of rays: origins and directions [R, 3], entry and exit [R], jitter in [0, 1) [R].
+
+    Points are rays_o + t rays_d; directions are of unit length where t is to be a distance.
+    """
 
     rays_o: Float[Tensor, "R 3"]
     rays_d: Float[Tensor, "R 3"]
@@ -236,7 +239,7 @@ def _march(
     r = first + wp.tid()
     origin = wp.cw_mul(rays_o[r] - lo, scale)
     direction = wp.cw_mul(rays_d[r], scale)
-    leap = 1.0 / (step * wp.max(wp.max(scale[0], scale[1]), scale[2]))
+    leap = 1.0 / (step * wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2])))
     trans = float(1.0)
     n = int(0)
     i = int(0)
@@ -296,7 +299,8 @@ def _march_moved(
     counts: wp.array2d(dtype=wp.int32),
 ):
     r = first + wp.tid()
-    leap = 1.0 / (step * wp.max(wp.max(live_scale[0], live_scale[1]), live_scale[2]))
+    pace = wp.cw_mul(rays_d[r], live_scale)
+    leap = 1.0 / (step * wp.max(wp.max(wp.abs(pace[0]), wp.abs(pace[1])), wp.abs(pace[2])))
     trans = float(1.0)
     n = int(0)
     i = int(0)

@@ -1,0 +1,59 @@
+"""The middle of a training on disk, so that one that was killed goes on where it was, bit for bit.
+
+Data only (safetensors): tensors, and numbers as JSON in the file's metadata. A checkpoint carries a fingerprint of
+everything the training depends on; one with another fingerprint is not taken up.
+"""
+
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+EVERY_S = 120.0  # a checkpoint of the largest fields takes some seconds to write
+
+
+class Checkpoint:
+    """A place for one training's state.
+
+    Args:
+        path: The file.
+        fingerprint: Of everything the training depends on.
+        every_s: Seconds between two writings; 0 writes whenever asked.
+    """
+
+    def __init__(self, path: Path, fingerprint: str, every_s: float = EVERY_S) -> None:
+        self.path, self.fingerprint, self.every_s = path, fingerprint, every_s
+        self._written = time.monotonic()
+
+    def due(self) -> bool:
+        """Whether it is time to write."""
+        return time.monotonic() - self._written >= self.every_s
+
+    def write(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
+        """Replace the file, whole or not at all."""
+        new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
+        ready = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+        save_file(ready, str(new), metadata={"devrf": json.dumps(numbers | {"of": self.fingerprint})})
+        os.replace(new, self.path)
+        self._written = time.monotonic()
+
+    def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """What was written last; None where nothing was, for something else, or what cannot be read."""
+        try:
+            with safe_open(str(self.path), framework="pt", device="cpu") as file:
+                numbers = json.loads((file.metadata() or {}).get("devrf", "{}"))
+                if numbers.pop("of", None) != self.fingerprint:
+                    return None
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+        except (OSError, SafetensorError, json.JSONDecodeError):
+            return None
+        return tensors, numbers
+
+    def remove(self) -> None:
+        """The training is done."""
+        self.path.unlink(missing_ok=True)
