@@ -125,6 +125,8 @@ class Options:
     motion: MotionOptions
 
 
+FEWEST_COARSE = 400  # iterations in which a coarse voxel can get from transparent to opaque, at its rate
+
 PRESETS: dict[str, Options] = {
     "tiny": Options(
         CanonicalOptions(
@@ -247,10 +249,11 @@ def preset(
         )
     if canonical_iterations is not None:
         ratio = canonical_iterations / PRESETS[name].canonical.iterations
+        least = FEWEST_COARSE if canonical.box_search == "coarse" else 1
         canonical = replace(
             canonical,
             iterations=max(1, round(ratio * canonical.iterations)),
-            coarse_iterations=max(1, round(ratio * canonical.coarse_iterations)),
+            coarse_iterations=max(least, round(ratio * canonical.coarse_iterations)),
             occupancy_every=max(10, round(ratio * canonical.occupancy_every)),
         )
     if motion_iterations is not None:

@@ -125,7 +125,8 @@ def _box(
     tight = box_of(kept, aabb, options.box_margin)
     if tight is None:
         raise ReconstructError(
-            "nothing was found in the scene box: check poses, box and background (dataset.background)"
+            "nothing was found in the scene box: check poses and background (dataset.background), or train "
+            "longer (reconstruct.canonical_iterations)"
         )
     return tight, (near_kept, aabb)
 

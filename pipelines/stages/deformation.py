@@ -1,27 +1,37 @@
 """Stage `deformation`: how the scene moves, learned from the moving cameras."""
 
+import hashlib
 import json
 from dataclasses import asdict
+from pathlib import Path
 
 from devrf.capture.formats import read_scene
 from devrf.flow.store import read_flows
+from devrf.pipelines.code_version import code_version
 from devrf.pipelines.health import row
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model_io import FILE, load_rest, save_motion
+from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.train_motion import train_motion
 
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
+CHECKPOINT = ".deformation.safetensors"
+READS = ("scene", "canonical", "flow")
 
 
 def run(context: StageContext) -> None:
-    """Write `model.safetensors` and `metrics.json`."""
+    """Write `model.safetensors` and `metrics.json`; a training that was killed goes on from its checkpoint."""
     scene = read_scene(context.run_dir / "scene")
     options = training_options(context.config, scene).motion
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
     flows = read_flows(context.run_dir / "flow")
-    motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress)
+    checkpoint = Checkpoint(context.run_dir / CHECKPOINT, _fingerprint(context.run_dir, options))
+    motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress, checkpoint)
     save_motion(context.out / FILE, motion)
+    checkpoint.remove()
     metrics |= {"options": asdict(options)}
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
@@ -36,3 +46,13 @@ def run(context: StageContext) -> None:
             "rests, or let the fixed cameras see all of its way so that the box is made larger.",
         )
     )
+
+
+def _fingerprint(run_dir: Path, options: MotionOptions) -> str:
+    """Of everything the training depends on: options, code, and the stages that are read, by their stamps."""
+    digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
+    digest.update(code_version(train_motion.__module__).encode())
+    for name in READS:
+        stamp = run_dir / name / STAMP
+        digest.update(stamp.read_bytes() if stamp.is_file() else name.encode())
+    return digest.hexdigest()

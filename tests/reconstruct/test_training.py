@@ -8,6 +8,7 @@ import torch
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import load_image
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
@@ -73,6 +74,70 @@ def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
             still = _psnr(render_view(model, frame.camera, None), true)
             assert moving > still + 3
     assert metrics["left_box_share"] < 0.2
+
+
+def test_training_of_motion_resumes_in_the_middle_bit_by_bit(ball, rest: RestModel, tmp_path) -> None:
+    """Killed after every second key time: the same fields, the same log."""
+    options = replace(MOTION, iterations=(8, 5), most_keys=5)
+    undisturbed, log = train_motion(ball.scene, rest, {}, options)
+    checkpoint = Killed(tmp_path / "state", "this training", every_s=0.0)
+    for _ in range(20):
+        try:
+            motion, metrics = train_motion(ball.scene, rest, {}, options, checkpoint=checkpoint)
+            break
+        except KeyboardInterrupt:
+            continue
+    else:
+        pytest.fail("never finished")
+    assert checkpoint.kills == 3  # of 8 visits: after the second, fourth and sixth
+    assert torch.equal(motion.backward, undisturbed.backward)
+    assert torch.equal(motion.forward, undisturbed.forward)
+    assert metrics["iterations"] == log["iterations"] == 52
+    assert [r["mse"] for r in metrics["curve"]] == [r["mse"] for r in log["curve"]]
+    assert metrics["left_box_share"] == log["left_box_share"]
+
+
+def test_checkpoint_of_another_training_is_not_taken_up(ball, rest: RestModel, tmp_path) -> None:
+    options = replace(MOTION, iterations=(2, 2), most_keys=3)
+    Checkpoint(tmp_path / "state", "one").write({"backward": torch.ones(3)}, {"visits": 3})
+    other = Checkpoint(tmp_path / "state", "other")
+    assert other.read() is None
+    motion, _ = train_motion(ball.scene, rest, {}, options, checkpoint=other)
+    assert torch.equal(motion.backward, train_motion(ball.scene, rest, {}, options)[0].backward)
+    (tmp_path / "state").write_bytes(b"half a file")
+    assert Checkpoint(tmp_path / "state", "one").read() is None
+
+
+class Killed(Checkpoint):
+    """A checkpoint after which the process dies, every second time."""
+
+    written = kills = 0
+
+    def write(self, tensors, numbers) -> None:
+        super().write(tensors, numbers)
+        self.written += 1
+        if self.written % 2 == 0:
+            self.kills += 1
+            raise KeyboardInterrupt
+
+
+def test_one_camera_in_each_step(ball, rest: RestModel) -> None:
+    """As published: the cameras in turn; and any number of key times, whatever the number of iterations."""
+    options = replace(MOTION, one_camera=True, importance=0.0, iterations=(7, 3), most_keys=400)
+    motion, metrics = train_motion(ball.scene, rest, {}, options)
+    assert motion.keys == 5 and metrics["iterations"] == 4 * 10
+    assert float(motion.backward[4].abs().max()) > 0
+
+
+def test_box_by_a_coarse_model(ball) -> None:
+    """The published search finds the ball as the silhouettes do, and draws only rays that meet it."""
+    options = replace(
+        REST, iterations=40, box_search="coarse", hitting_rays=True, coarse_iterations=350, coarse_rays=512
+    )
+    model = train_canonical(ball.scene, options)
+    box = model.canonical.aabb
+    assert (box[1] > 0.8 * ball.radius).all() and (box[0] < -0.8 * ball.radius).all()
+    assert (box.abs() < 1.7 * ball.radius).all()
 
 
 def test_surroundings_are_learned_without_mattes(ball) -> None:
