@@ -10,6 +10,7 @@ import typer
 
 import devrf
 from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.bench.cli import bench
 from devrf.pipelines.console import Loudness, Talk
 from devrf.pipelines.plan import Choice, standings
 from devrf.pipelines.runner import (
@@ -33,6 +34,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+app.add_typer(bench, name="bench")
 
 SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
 PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]

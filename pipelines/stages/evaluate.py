@@ -12,6 +12,7 @@ from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clock
 from devrf.capture.formats import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.health import HealthRow, row
+from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_renderer, model_files
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
@@ -24,8 +25,7 @@ def run(context: StageContext) -> None:
     """Write `metrics.json` and `views/`."""
     config = context.config
     scene = read_scene(context.run_dir / "scene")
-    weights = config.evaluate.lpips_weights
-    lpips = LpipsNets.load(config.path(context.scene_dir, weights) if weights else None, context.device)
+    lpips = lpips_nets(config, context.scene_dir, context.device)
     render = load_renderer(context.run_dir, context.device)
     metrics = evaluate(scene, render, lpips, context.out, context.progress)
     metrics |= {
@@ -39,6 +39,12 @@ def run(context: StageContext) -> None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
     context.health.extend(health(metrics, scene))
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+
+
+def lpips_nets(config: SceneConfig, scene_dir: Path, device: str) -> LpipsNets:
+    """The networks for LPIPS that scene.yaml names."""
+    weights = config.evaluate.lpips_weights
+    return LpipsNets.load(config.path(scene_dir, weights) if weights else None, device)
 
 
 def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:

@@ -1,0 +1,82 @@
+"""`bench ablation`: what each part of the motion's training is worth (DeVRF, Tables 2 and 3)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.pipelines.bench.charts import bars
+from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
+from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
+from devrf.reconstruct.ablation import VARIANTS, ablated
+
+SOURCE_INWARD = "DeVRF, Table 2: mean of its five synthetic scenes (other data; 400x400, RTX 3090)"
+SOURCE_FORWARD = "DeVRF, Table 3: mean of its two real forward-facing scenes (other data; 540x960, RTX 3090)"
+PAPER_INWARD = {
+    "base": {"psnr": 22.44, "ssim": 0.887, "lpips_vgg": 0.1173},
+    "c2f": {"psnr": 31.97, "ssim": 0.975, "lpips_vgg": 0.0185},
+    "tv": {"psnr": 32.73, "ssim": 0.963, "lpips_vgg": 0.0172},
+    "cycle": {"psnr": 33.97, "ssim": 0.981, "lpips_vgg": 0.0142},
+    "flow": {"psnr": 34.29, "ssim": 0.982, "lpips_vgg": 0.0137},
+}
+PAPER_FORWARD = {  # means of plant and rabbit
+    "base": {"psnr": 25.855, "ssim": 0.928, "lpips_vgg": 0.1011},
+    "c2f": {"psnr": 29.32, "ssim": 0.959, "lpips_vgg": 0.0611},
+    "tv": {"psnr": 30.585, "ssim": 0.9655, "lpips_vgg": 0.0459},
+    "cycle": {"psnr": 31.52, "ssim": 0.972, "lpips_vgg": 0.0389},
+    "flow": {"psnr": 32.03, "ssim": 0.9735, "lpips_vgg": 0.0364},
+}
+C2F_GAIN_DB = 2.0  # that coarse-to-fine has to bring, at any size
+
+
+def run_ablation(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
+    """Train every variant for every seed; print, draw and write what came of it."""
+    results: dict[str, list[dict[str, Any]]] = {name: [] for name in VARIANTS}
+    for seed in seeds:
+        options = bench.options(seed)
+        rest = bench.rest(options.canonical)
+        for name, variant in ablated(options.motion).items():
+            results[name].append(bench.motion(name, rest, variant))
+    forward = bench.scene.kind == "forward"
+    paper, source = (PAPER_FORWARD, SOURCE_FORWARD) if forward else (PAPER_INWARD, SOURCE_INWARD)
+    rows = [
+        row for name in VARIANTS for row in score_rows(f"ablation/{name}", results[name], paper[name], source)
+    ]
+    rows += _gains(results, {name: paper[name]["psnr"] for name in VARIANTS}, source)
+    print_rows(bench.run.talk, f"Ablation of {bench.run.config.name}", rows)
+    write_rows(json_path, rows, benchmark="ablation", **about(bench, seeds))
+    psnr = {name: [r["test"]["psnr"] for r in results[name]] for name in VARIANTS}
+    chart = bars(
+        json_path.with_suffix(".png"),
+        {_label(name): values for name, values in psnr.items()},
+        {_label(name): paper[name]["psnr"] for name in VARIANTS},
+        "PSNR of test views, dB",
+        f"{bench.run.config.name}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}; line: the paper, other data",
+    )
+    bench.run.talk.say(f"  rows: {json_path}")
+    bench.run.talk.say(f"  chart: {chart}")
+    return rows
+
+
+def _gains(results: dict[str, list[dict[str, Any]]], paper: dict[str, float], source: str) -> list[Row]:
+    """What each part brings, seed by seed, against how much seeds differ."""
+    rows = []
+    for before, name in zip(VARIANTS, VARIANTS[1:], strict=False):
+        pairs = zip(results[name], results[before], strict=True)
+        gains = [a["test"]["psnr"] - b["test"]["psnr"] for a, b in pairs]
+        row = Row(
+            f"ablation/{before} to {name}/psnr",
+            float(np.mean(gains)),
+            "dB",
+            spread(gains),
+            round(paper[name] - paper[before], 3),
+            source,
+        )
+        goal = C2F_GAIN_DB if name == "c2f" else -(spread(gains) or 0.0)
+        rows.append(with_goal(row, goal))
+    return rows
+
+
+def _label(name: str) -> str:
+    return name if name in ("base", "c2f") else f"+{name}"

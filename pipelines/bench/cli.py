@@ -1,0 +1,101 @@
+"""`devrf-pipeline bench …`: words of the command line into benchmarks."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.console import Talk
+from devrf.pipelines.plan import Choice
+from devrf.pipelines.runner import BAD_INPUT, FAILED, Run, resolve_device
+from devrf.pipelines.scene_file import load_scene
+from devrf.pipelines.stages import STAGES
+
+bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)
+
+SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
+PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
+SeedsOption = Annotated[int, typer.Option(min=1, max=100, help="Trainings per case; they give the spread")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Override a key: reconstruct.rays=4096 (repeatable)")
+]
+OutOption = Annotated[
+    Path | None, typer.Option(help="Folder for models and pictures; default: beside the run folder")
+]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
+
+
+@bench.command()
+def ablation(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    seeds: SeedsOption = 1,
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """What each part of the motion's training is worth: base, c2f, +tv, +cycle, +flow."""
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.ablation import run_ablation
+        from devrf.pipelines.bench.trainings import Bench
+
+        run_ablation(Bench.prepare(run, folder), range(seeds), json or folder / "ablation.json")
+
+    _measure("ablation", measure, scene, preset, overrides, out, device, quiet)
+
+
+@bench.command()
+def views(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    seeds: SeedsOption = 1,
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """How quality depends on the number of moving cameras, from one to all there are."""
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.trainings import Bench
+        from devrf.pipelines.bench.views import run_views
+
+        run_views(Bench.prepare(run, folder), range(seeds), json or folder / "views.json")
+
+    _measure("views", measure, scene, preset, overrides, out, device, quiet)
+
+
+def _measure(
+    name: str,
+    measure: Callable[[Run, Path], None],
+    scene: Path,
+    preset: str | None,
+    overrides: Sequence[str] | None,
+    out: Path | None,
+    device: str,
+    quiet: bool,
+) -> None:
+    """Read the configuration, run a benchmark, turn errors into exit codes."""
+    talk = Talk("quiet" if quiet else "normal")
+    path = scene / "scene.yaml" if scene.is_dir() else scene
+    settings = [*([f"preset={preset}"] if preset else []), *(overrides or [])]
+    try:
+        config = load_scene(path, settings)
+        if config.kind not in ("dynamic", "dataset"):
+            raise InputError(f"{path}: bench {name} needs a scene in motion, with a sweep and moving cameras")
+        run = Run(config, path.resolve().parent, STAGES, Choice(), talk, resolve_device(device))
+        measure(run, out or run.run_dir.with_name(f"{run.run_dir.name}-bench"))
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    except DevrfError as error:
+        talk.error(str(error))
+        raise typer.Exit(FAILED) from None

@@ -1,0 +1,204 @@
+"""Trainings that benchmarks compare: a scene made ready once, then models of it by options; each kept, none twice."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+from devrf.capture.formats import read_scene
+from devrf.capture.scene import Scene
+from devrf.flow.store import CameraFlow, read_flows
+from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.code_version import code_version
+from devrf.pipelines.plan import Choice
+from devrf.pipelines.runner import DONE, Run, execute
+from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages.evaluate import lpips_nets
+from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.evaluate import METRICS, evaluate
+from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.model_io import load_rest, save_rest
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
+from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.train_motion import train_motion
+
+UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}
+
+
+@dataclass
+class Bench:
+    """A scene that is ready to be trained on.
+
+    Attributes:
+        run: The run that made it ready; its folder is `out / "run"`.
+        out: Where the benchmark writes.
+        scene: Calibrated.
+        flows: Backward flow by camera.
+    """
+
+    run: Run
+    out: Path
+    scene: Scene
+    flows: dict[str, CameraFlow]
+
+    @staticmethod
+    def prepare(run: Run, out: Path) -> "Bench":
+        """Run the stages up to flow, in a folder of the benchmark's own; ends the program where they fail."""
+        config = run.config.model_copy(update={"output": str((out / "run").resolve())})
+        ready = Run(config, run.scene_dir, STAGES, Choice(last="flow"), run.talk, run.device)
+        code = execute(ready)
+        if code != DONE:
+            raise typer.Exit(code)
+        scene = read_scene(ready.run_dir / "scene")
+        if not {"train", "test"} <= {f.split for f in scene.dynamic}:
+            raise InputError(
+                f"{config.name}: a benchmark needs moving cameras to train on and one to test with "
+                "(capture.test_cameras, or the data set's test split)"
+            )
+        return Bench(ready, out, scene, read_flows(ready.run_dir / "flow"))
+
+    def options(self, seed: int) -> Options:
+        """Of the preset, with what scene.yaml overrides, for a seed."""
+        reconstruct = self.run.config.reconstruct.model_copy(update={"seed": seed})
+        return training_options(self.run.config.model_copy(update={"reconstruct": reconstruct}), self.scene)
+
+    def rest(self, options: CanonicalOptions) -> RestModel:
+        """The scene at rest, trained or read again."""
+        folder, of = self.out / f"seed{options.seed}" / "rest", self._fingerprint(options)
+        found = _read(folder / "metrics.json")
+        if found.get("of") != of:
+            with self.run.talk.progress(f"seed {options.seed}: scene at rest") as progress:
+                model = train_canonical(self.scene, options, self.run.device, progress)
+            folder.mkdir(parents=True, exist_ok=True)
+            save_rest(folder / "model.safetensors", model)
+            _write(folder / "metrics.json", model.metrics | {"of": of})
+        # Always as read from the file, in half precision: the same whether it was trained now or before.
+        model = load_rest(folder / "model.safetensors", self.run.device)
+        return replace(model, metrics=_read(folder / "metrics.json"))
+
+    def motion(
+        self, name: str, rest: RestModel, options: MotionOptions, cameras: Sequence[str] | None = None
+    ) -> dict[str, Any]:
+        """Train one motion field and score it on the test views; returns `evaluate`'s blocks and `train`.
+
+        Args:
+            name: Folder of this case, below the seed's.
+            rest: The scene at rest.
+            options: Of the motion.
+            cameras: Names of the training cameras to use; None: all.
+        """
+        scene = self.scene
+        if cameras is not None:
+            kept = tuple(f for f in scene.dynamic if f.split == "test" or f.camera_name in cameras)
+            scene = replace(scene, dynamic=kept)
+        folder = self.out / f"seed{options.seed}" / name
+        of = self._fingerprint(options, rest.metrics.get("of"), cameras)
+        found = _read(folder / "metrics.json")
+        if found.get("of") == of:
+            return found
+        folder.mkdir(parents=True, exist_ok=True)
+        checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
+        with self.run.talk.progress(f"seed {options.seed}: {name}") as progress:
+            motion, train = train_motion(
+                scene, rest, self.flows, options, self.run.device, progress, checkpoint
+            )
+            model = DynamicModel(rest, motion)
+
+            def render(camera: Camera, time: float | None) -> np.ndarray:
+                return render_view(model, camera, time)
+
+            still = tuple(
+                f for f in scene.static if f.split == "train"
+            )  # the moving views are what is compared
+            lpips = lpips_nets(self.run.config, self.run.scene_dir, self.run.device)
+            scores = evaluate(replace(scene, static=still), render, lpips, folder)
+        result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
+        result |= {"train": {k: v for k, v in train.items() if k != "curve"}, "of": of}
+        _write(folder / "metrics.json", result)
+        checkpoint.remove()
+        return result
+
+    def _fingerprint(self, *parts: Any) -> str:
+        stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
+        plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
+        code = [code_version(f.__module__) for f in (train_canonical, train_motion, evaluate)]
+        return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
+
+
+def score_rows(
+    name: str, results: Sequence[dict[str, Any]], anchors: dict[str, float] | None = None, source: str = ""
+) -> list[Row]:
+    """Means and spreads over seeds of PSNR, SSIM and LPIPS on the test views, and of PSNR where it moves."""
+    rows = []
+    for block, metrics in (("test", METRICS), ("test_moving", ("psnr",))):
+        for metric in metrics:
+            values = [r[block][metric] for r in results if r[block][metric] is not None]
+            why = results[0][block].get("why", {}).get(metric, "not computed") if not values else None
+            anchor = (anchors or {}).get(metric) if block == "test" else None
+            rows.append(
+                Row(
+                    f"{name}/{block}/{metric}",
+                    float(np.mean(values)) if values else None,
+                    UNITS[metric],
+                    spread(values),
+                    anchor,
+                    source if anchor is not None else None,
+                    why=why,
+                )
+            )
+    rows.append(seconds_row(name, [r["train"]["seconds"] for r in results]))
+    return rows
+
+
+def seconds_row(name: str, seconds: Sequence[float]) -> Row:
+    """How long the training took."""
+    return Row(f"{name}/seconds", float(np.mean(seconds)), "s", spread(seconds))
+
+
+def spread(values: Sequence[float]) -> float | None:
+    """Standard deviation over seeds; None for fewer than two."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+def about(bench: Bench, seeds: Sequence[int]) -> dict[str, Any]:
+    """What a JSON of results has to say beside its rows."""
+    from devrf.pipelines.stages.evaluate import versions
+
+    config = bench.run.config
+    return {
+        "scene": config.name,
+        "preset": config.preset,
+        "reconstruct": config.reconstruct.model_dump(exclude_none=True, exclude={"seed"}),
+        "device": device_name(bench.run.device),
+        "seeds": list(seeds),
+        "versions": versions(),
+    }
+
+
+def device_name(device: str) -> str:
+    """The device in words."""
+    import os
+    import platform
+
+    import torch
+
+    if device == "cuda":
+        return torch.cuda.get_device_name()
+    return f"CPU ({platform.machine()}, {len(os.sched_getaffinity(0))} cores)"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _write(path: Path, value: dict[str, Any]) -> None:
+    path.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
