@@ -23,6 +23,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
+from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, moving_pixels
 
 Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
@@ -49,15 +50,15 @@ class LpipsNets:
     why: Mapping[str, str]
 
     @staticmethod
-    def load(folder: Path | None, device: str = "cpu") -> "LpipsNets":
-        """Read what there is in `folder`; what is missing is said, not replaced."""
+    def load(source: Source | None, device: str = "cpu") -> "LpipsNets":
+        """Take what there is in a folder or to download; what is missing is said, not replaced."""
         nets, why = {}, {}
         for net in ("vgg", "alex"):
-            if folder is None:
+            if source is None:
                 why[net] = "no LPIPS weights are given (evaluate.lpips_weights)"
                 continue
             try:
-                nets[net] = Lpips(net, folder, device)
+                nets[net] = Lpips(net, source, device)
             except ReconstructError as error:
                 why[net] = str(error)
         return LpipsNets(nets, why)

@@ -25,7 +25,8 @@ def run(context: StageContext) -> None:
     config = context.config
     scene = read_scene(context.run_dir / "scene")
     weights = config.evaluate.lpips_weights
-    lpips = LpipsNets.load(config.path(context.scene_dir, weights) if weights else None, context.device)
+    source = config.path(context.scene_dir, weights) if weights and weights != "download" else weights
+    lpips = LpipsNets.load(source or None, context.device)
     render = load_renderer(context.run_dir, context.device)
     metrics = evaluate(scene, render, lpips, context.out, context.progress)
     metrics |= {
