@@ -59,8 +59,8 @@ def _deep_colour(path: Path, image: ImageFile.ImageFile) -> np.ndarray | None:
         return None
     high = np.asarray(image).astype(np.uint16)
     with Image.open(path) as again:
-        codec, extents, offset, _ = again.tile[0]
-        again.tile = [type(again.tile[0])(codec, extents, offset, str(raw).replace("16B", "16L"))]
+        swapped = (*again.tile[0][:3], str(raw).replace("16B", "16L"))
+        again.tile = [swapped]  # pyright: ignore[reportAttributeAccessIssue]: a plain tuple in older releases
         return _rounded((high << 8) | np.asarray(again))
 
 
