@@ -15,7 +15,7 @@ from devrf.capture.errors import CaptureError
 WITH_ALPHA = frozenset(("LA", "La", "PA", "RGBA", "RGBa"))
 KEYED = frozenset(("P", "RGB"))  # modes in which one colour may be declared transparent
 DEEP_GREY = frozenset(("I", "I;16", "I;16B", "I;16L", "I;16N"))  # 16 bits; "I" in older releases of Pillow
-PNG_LEVEL = 1  # five times as fast as the default, a tenth larger
+PNG_LEVEL = 1  # against the default 6: 128 and 466 ms, 717 and 639 kB for a photo of 540 x 960
 
 
 def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
