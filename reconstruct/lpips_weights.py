@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Net = Literal["vgg", "alex"]
 Source = Path | Literal["download"]
-DOWNLOAD = "download"
 NETWORK: dict[Net, str] = {"alex": "AlexNet", "vgg": "VGG16"}
 # Convolutions in order: (layer number, channels out, side of the window)
 CONVOLUTIONS: dict[Net, tuple[tuple[int, int, int], ...]] = {
