@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
+from devrf.capture.picture_files import read_pixels
+from devrf.capture.resize import shrink
 
 Background = Literal["shell", "white", "black"]
 Kind = Literal["inward", "forward"]
@@ -145,15 +146,7 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
 
     Colours are weighted by alpha while resizing, so that hidden colours do not bleed into edges.
     """
-    image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise CaptureError(
-            f"{frame.path}: cannot be read as a picture; make it again or remove it from the set"
-        )
-    if image.dtype == np.uint16:
-        image = (image / 257.0).round().astype(np.uint8)
-    if image.ndim == 2:
-        image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    image = read_pixels(frame.path)
     height, width = image.shape[:2]
     if (width, height) != (frame.camera.width, frame.camera.height):
         raise CaptureError(
@@ -165,11 +158,10 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
         alpha = image[..., 3:].astype(np.float32) / 255
         behind = 0.0 if background == "black" else 255.0
         premultiplied = image[..., :3] * alpha + behind * (1 - alpha)
-        resized = cv2.resize(premultiplied, size, interpolation=cv2.INTER_AREA)
-        image = np.clip(resized.round(), 0, 255).astype(np.uint8)
+        image = np.clip(shrink(premultiplied, *size).round(), 0, 255).astype(np.uint8)
     elif size != (width, height):
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(image[..., ::-1])
+        image = shrink(image, *size)
+    return image
 
 
 def image_scale_for(width: int, height: int, max_pixels: int) -> float:

@@ -258,7 +258,7 @@ class EvaluateConfig(_Section):
     holdout_every: int = Field(default=8, ge=2, le=10_000)
     """Every n-th sweep picture is held out of training and used as a test view."""
     lpips_weights: str | None = None
-    """Folder of LPIPS weights."""
+    """Folder of LPIPS weights; or `download`, which gets torchvision's."""
     truth: str | None = None
     """Ground truth of a simulated session; default: ground_truth.json beside scene.yaml."""
 

@@ -411,7 +411,8 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
             paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
             paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}
     paths["calibration.rig.given"] = config.calibration.rig.given
-    paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
+    if config.evaluate.lpips_weights != "download":
+        paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
     paths["evaluate.truth"] = config.evaluate.truth
     return {key: path for key, path in paths.items() if path is not None}
 

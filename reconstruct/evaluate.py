@@ -13,16 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
+from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
+from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, moving_pixels
 
 Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
@@ -31,6 +32,11 @@ Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
 METRICS = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
 EXTRA_PICTURES = 12  # error maps and pictures at rest that are kept, spread over the views
 ERROR_GAIN = 4  # an error of a quarter of the range is the brightest colour
+# matplotlib's colour map "inferno": every 15th of its 256 colours
+INFERNO = (
+    "0000040a07221e0c45380962510e6c69166e801f6c982766"
+    "b0315bc63d4dd94d3de9612bf47918fa9407fcb014f8cd37f2ea69fcffa4"
+)
 SAME_TIME = 1e-6
 
 Scored = dict[str, float | None]
@@ -44,15 +50,15 @@ class LpipsNets:
     why: Mapping[str, str]
 
     @staticmethod
-    def load(folder: Path | None, device: str = "cpu") -> "LpipsNets":
-        """Read what there is in `folder`; what is missing is said, not replaced."""
+    def load(source: Source | None, device: str = "cpu") -> "LpipsNets":
+        """Take what there is in a folder or to download; what is missing is said, not replaced."""
         nets, why = {}, {}
         for net in ("vgg", "alex"):
-            if folder is None:
+            if source is None:
                 why[net] = "no LPIPS weights are given (evaluate.lpips_weights)"
                 continue
             try:
-                nets[net] = Lpips(net, folder, device)
+                nets[net] = Lpips(net, source, device)
             except ReconstructError as error:
                 why[net] = str(error)
         return LpipsNets(nets, why)
@@ -199,9 +205,7 @@ class _Session:
         files = {}
         for kind, picture in pictures.items():
             path = folder / f"{frame.index:06d}_{kind}.png"
-            eight_bits = np.clip(np.round(picture * 255), 0, 255).astype(np.uint8)
-            if not cv2.imwrite(str(path), eight_bits[..., ::-1]):
-                raise ReconstructError(f"{path}: cannot be written; check free space")
+            write_png(path, np.clip(np.round(picture * 255), 0, 255).astype(np.uint8))
             files[kind] = path.relative_to(self.out).as_posix()
         return files
 
@@ -256,9 +260,10 @@ def _error_map(
     rendered: Float[np.ndarray, "height width 3"], true: Float[np.ndarray, "height width 3"]
 ) -> Float32[np.ndarray, "height width 3"]:
     """The largest difference over channels, from black over red to yellow."""
-    size = np.clip(ERROR_GAIN * np.abs(rendered - true).max(axis=-1) * 255, 0, 255).astype(np.uint8)
-    colours = cv2.applyColorMap(size, cv2.COLORMAP_INFERNO)
-    return colours[..., ::-1].astype(np.float32) / 255
+    size = np.clip(ERROR_GAIN * np.abs(rendered - true).max(axis=-1), 0, 1)
+    table = np.frombuffer(bytes.fromhex(INFERNO), np.uint8).reshape(-1, 3) / 255
+    at = np.linspace(0, 1, len(table))
+    return np.stack([np.interp(size, at, channel) for channel in table.T], axis=-1).astype(np.float32)
 
 
 def _spread(count: int, wanted: int) -> set[int]:

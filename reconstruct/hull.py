@@ -7,13 +7,14 @@ plain colour; a point is kept unless a share of the cameras that see it sees bac
 
 from collections.abc import Iterable
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Background, PosedFrame
 from devrf.reconstruct.grids import vertices
 
@@ -23,12 +24,11 @@ MISSED = 0.1  # share of the cameras that may see background where the subject i
 
 def silhouette(frame: PosedFrame, background: Background) -> Bool[np.ndarray, "h w"]:
     """Pixels of the full-size picture that show the subject."""
-    image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
-    if image is not None and image.ndim == 3 and image.shape[2] == 4:
-        return image[..., 3] > MATTE * np.iinfo(str(image.dtype)).max
-    image = cv2.imread(str(frame.path), cv2.IMREAD_COLOR)
+    image = read_pixels(frame.path)
+    if image.shape[2] == 4:
+        return image[..., 3] > MATTE * 255
     plain = 255.0 if background == "white" else 0.0
-    return np.any(np.abs(np.asarray(image, dtype=np.float32) - plain) > MATTE * 255, axis=-1)
+    return np.any(np.abs(image.astype(np.float32) - plain) > MATTE * 255, axis=-1)
 
 
 def visual_hull(
@@ -78,7 +78,7 @@ def _looked_up(
     if not inside.any():
         return inside, inside
     radius = int(np.ceil(camera.K[0, 0] * voxel * 0.87 / np.median(depth[inside])))
-    grown = cv2.dilate(mask.astype(np.uint8), np.ones((2 * radius + 1,) * 2, np.uint8)) > 0
+    grown = maximum_filter(mask, size=2 * radius + 1, mode="constant")
     hit = np.zeros(len(points), bool)
     hit[inside] = grown[v[inside], u[inside]]
     return inside, hit

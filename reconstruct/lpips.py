@@ -1,24 +1,19 @@
 """LPIPS, the learned perceptual distance (Zhang et al., CVPR 2018), version 0.1, on VGG16 or AlexNet.
 
-Needs weights that are not part of this package: `lpips_vgg_v0.1.npz` and `lpips_alex_v0.1.npz` in a folder,
-each with the network's convolutions (`features.N.weight`, `features.N.bias`, torchvision's names) and the
-five linear heads (`lin0.weight` … `lin4.weight`). Without them there is no value: a network with other
-weights is not LPIPS and is never reported as such.
+Needs weights that are not part of this package (`lpips_weights.py`); without them there is no value.
 """
 
-import zipfile
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from devrf.capture.errors import ReconstructError
+from devrf.reconstruct.lpips_weights import Net, Source, load_weights
 
 if TYPE_CHECKING:
     import torch
 
-Net = Literal["vgg", "alex"]
 SMALLEST_SIDE = 64  # pixels; the size of the examples it is checked on; AlexNet's last maps are then 3 x 3
 MEAN = (-0.030, -0.088, -0.188)  # of ImageNet pictures scaled to [-1, 1], as LPIPS has them
 STD = (0.458, 0.448, 0.450)
@@ -37,31 +32,17 @@ POOL_BEFORE: dict[Net, tuple[int, ...]] = {"alex": (1, 2), "vgg": (1, 2, 3, 4)} 
 class Lpips:
     """The distance between pictures in the features of one network."""
 
-    def __init__(self, net: Net, folder: Path, device: str = "cpu") -> None:
-        """Read `lpips_<net>_v0.1.npz` from `folder`, and compute on `device`.
+    def __init__(self, net: Net, source: Source, device: str = "cpu") -> None:
+        """Find the weights in a folder, or download them, and compute on `device`.
 
         Raises:
-            ReconstructError: No such file, or not such weights.
+            ReconstructError: No such weights.
         """
-        import torch
-
-        path = folder / f"lpips_{net}_v0.1.npz"
-        if not path.is_file():
-            raise ReconstructError(f"{path}: no such file; expected LPIPS weights (evaluate.lpips_weights)")
+        trunk, heads = load_weights(net, source)
         self.net: Net = net
         self._device = device
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                weights = {
-                    key: torch.from_numpy(data[key].astype(np.float32)).to(device) for key in data.files
-                }
-            names = [f"features.{n}.{p}" for b in BLOCKS[net] for n, *_ in b for p in ("weight", "bias")]
-            self._convolutions = {name: weights[name] for name in names}
-            self._heads = [weights[f"lin{n}.weight"].reshape(1, -1, 1, 1) for n in range(5)]
-        except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
-            raise ReconstructError(
-                f"{path}: not LPIPS weights of {net} ({error}); get the file again"
-            ) from error
+        self._convolutions = {name: value.to(device) for name, value in trunk.items()}
+        self._heads = [head.to(device) for head in heads]
 
     def features(self, picture: Float[np.ndarray, "height width 3"]) -> "list[torch.Tensor]":
         """Unit-length features of the five compared layers; keep them where a picture is compared twice.

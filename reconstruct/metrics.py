@@ -6,9 +6,11 @@ Pictures are float RGB [height, width, 3] in [0, 1]. The rendered one is taken a
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float64
+from scipy.ndimage import distance_transform_edt
+
+from devrf.capture.resize import filter_sides, window_weights
 
 SMALLEST_MSE = 1e-10  # equal pictures count as 100 dB, so that means stay finite
 SSIM_TAPS = 11
@@ -71,9 +73,10 @@ def ssim_map(rendered: Picture, true: Picture) -> Float64[np.ndarray, "inner_hei
         return np.zeros((0, 0, 3))
     taps = np.exp(-0.5 * ((np.arange(SSIM_TAPS) - r) / SSIM_SIGMA) ** 2)
     taps /= taps.sum()
+    rows, columns = (window_weights(taps, side) for side in true.shape[:2])
 
     def blur(x: np.ndarray) -> np.ndarray:
-        return cv2.sepFilter2D(x, cv2.CV_64F, taps, taps)[r:-r, r:-r]
+        return filter_sides(x, rows, columns)
 
     a, b = rendered.astype(np.float64), true.astype(np.float64)
     mean_a, mean_b = blur(a), blur(b)
@@ -97,5 +100,5 @@ def moving_pixels(true: Picture, at_rest: Picture) -> Bool[np.ndarray, "height w
     differs = np.abs(true - at_rest).max(axis=-1) > MOVING_DIFFERENCE
     if not differs.any():
         return differs
-    far = cv2.distanceTransform((~differs).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return far <= MOVING_REACH * true.shape[1]
+    far = np.asarray(distance_transform_edt(~differs), dtype=np.float32)
+    return far <= np.float32(MOVING_REACH * true.shape[1])

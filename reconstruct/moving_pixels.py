@@ -2,10 +2,10 @@
 
 from collections import defaultdict
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Int
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from torch import Tensor
 
 from devrf.reconstruct.rays import RaySet
@@ -62,10 +62,16 @@ def _changes(rays: RaySet, members: list[int]) -> np.ndarray:
     size = (camera.height, camera.width, 3)
     first = rays.first.tolist()
     pictures = np.stack([rays.pixels[first[n] : first[n + 1]].cpu().numpy().reshape(size) for n in members])
-    smooth = np.stack([cv2.GaussianBlur(p, (0, 0), 1.0) for p in pictures]).astype(np.float32) / 255
+    smooth = np.stack([_smooth(p) for p in pictures]).astype(np.float32) / 255
     apart = np.abs(smooth - np.median(smooth, axis=0)).max(axis=(0, 3))
     noise = np.median(apart)
-    mask = (apart > max(LEAST_CHANGE, NOISE_FACTOR * noise)).astype(np.uint8)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    mask = apart > max(LEAST_CHANGE, NOISE_FACTOR * noise)
+    blocks = minimum_filter(mask, size=2, mode="constant", cval=1)  # 2 x 2 pixels that change as a whole
     radius = max(1, round(GROW * camera.width))
-    return cv2.dilate(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0
+    return maximum_filter(blocks, size=2 * radius + 2, mode="constant")
+
+
+def _smooth(picture: np.ndarray) -> np.ndarray:
+    """Blurred by a pixel; noise of single pixels is no motion. Rounded again, which saves memory."""
+    blurred = gaussian_filter(picture.astype(np.float32), (1, 1, 0), mode="mirror", radius=3)
+    return blurred.round().astype(np.uint8)

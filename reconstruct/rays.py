@@ -8,14 +8,15 @@ them is a distance. Every picture brings its own size, intrinsics, principal poi
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.capture.picture_files import read_pixels
 from devrf.capture.progress import Progress, no_progress
+from devrf.capture.resize import shrink
 from devrf.capture.scene import Background, PosedFrame, load_image
 
 PARALLEL = 1e-9  # direction components below this are held to it, so that a slab test divides safely
@@ -160,11 +161,8 @@ class RaySet:
 
 def load_matte(frame: PosedFrame, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"] | None:
     """The picture's alpha at (height, width); None where it has none."""
-    image = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
-    if image is None or image.ndim != 3 or image.shape[2] != 4:
-        return None
-    alpha = image[..., 3] if image.dtype == np.uint8 else (image[..., 3] / 257.0).round().astype(np.uint8)
-    return np.ascontiguousarray(cv2.resize(alpha, (size[1], size[0]), interpolation=cv2.INTER_AREA))
+    image = read_pixels(frame.path)
+    return shrink(image[..., 3], size[1], size[0]) if image.shape[2] == 4 else None
 
 
 def camera_rays(camera: Camera, device: str = "cpu") -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:

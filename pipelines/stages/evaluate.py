@@ -44,7 +44,8 @@ def run(context: StageContext) -> None:
 def lpips_nets(config: SceneConfig, scene_dir: Path, device: str) -> LpipsNets:
     """The networks for LPIPS that scene.yaml names."""
     weights = config.evaluate.lpips_weights
-    return LpipsNets.load(config.path(scene_dir, weights) if weights else None, device)
+    source = config.path(scene_dir, weights) if weights and weights != "download" else weights
+    return LpipsNets.load(source or None, device)
 
 
 def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:

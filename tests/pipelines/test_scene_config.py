@@ -47,6 +47,11 @@ def test_good_file_and_its_defaults(folder: Path) -> None:
     assert load(folder, "name: a\ncapture: {static: static.mp4}").run_dir(folder) == folder / "runs/a"
 
 
+def test_lpips_weights_are_a_folder_or_a_download(folder: Path) -> None:
+    assert load(folder, GOOD + "evaluate: {lpips_weights: download}").evaluate.lpips_weights == "download"
+    assert "no such file or folder" in mistakes(folder, GOOD + "evaluate: {lpips_weights: downlod}")[0]
+
+
 @pytest.mark.parametrize(
     ("text", "kind"),
     [

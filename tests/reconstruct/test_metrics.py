@@ -84,3 +84,25 @@ def test_moving_pixels_reach_two_percent_of_the_width():
 
 def test_nothing_moves():
     assert not moving_pixels(picture(), picture()).any()
+
+
+def test_moving_pixels_and_ssim_are_those_of_opencv():
+    cv2 = pytest.importorskip("cv2")
+    rng = np.random.default_rng(3)
+    true, other = picture(90, 130), picture(90, 130)
+    other[rng.random((90, 130)) < 0.002] += np.float32(0.1)
+    differs = (np.abs(true - other).max(axis=-1) > 0.02).astype(np.uint8)
+    far = cv2.distanceTransform(1 - differs, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    np.testing.assert_array_equal(moving_pixels(true, other), far <= 0.02 * 130)
+
+    taps = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
+    taps /= taps.sum()
+    a, b = other.astype(np.float64), true.astype(np.float64)
+    mean = {
+        name: cv2.sepFilter2D(x, cv2.CV_64F, taps, taps)[5:-5, 5:-5]
+        for name, x in {"a": a, "b": b, "aa": a * a, "bb": b * b, "ab": a * b}.items()
+    }
+    ab, aa, bb = mean["a"] * mean["b"], mean["a"] ** 2, mean["b"] ** 2
+    expected = (2 * ab + 1e-4) * (2 * (mean["ab"] - ab) + 9e-4)
+    expected /= (aa + bb + 1e-4) * (mean["aa"] - aa + mean["bb"] - bb + 9e-4)
+    np.testing.assert_allclose(ssim_map(other, true), expected, atol=1e-9)
