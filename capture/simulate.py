@@ -26,6 +26,7 @@ from devrf.capture import simulate_sound as sound
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.progress import Progress, no_progress
+from devrf.capture.simulate_mitsuba import load_mitsuba
 from devrf.capture.simulate_options import SessionOptions
 from devrf.capture.simulate_rig import CLAPPER, FixedCamera, board_pose, fixed_cameras, sweep_cameras
 from devrf.capture.simulate_scenes import (
@@ -45,7 +46,6 @@ from devrf.capture.simulate_sensor import (
     board_picture,
     board_poses,
     expose,
-    load_mitsuba,
 )
 
 SCENES = {
