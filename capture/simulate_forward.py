@@ -9,7 +9,7 @@
     scene.yaml, made_by.json
 
 Colours are those of the photograph, wall included, everywhere; alpha is the matte of the model. The world
-has x right, z up and the cameras on the plane y = -4, looking along +y.
+has x right, z up and the cameras on the plane y = -4.9, looking along +y.
 """
 
 from dataclasses import replace
@@ -22,19 +22,21 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats import FLIP_YZ
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.simulate_dataset import RADIUS, Made, check_arguments, lens, scene_yaml
+from devrf.capture.simulate_dataset import Made, check_arguments, lens, scene_yaml
 from devrf.capture.simulate_dataset_options import ForwardOptions
 from devrf.capture.simulate_film import Film
 from devrf.capture.simulate_folder import OutputFolder
 from devrf.capture.simulate_models import MODELS
 from devrf.capture.simulate_rig import look_at
-from devrf.capture.simulate_scenes import WALLS, picture_on_quad, texture
+from devrf.capture.simulate_scenes import Paint, picture_on_quad, texture
 from devrf.capture.simulate_shapes import Model, Part, rigid, turn
 from devrf.capture.simulate_studio import Studio
 
+DISTANCE = 4.9  # of the cameras' plane from the model's middle: all of it is seen from everywhere
 WALL_Y = 1.6  # behind everything that moves
-WALL_HALF = 6.0  # covers the view of pictures whose sides differ up to twofold
+WALL_HALF = 6.5  # covers the view of pictures whose sides differ up to twofold
 WALL_TEXEL = 0.012
+WALL = Paint((150, 160, 170), 38.0)
 MARGIN = 0.75  # of the nearest depth; LLFF's bd_factor
 # Places of the fixed cameras in the region, from -1 to 1: right and up.
 TEST_PLACE = (0.1, -0.05)
@@ -187,7 +189,7 @@ def _facing(scene: str, seed: int, options: ForwardOptions) -> Model:
 def _wall(seed: int) -> Part:
     h, texels = WALL_HALF, round(2 * WALL_HALF / WALL_TEXEL)
     rng = np.random.default_rng([seed, 3])
-    picture = texture(rng, texels, texels, WALL_TEXEL, 1.0, paint=WALLS[0], largest_m=0.8, smallest_m=0.08)
+    picture = texture(rng, texels, texels, WALL_TEXEL, 1.0, paint=WALL, largest_m=0.8, smallest_m=0.08)
     quad = np.array([[x, WALL_Y, z] for x, z in ((-h, h), (h, h), (h, -h), (-h, -h))])
     return rigid(picture_on_quad(quad, picture), np.eye(4))
 
@@ -210,6 +212,6 @@ def _sweep_camera(seed: int, number: int, size: tuple[int, int], options: Forwar
 
 def _camera(size: tuple[int, int], options: ForwardOptions, place: np.ndarray, aim_deg: np.ndarray) -> Camera:
     right, up = place * options.spread / 2 * [1.0, 0.6]
-    position = np.array([right, -RADIUS, up])
+    position = np.array([right, -DISTANCE, up])
     ahead = np.array([np.tan(np.radians(aim_deg[0])), 1.0, np.tan(np.radians(aim_deg[1]))])
     return Camera(*size, lens(size), look_at(position, position + ahead))
