@@ -159,7 +159,7 @@ def _grown(part: Part) -> Part:
 
 
 def _finger(
-    root: Pose, length: float, radius: float, curl_deg: tuple[float, ...], start: float, motion_scale: float
+    root: Pose, length: float, radius: float, curl_deg: tuple[int, ...], start: float, motion_scale: float
 ) -> Callable[[float], np.ndarray]:
     """A finger that bends at three joints, thicker there, beginning at the time `start`."""
     s = np.linspace(0, 1, 56)

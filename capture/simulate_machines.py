@@ -9,6 +9,7 @@ import numpy as np
 from devrf.capture.simulate_scenes import Paint
 from devrf.capture.simulate_shapes import (
     Model,
+    Number,
     Part,
     Pose,
     ball,
@@ -84,7 +85,11 @@ def vehicle(rng: np.random.Generator, motion_scale: float) -> Model:
 
 
 def _wheel(
-    rng: np.random.Generator, place: tuple[float, float, float], side: int, steer_deg: float, roll_deg: float
+    rng: np.random.Generator,
+    place: tuple[Number, Number, Number],
+    side: int,
+    steer_deg: Number,
+    roll_deg: Number,
 ) -> list[Part]:
     """A tyre, a hub and three bolts; `side` is the sign of y that looks outward."""
 
@@ -222,12 +227,12 @@ def robot(rng: np.random.Generator, motion_scale: float) -> Model:
 def arm(rng: np.random.Generator, motion_scale: float) -> Model:
     """A robot arm on a plinth: it swings about its base, reaches out, turns its wrist and closes its gripper."""
 
-    def angles(time: float) -> dict[str, float]:
+    def angles(time: float) -> dict[str, Number]:
         e = motion_scale * ease(time)
         return {
             "base": -35 + 75 * e,
-            "shoulder": -18 + 42 * e,
-            "elbow": 62 + 26 * e,
+            "shoulder": -14 + 40 * e,
+            "elbow": 36 + 50 * e,
             "wrist": 50 - 62 * e,
             "roll": 100 * e,
             "grip": 0.13 - 0.07 * min(e, 1.0),

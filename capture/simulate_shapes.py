@@ -38,6 +38,7 @@ class Part:
 
 Model = tuple[Part, ...]
 Pose = Float[np.ndarray, "4 4"]
+Number = float | int  # type checks at run time do not take an int for a float
 
 
 def rigid(mesh: Mesh, pose: Callable[[float], Pose] | Pose) -> Part:
@@ -50,14 +51,14 @@ def rigid(mesh: Mesh, pose: Callable[[float], Pose] | Pose) -> Part:
     return Part(replace(mesh, vertices=vertices_at(0.0)), vertices_at)
 
 
-def shift(x: float, y: float, z: float) -> Pose:
+def shift(x: Number, y: Number, z: Number) -> Pose:
     """A translation."""
     pose = np.eye(4)
     pose[:3, 3] = x, y, z
     return pose
 
 
-def turn(axis: str | Float[np.ndarray, "3"], angle_deg: float) -> Pose:
+def turn(axis: str | Float[np.ndarray, "3"], angle_deg: Number) -> Pose:
     """A rotation about x, y, z or any axis through the origin, counter-clockwise seen against the axis."""
     n = np.eye(3)["xyz".index(axis)] if isinstance(axis, str) else axis / np.linalg.norm(axis)
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
@@ -67,14 +68,14 @@ def turn(axis: str | Float[np.ndarray, "3"], angle_deg: float) -> Pose:
     return pose
 
 
-def ease(time: float, start: float = 0.0, end: float = 1.0) -> float:
+def ease(time: Number, start: Number = 0.0, end: Number = 1.0) -> float:
     """From 0 at `start` to 1 at `end`, slowly at both ends."""
     x = float(np.clip((time - start) / (end - start), 0, 1))
     return 0.5 - 0.5 * float(np.cos(np.pi * x))
 
 
 def skin(
-    rng: np.random.Generator, width: float, height: float, paint: Paint, coarse: float = 1.0
+    rng: np.random.Generator, width: Number, height: Number, paint: Paint, coarse: Number = 1.0
 ) -> np.ndarray:
     """A procedural picture for a surface of about this size; `coarse` enlarges its shapes."""
     rows, columns = (int(np.clip(length / TEXEL, 8, 700)) for length in (height, width))
@@ -84,7 +85,7 @@ def skin(
 
 
 def rounded_box(
-    rng: np.random.Generator, size: tuple[float, float, float], paint: Paint, radius: float = 0.04
+    rng: np.random.Generator, size: tuple[Number, Number, Number], paint: Paint, radius: Number = 0.04
 ) -> Mesh:
     """A box with rounded edges, centred at the origin; each side has its own piece of the texture."""
     half = np.array(size) / 2
@@ -115,7 +116,7 @@ def rounded_box(
     return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(uv), picture, smooth=True)
 
 
-def turned(rng: np.random.Generator, paint: Paint, *profiles: list[tuple[float, float]]) -> Mesh:
+def turned(rng: np.random.Generator, paint: Paint, *profiles: list[tuple[Number, Number]]) -> Mesh:
     """A shape turned about z. Each profile is a smooth line of (radius, z); where two profiles meet there is
     an edge. Together they lead from the axis below, outside, to the axis above."""
     turns = np.linspace(0, 2 * np.pi, AROUND + 1)
@@ -137,7 +138,7 @@ def turned(rng: np.random.Generator, paint: Paint, *profiles: list[tuple[float, 
 
 
 def cylinder(
-    rng: np.random.Generator, paint: Paint, radius: float, low: float, high: float, bevel: float = 0.02
+    rng: np.random.Generator, paint: Paint, radius: Number, low: Number, high: Number, bevel: Number = 0.02
 ) -> Mesh:
     """A cylinder about z with bevelled edges."""
     b = min(bevel, radius / 2, (high - low) / 3)
@@ -152,7 +153,7 @@ def cylinder(
     return turned(rng, paint, *([p, q] for p, q in zip(corners[:-1], corners[1:], strict=True)))
 
 
-def ball(rng: np.random.Generator, paint: Paint, radius: float, length: float = 0.0) -> Mesh:
+def ball(rng: np.random.Generator, paint: Paint, radius: Number, length: Number = 0.0) -> Mesh:
     """A ball, or a capsule about z whose straight piece has this length."""
     rise = np.linspace(-np.pi / 2, 0, 9)
     low = [(radius * np.cos(a), radius * np.sin(a) - length / 2) for a in rise]
@@ -161,7 +162,7 @@ def ball(rng: np.random.Generator, paint: Paint, radius: float, length: float = 
 
 
 def tube_mesh(
-    rng: np.random.Generator, rings: Float[np.ndarray, "n around 3"], paint: Paint, coarse: float = 1.0
+    rng: np.random.Generator, rings: Float[np.ndarray, "n around 3"], paint: Paint, coarse: Number = 1.0
 ) -> Mesh:
     """A mesh for `tube` as it is at rest."""
     n, around, _ = rings.shape
@@ -187,7 +188,7 @@ def tube(
 
 
 def bent(
-    length: float, angle: Float[np.ndarray, " n"]
+    length: Number, angle: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """A line from the origin in the x-z plane whose direction leans from z to x by `angle` (radians).
 
