@@ -66,7 +66,10 @@ class Stage:
             {
                 "type": "scene",
                 **{f"mesh{i}": shape for i, shape in enumerate(shapes)},
-                "sky": {"type": "constant", "radiance": {"type": "rgb", "value": SKY}},
+                "sky": {
+                    "type": "constant",
+                    "sampling_weight": 0.0,
+                    "radiance": {"type": "rgb", "value": SKY}},
                 "lamp": {
                     "type": "rectangle",
                     "to_world": lamp.scale([LAMP_HALF, LAMP_HALF, 1]),
