@@ -26,6 +26,7 @@ from devrf.capture import simulate_sound as sound
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.progress import Progress, no_progress
+from devrf.capture.simulate_mitsuba import load_mitsuba
 from devrf.capture.simulate_options import SessionOptions
 from devrf.capture.simulate_rig import CLAPPER, FixedCamera, board_pose, fixed_cameras, sweep_cameras
 from devrf.capture.simulate_scenes import (
@@ -45,14 +46,12 @@ from devrf.capture.simulate_sensor import (
     board_picture,
     board_poses,
     expose,
-    load_mitsuba,
 )
 
 SCENES = {
     "sheet": "a cloth sheet that hangs from a bar and waves",
     "column": "a soft column that bends, twists and is squashed",
 }
-PROTOCOLS = ("session",)
 BOARD_FPS = 2.0
 BOARD_THICKNESS_M = 0.012
 TRACKED_POINTS = 60  # surface points whose way is written to the truth
@@ -69,7 +68,6 @@ def simulate_session(
     size: tuple[int, int] = (480, 360),
     options: SessionOptions | None = None,
     progress: Progress = no_progress,
-    protocol: str = "session",
 ) -> Path:
     """Render a raw session with known truth.
 
@@ -81,14 +79,13 @@ def simulate_session(
         size: Width and height of the pictures, even numbers of pixels.
         options: Everything else.
         progress: Told after every picture.
-        protocol: Only "session" for now.
     Returns:
         The scene.yaml.
     Raises:
-        InputError: Unknown scene or protocol, odd size, folder not empty, or mitsuba not installed.
+        InputError: Unknown scene, odd size, folder not empty, or mitsuba not installed.
     """
     options = options or SessionOptions()
-    _check(out, scene, cameras, size, protocol, options)
+    _check(out, scene, cameras, size, options)
     load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
     contrast = options.texture_contrast
@@ -123,13 +120,11 @@ def simulate_session(
     return path
 
 
-def _check(
-    out: Path, scene: str, cameras: int, size: tuple[int, int], protocol: str, options: SessionOptions
-) -> None:
-    if protocol not in PROTOCOLS:
-        raise InputError(f"simulate --protocol {protocol}: not built yet; use --protocol session")
+def _check(out: Path, scene: str, cameras: int, size: tuple[int, int], options: SessionOptions) -> None:
     if scene not in SCENES:
-        raise InputError(f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)}")
+        raise InputError(
+            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
+        )
     if not 1 <= cameras <= 64:
         raise InputError(f"simulate --cameras {cameras}: expected 1 to 64")
     if any(n < 16 or n % 2 for n in size):

@@ -16,7 +16,13 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
+from devrf.capture.simulate_mitsuba import (
+    ShapeMaker,
+    linear_to_srgb,
+    load_mitsuba,
+    perspective,
+    srgb_to_linear,
+)
 from devrf.capture.simulate_scenes import Mesh
 
 FINE = 2  # rendered pixels per sensor pixel, each way
@@ -33,31 +39,13 @@ VIDEO_TIME_BASE = Fraction(1, 90_000)
 SOUND_BLOCK = 1024  # samples in an AAC frame
 
 
-def load_mitsuba() -> Any:
-    """The renderer, ready to use; it is an optional dependency and slow to import, so it is loaded late.
-
-    Raises:
-        InputError: It is not installed.
-    """
-    try:
-        import mitsuba
-    except ImportError as error:
-        raise InputError(
-            "simulate needs the renderer mitsuba, which is not installed; "
-            "install it with: pip install devrf[simulate]"
-        ) from error
-    mitsuba.set_variant("scalar_rgb")
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    return mitsuba
-
-
 class Renderer:
     """Renders a room that does not change and meshes that do."""
 
     def __init__(self, still: list[Mesh], spp: int) -> None:
         self._mi = load_mitsuba()
         self._spp = max(1, round(spp / FINE**2))
-        self._surfaces: dict[int, tuple[np.ndarray, Any, Any]] = {}
+        self._shape = ShapeMaker(self._mi, AMBIENT)
         self._still = self._shapes(still)
         self._lenses: dict[bytes, _Lens] = {}
 
@@ -65,7 +53,8 @@ class Renderer:
         """Linear radiance [H, W, 3] of the scene; a white surface in even light is about 0.9."""
         mi = self._mi
         lens = self._lens(camera)
-        to_world = camera.world_from_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba: x left, y up
+        K = np.array([[lens.focal, 0, lens.width / 2], [0, lens.focal, lens.height / 2], [0, 0, 1.0]])
+        fine_camera = Camera(lens.width, lens.height, K, camera.cam_from_world)
         lamp = mi.ScalarTransform4f().look_at(LAMP_POSITION.tolist(), [*LAMP_POSITION[:2], 0.0], [0, 1, 0])
         shapes = [*self._still, *self._shapes(moving)]
         scene = mi.load_dict(
@@ -77,23 +66,9 @@ class Renderer:
                     "to_world": lamp.scale([LAMP_HALF_M, LAMP_HALF_M, 1]),
                     "emitter": {"type": "area", "radiance": {"type": "rgb", "value": LAMP_RADIANCE}},
                 },
-                "sensor": {
-                    "type": "perspective",
-                    "fov": float(np.degrees(2 * np.arctan(lens.width / 2 / lens.focal))),
-                    "fov_axis": "x",
-                    "near_clip": 0.01,
-                    "far_clip": 100.0,
-                    "to_world": mi.ScalarTransform4f(to_world),
-                    "film": {
-                        "type": "hdrfilm",
-                        "width": lens.width,
-                        "height": lens.height,
-                        "rfilter": {"type": "box"},
-                        "pixel_format": "rgb",
-                        "component_format": "float32",
-                    },
-                    "sampler": {"type": "independent", "sample_count": self._spp},
-                },
+                "sensor": perspective(
+                    mi, fine_camera, {"type": "independent", "sample_count": self._spp}, "rgb"
+                ),
                 **{f"shape{i}": shape for i, shape in enumerate(shapes)},
             }
         )
@@ -103,46 +78,11 @@ class Renderer:
     def _shapes(self, meshes: list[Mesh]) -> list[Any]:
         shapes = []
         for mesh in meshes:
-            shapes.append(self._shape(mesh, mesh.vertices, mesh.faces))
+            shapes.append(self._shape(mesh))
             if mesh.thickness_m:
                 behind = mesh.vertices - mesh.thickness_m * _vertex_normals(mesh.vertices, mesh.faces)
                 shapes.append(self._shape(mesh, behind, mesh.faces[:, ::-1]))
         return shapes
-
-    def _shape(self, mesh: Mesh, vertices: np.ndarray, faces: np.ndarray) -> Any:
-        mi = self._mi
-        bsdf, glow = self._surface(mesh.texture)
-        props = mi.Properties()
-        props["bsdf"] = bsdf
-        # Ambient light: what a surface of this colour sends back. Never sampled as a lamp.
-        props["emitter"] = mi.load_dict({"type": "area", "radiance": glow, "sampling_weight": 0.0})
-        shape = mi.Mesh(
-            "mesh",
-            len(vertices),
-            len(faces),
-            has_vertex_normals=mesh.smooth,
-            has_vertex_texcoords=True,
-            props=props,
-        )
-        parameters = mi.traverse(shape)
-        parameters["vertex_positions"] = np.ravel(vertices).astype(np.float32)
-        parameters["faces"] = np.ravel(faces).astype(np.uint32)
-        parameters["vertex_texcoords"] = np.ravel(mesh.uv).astype(np.float32)
-        parameters.update()
-        return shape
-
-    def _surface(self, texture: np.ndarray) -> tuple[Any, Any]:
-        if id(texture) not in self._surfaces:
-            mi = self._mi
-            linear = srgb_to_linear(texture)
-
-            def bitmap(values: np.ndarray) -> Any:
-                picture = mi.Bitmap(np.ascontiguousarray(values, dtype=np.float32))
-                return mi.load_dict({"type": "bitmap", "bitmap": picture, "raw": True, "wrap_mode": "clamp"})
-
-            bsdf = mi.load_dict({"type": "diffuse", "reflectance": bitmap(linear)})
-            self._surfaces[id(texture)] = (texture, bsdf, bitmap(AMBIENT * linear))
-        return self._surfaces[id(texture)][1:]
 
     def _lens(self, camera: Camera) -> "_Lens":
         key = (
@@ -214,18 +154,6 @@ def expose(
     variance = sigma**2 * (1 - SHOT_SHARE + SHOT_SHARE * signal.clip(0) / MID_GREY)
     noisy = signal + np.sqrt(variance) * rng.standard_normal(signal.shape, dtype=np.float32)
     return (255 * linear_to_srgb(noisy)).round().astype(np.uint8)
-
-
-def srgb_to_linear(picture: UInt8[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """8-bit sRGB to linear light in [0, 1] (IEC 61966-2-1)."""
-    x = picture.astype(np.float32) / 255
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Linear light, clipped to [0, 1], to sRGB in [0, 1]."""
-    x = np.clip(linear, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-8) ** (1 / 2.4) - 0.055)
 
 
 def board_picture(squares: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:

@@ -133,18 +133,44 @@ def render(
 
 @app.command()
 def simulate(
-    out: Annotated[Path, typer.Argument(help="Folder to write the session into")],
-    scene: Annotated[str, typer.Option(help="What moves: sheet or column")] = "sheet",
-    protocol: Annotated[str, typer.Option(help="session: raw clips as a crew brings them home")] = "session",
-    cameras: Annotated[int, typer.Option(help="Fixed cameras, without the witness")] = 4,
-    seed: Annotated[int, typer.Option(help="Another seed, another session")] = 0,
-    size: Annotated[str, typer.Option(help="Size of the pictures, WIDTHxHEIGHT")] = "480x360",
+    out: Annotated[Path, typer.Argument(help="Folder to write into")],
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            help="What moves. session: sheet (default) or column; "
+            "devrf, devrf-forward: vehicle, robot, flower, glove or arm (default: vehicle; forward: flower)"
+        ),
+    ] = None,
+    protocol: Annotated[
+        str,
+        typer.Option(
+            help="session: raw clips as a crew brings them home. devrf: a data set from all around with exact "
+            "flow and depth. devrf-forward: the same from side by side, before a wall"
+        ),
+    ] = "session",
+    cameras: Annotated[
+        int | None,
+        typer.Option(
+            help="Fixed cameras, without the witness or test camera. Default: 4; devrf-forward: 3. "
+            "devrf: more cameras begin with those of fewer"
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Another seed, another session or data set")] = 0,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            help="Size of the pictures, WIDTHxHEIGHT. Default: 480x360; devrf: 400x400; devrf-forward: 480x270"
+        ),
+    ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Option of the session: fps=24 (repeatable)")
+        list[str] | None, typer.Option("--set", help="Option of the protocol: spp=24 (repeatable)")
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Render a raw session with known truth (needs the extra `simulate`)."""
+    """Render a raw session or a data set with known truth (needs the extra `simulate`).
+
+    A data set that was begun with the same arguments is gone on with; a complete one is left as it is.
+    """
     from devrf.pipelines import simulate_command
 
     talk = _talk(quiet, False)

@@ -2,80 +2,114 @@
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from devrf.capture.errors import InputError
 from devrf.capture.simulate import simulate_session
+from devrf.capture.simulate_dataset import simulate_dataset
+from devrf.capture.simulate_dataset_options import DatasetOptions, ForwardOptions
+from devrf.capture.simulate_forward import simulate_forward
 from devrf.capture.simulate_options import SessionOptions
 from devrf.pipelines.console import Talk
+
+Options = TypeVar("Options", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What can be rendered: the options it takes, who renders it, and what is meant where nothing is said."""
+
+    options: type[BaseModel]
+    render: Callable[..., Any]
+    scene: str
+    cameras: int
+    size: str
+
+
+PROTOCOLS = {
+    "session": Protocol(SessionOptions, simulate_session, "sheet", 4, "480x360"),
+    "devrf": Protocol(DatasetOptions, simulate_dataset, "vehicle", 4, "400x400"),
+    "devrf-forward": Protocol(ForwardOptions, simulate_forward, "flower", 3, "480x270"),
+}
 
 
 def simulate(
     talk: Talk,
     out: Path,
-    scene: str,
+    scene: str | None,
     protocol: str,
-    cameras: int,
+    cameras: int | None,
     seed: int,
-    size: str,
+    size: str | None,
     settings: Sequence[str],
 ) -> None:
-    """Render a session and say how to run it.
+    """Render a session or a data set and say how to run it.
 
     Args:
         talk: Where to speak.
-        out: New or empty folder.
-        scene: Name of the scene.
-        protocol: What is rendered: session.
-        cameras: Number of fixed cameras.
+        out: New or empty folder; for a data set also one that was begun with the same arguments.
+        scene: Name of the scene; None for the protocol's first.
+        protocol: What is rendered, a name out of `PROTOCOLS`.
+        cameras: Number of fixed cameras; None for the protocol's usual number.
         seed: Seed, 0 or more.
-        size: WIDTHxHEIGHT, pixels.
-        settings: Texts `option=value` for `SessionOptions`.
+        size: WIDTHxHEIGHT, pixels; None for the protocol's usual size.
+        settings: Texts `option=value` for the protocol's options.
     Raises:
         InputError: With every mistake in the options.
     """
+    if protocol not in PROTOCOLS:
+        raise InputError(f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}")
+    chosen = PROTOCOLS[protocol]
+    size = size or chosen.size
     match = re.fullmatch(r"(\d+)x(\d+)", size.strip().lower())
-    mistakes = [] if match else [f"--size {size}: expected WIDTHxHEIGHT in pixels, such as 480x360"]
+    mistakes = [] if match else [f"--size {size}: expected WIDTHxHEIGHT in pixels, such as {chosen.size}"]
     if seed < 0:
         mistakes.append(f"--seed {seed}: expected a whole number from 0")
+    options = None
     try:
-        options = session_options(settings)
+        options = options_from(chosen.options, settings)
     except InputError as error:
         mistakes.append(str(error))
-        options = SessionOptions()
     if mistakes or match is None:
         raise InputError("\n".join(mistakes))
     with talk.progress("simulate") as progress:
-        scene_yaml = simulate_session(
+        made = chosen.render(
             out,
-            scene,
-            cameras=cameras,
+            scene or chosen.scene,
+            cameras=chosen.cameras if cameras is None else cameras,
             seed=seed,
             size=(int(match[1]), int(match[2])),
             options=options,
             progress=progress,
-            protocol=protocol,
         )
-    talk.say(f"{scene_yaml}: a session with known truth; run it with: devrf-pipeline run {scene_yaml}")
+    if protocol == "session":
+        talk.say(f"{made}: a session with known truth; run it with: devrf-pipeline run {made}")
+        return
+    path = made.scene_yaml
+    if not made.rendered:
+        talk.say(f"{path.parent}: already complete, made with the same arguments; nothing was rendered")
+    talk.say(f"{path}: a data set with known truth; run it with: devrf-pipeline run {path}")
 
 
-def session_options(settings: Sequence[str]) -> SessionOptions:
+def options_from(model: type[Options], settings: Sequence[str]) -> Options:
     """Options from texts `name=value`, values read as YAML.
 
     Raises:
         InputError: Every unknown name and every value out of range.
     """
-    names = list(SessionOptions.model_fields)
+    names = list(model.model_fields)
     values: dict[str, object] = {}
     mistakes = []
     for text in settings:
         name, equals, value = text.partition("=")
         if not equals:
-            mistakes.append(f"--set {text}: expected name=value, such as fps=24")
+            mistakes.append(f"--set {text}: expected name=value, such as {names[0]}=24")
         elif name.strip() not in names:
             near = difflib.get_close_matches(name.strip(), names, n=1)
             hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(names)}"
@@ -86,12 +120,12 @@ def session_options(settings: Sequence[str]) -> SessionOptions:
             except yaml.YAMLError:
                 mistakes.append(f"--set {text}: the value cannot be read as YAML")
     try:
-        options = SessionOptions.model_validate(values)
+        options = model.model_validate(values)
     except ValidationError as error:
         for item in error.errors(include_url=False):
             name = ".".join(str(part) for part in item["loc"])
             mistakes.append(f"--set {name}: {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}")
-        options = SessionOptions()
-    if mistakes:
+        options = None
+    if mistakes or options is None:
         raise InputError("\n".join(mistakes))
     return options

@@ -135,7 +135,6 @@ def test_same_seed_same_session(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"scene": "flagg"}, "flagg.*sheet, column"),
-        ({"protocol": "devrf"}, "devrf.*not built yet"),
         ({"cameras": 0}, "cameras 0"),
         ({"size": (63, 48)}, "63x48.*even"),
         ({"options": SessionOptions(duration_s=0.2)}, "duration_s 0.2.*overlap"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
+from devrf.capture.simulate_mitsuba import linear_to_srgb, srgb_to_linear
 from devrf.capture.simulate_options import SessionOptions
 from devrf.capture.simulate_rig import board_pose, look_at
 from devrf.capture.simulate_scenes import picture_on_quad
@@ -20,8 +21,6 @@ from devrf.capture.simulate_sensor import (
     board_poses,
     charuco_board,
     expose,
-    linear_to_srgb,
-    srgb_to_linear,
 )
 
 SQUARES, SQUARE_M = (8, 6), 0.06

@@ -1,0 +1,68 @@
+"""`devrf-pipeline simulate`: what the words of the command line become, and what it says of wrong ones."""
+
+from pathlib import Path
+
+import pytest
+
+from devrf.capture.errors import InputError
+from devrf.capture.simulate_dataset import Made
+from devrf.capture.simulate_dataset_options import DatasetOptions, ForwardOptions
+from devrf.capture.simulate_options import SessionOptions
+from devrf.pipelines import simulate_command
+from devrf.pipelines.console import Talk
+
+
+@pytest.mark.parametrize(
+    ("protocol", "expected"),
+    [
+        ("session", ("sheet", 4, (480, 360), SessionOptions)),
+        ("devrf", ("vehicle", 4, (400, 400), DatasetOptions)),
+        ("devrf-forward", ("flower", 3, (480, 270), ForwardOptions)),
+    ],
+)
+def test_each_protocol_has_its_own_defaults(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, expected: tuple
+) -> None:
+    got: list[tuple] = []
+
+    def render(out, scene, *, cameras, seed, size, options, progress):  # noqa: ANN001, ANN202
+        got.append((scene, cameras, size, type(options)))
+        assert seed == 0 and options.spp == 12
+        return out / "scene.yaml" if protocol == "session" else Made(out / "scene.yaml", 1)
+
+    chosen = simulate_command.PROTOCOLS[protocol]
+    changed = type(chosen)(chosen.options, render, chosen.scene, chosen.cameras, chosen.size)
+    monkeypatch.setitem(simulate_command.PROTOCOLS, protocol, changed)
+    simulate_command.simulate(Talk(), tmp_path, None, protocol, None, 0, None, ["spp=12"])
+    assert got == [expected]
+
+
+def test_a_complete_data_set_is_said_to_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    chosen = simulate_command.PROTOCOLS["devrf"]
+    made = Made(tmp_path / "scene.yaml", 0)
+    changed = type(chosen)(chosen.options, lambda *_, **__: made, "arm", 4, "64x64")
+    monkeypatch.setitem(simulate_command.PROTOCOLS, "devrf", changed)
+    simulate_command.simulate(Talk(), tmp_path, None, "devrf", None, 0, None, [])
+    said = "".join(capsys.readouterr()).replace("\n", " ")
+    assert "already complete" in said and "devrf-pipeline run" in said
+
+
+@pytest.mark.parametrize(
+    ("protocol", "size", "settings", "message"),
+    [
+        ("devfr", None, [], "--protocol devfr.*session, devrf, devrf-forward"),
+        ("devrf", "400", [], "--size 400.*400x400"),
+        ("devrf", None, ["tims=3"], "did you mean times"),
+        ("devrf", None, ["fps=3"], "fps: unknown option.*static_views"),
+        ("devrf-forward", None, ["spread=9"], "spread: 9"),
+        ("session", None, ["fps"], "expected name=value"),
+    ],
+)
+def test_wrong_words_are_named(
+    tmp_path: Path, protocol: str, size: str | None, settings: list[str], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        simulate_command.simulate(Talk(), tmp_path / "x", None, protocol, None, 0, size, settings)
+    assert not (tmp_path / "x").exists()
