@@ -69,7 +69,8 @@ class Stage:
                 "sky": {
                     "type": "constant",
                     "sampling_weight": 0.0,
-                    "radiance": {"type": "rgb", "value": SKY}},
+                    "radiance": {"type": "rgb", "value": SKY},
+                },
                 "lamp": {
                     "type": "rectangle",
                     "to_world": lamp.scale([LAMP_HALF, LAMP_HALF, 1]),

@@ -25,7 +25,7 @@ def test_each_protocol_has_its_own_defaults(
 ) -> None:
     got: list[tuple] = []
 
-    def render(out, scene, *, cameras, seed, size, options, progress):  # noqa: ANN001, ANN202
+    def render(out, scene, *, cameras, seed, size, options, progress):
         got.append((scene, cameras, size, type(options)))
         assert seed == 0 and options.spp == 12
         return out / "scene.yaml" if protocol == "session" else Made(out / "scene.yaml", 1)
