@@ -1,5 +1,6 @@
 """`bench ablation`: what each part of the motion's training is worth (DeVRF, Tables 2 and 3)."""
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -30,27 +31,26 @@ PAPER_FORWARD = {  # means of plant and rabbit
 C2F_GAIN_DB = 2.0  # that coarse-to-fine has to bring, at any size
 
 
-def run_ablation(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
-    """Train every variant for every seed; print, draw and write what came of it."""
-    results: dict[str, list[dict[str, Any]]] = {name: [] for name in VARIANTS}
-    for seed in seeds:
-        options = bench.options(seed)
-        rest = bench.rest(options.canonical)
-        for name, variant in ablated(options.motion).items():
-            results[name].append(bench.motion(name, rest, variant))
-    forward = bench.scene.kind == "forward"
-    paper, source = (PAPER_FORWARD, SOURCE_FORWARD) if forward else (PAPER_INWARD, SOURCE_INWARD)
-    rows = [
-        row for name in VARIANTS for row in score_rows(f"ablation/{name}", results[name], paper[name], source)
-    ]
-    rows += _gains(results, {name: paper[name]["psnr"] for name in VARIANTS}, source)
+def run_ablation(
+    bench: Bench, seeds: Sequence[int], json_path: Path, only: Sequence[str] = VARIANTS
+) -> list[Row]:
+    """Train variants for every seed; print, draw and write what came of it.
+
+    Args:
+        bench: The scene.
+        seeds: One training per variant and seed.
+        json_path: Where the rows go; the chart is drawn beside it.
+        only: Names of the variants.
+    """
+    results = train_variants(bench, seeds, only)
+    rows = ablation_rows(bench, results)
     print_rows(bench.run.talk, f"Ablation of {bench.run.config.name}", rows)
     write_rows(json_path, rows, benchmark="ablation", **about(bench, seeds))
-    psnr = {name: [r["test"]["psnr"] for r in results[name]] for name in VARIANTS}
+    paper, _ = _paper(bench)
     chart = bars(
         json_path.with_suffix(".png"),
-        {_label(name): values for name, values in psnr.items()},
-        {_label(name): paper[name]["psnr"] for name in VARIANTS},
+        {_label(name): [r["test"]["psnr"] for r in found] for name, found in results.items()},
+        {_label(name): paper[name]["psnr"] for name in results},
         "PSNR of test views, dB",
         f"{bench.run.config.name}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}; line: the paper, other data",
     )
@@ -59,11 +59,42 @@ def run_ablation(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Ro
     return rows
 
 
+def train_variants(
+    bench: Bench, seeds: Sequence[int], only: Sequence[str] = VARIANTS, until: float | None = None
+) -> dict[str, list[dict[str, Any]]]:
+    """Results by variant, one per seed; variants that would begin after `until` (time.monotonic) are left out."""
+    results: dict[str, list[dict[str, Any]]] = {}
+    for seed in seeds:
+        options = bench.options(seed)
+        rest = bench.rest(options.canonical)
+        for name, variant in ablated(options.motion).items():
+            if name in only and (until is None or time.monotonic() < until):
+                results.setdefault(name, []).append(bench.motion(name, rest, variant))
+    return results
+
+
+def ablation_rows(bench: Bench, results: dict[str, list[dict[str, Any]]]) -> list[Row]:
+    """Scores of every variant beside the paper's, and what each part brings."""
+    paper, source = _paper(bench)
+    rows = [
+        row
+        for name, found in results.items()
+        for row in score_rows(f"ablation/{name}", found, paper[name], source)
+    ]
+    return rows + _gains(results, {name: paper[name]["psnr"] for name in VARIANTS}, source)
+
+
+def _paper(bench: Bench) -> tuple[dict[str, dict[str, float]], str]:
+    forward = bench.scene.kind == "forward"
+    return (PAPER_FORWARD, SOURCE_FORWARD) if forward else (PAPER_INWARD, SOURCE_INWARD)
+
+
 def _gains(results: dict[str, list[dict[str, Any]]], paper: dict[str, float], source: str) -> list[Row]:
     """What each part brings, seed by seed, against how much seeds differ."""
     rows = []
-    for before, name in zip(VARIANTS, VARIANTS[1:], strict=False):
-        pairs = zip(results[name], results[before], strict=True)
+    trained = [name for name in VARIANTS if name in results]
+    for before, name in zip(trained, trained[1:], strict=False):
+        pairs = zip(results[name], results[before], strict=False)
         gains = [a["test"]["psnr"] - b["test"]["psnr"] for a, b in pairs]
         row = Row(
             f"ablation/{before} to {name}/psnr",

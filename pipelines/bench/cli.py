@@ -12,6 +12,7 @@ from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import BAD_INPUT, FAILED, Run, resolve_device
 from devrf.pipelines.scene_file import load_scene
 from devrf.pipelines.stages import STAGES
+from devrf.reconstruct.ablation import VARIANTS
 
 bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -34,6 +35,7 @@ def ablation(
     scene: SceneArgument,
     preset: PresetOption = None,
     seeds: SeedsOption = 1,
+    only: Annotated[str | None, typer.Option(help="Some of the variants: base,c2f")] = None,
     overrides: SetOption = None,
     out: OutOption = None,
     json: JsonOption = None,
@@ -41,12 +43,16 @@ def ablation(
     quiet: QuietOption = False,
 ) -> None:
     """What each part of the motion's training is worth: base, c2f, +tv, +cycle, +flow."""
+    chosen = tuple(VARIANTS if only is None else (name.strip().lstrip("+") for name in only.split(",")))
+    unknown = [name for name in chosen if name not in VARIANTS]
 
     def measure(run: Run, folder: Path) -> None:
         from devrf.pipelines.bench.ablation import run_ablation
         from devrf.pipelines.bench.trainings import Bench
 
-        run_ablation(Bench.prepare(run, folder), range(seeds), json or folder / "ablation.json")
+        if unknown:
+            raise InputError(f"--only {', '.join(unknown)}: unknown, expected {', '.join(VARIANTS)}")
+        run_ablation(Bench.prepare(run, folder), range(seeds), json or folder / "ablation.json", chosen)
 
     _measure("ablation", measure, scene, preset, overrides, out, device, quiet)
 
@@ -71,6 +77,26 @@ def views(
         run_views(Bench.prepare(run, folder), range(seeds), json or folder / "views.json")
 
     _measure("views", measure, scene, preset, overrides, out, device, quiet)
+
+
+@bench.command()
+def reference(
+    scene: SceneArgument,
+    minutes: Annotated[float, typer.Option(min=0.1, help="No training begins after this time")] = 9.0,
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """The published recipe in full, and the ablation at half size: quality, seconds, memory."""
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.reference import run_reference
+
+        run_reference(run, folder, json or folder / "reference.json", minutes)
+
+    _measure("reference", measure, scene, "reference", overrides, out, device, quiet)
 
 
 def _measure(

@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# The published recipe in full and its ablation at half size, on a GPU, within nine minutes; then one table of all scenes.
+#
+#   benchmarks/gpu.sh SCENE [options of `devrf-pipeline bench reference`, such as --device cpu --set reconstruct.rays=256]
+#
+# SCENE is a scene.yaml (or its folder) that names a data set. Needs torch, numpy, scipy, pydantic, pyyaml, typer, rich,
+# jaxtyping, safetensors, Pillow and Warp; no OpenCV, PyAV or pycolmap where the data set brings its flow.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+scene=${1:?usage: benchmarks/gpu.sh SCENE [options]}
+shift
+python=${PYTHON:-$([ -x .venv/bin/python ] && echo .venv/bin/python || echo python3)}
+"$python" -c 'import devrf.pipelines' 2>/dev/null \
+  || "$python" -m pip install --quiet --no-deps --no-build-isolation -e .
+[ -d "$scene" ] && scene="$scene/scene.yaml"
+name=$("$python" -c 'import sys, yaml; print(yaml.safe_load(open(sys.argv[1]))["name"])' "$scene")
+results=${RESULTS:-benchmarks/results}
+"$python" -m devrf.pipelines.cli bench reference "$scene" --device cuda --out "runs/gpu-$name" \
+  --json "$results/reference-$name.json" "$@"
+"$python" benchmarks/merge.py "$results"

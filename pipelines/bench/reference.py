@@ -1,0 +1,78 @@
+"""`bench reference`: the published recipe in full, and the ablation at half size, within a time (benchmarks/gpu.sh)."""
+
+import time
+from pathlib import Path
+
+from devrf.pipelines.bench.ablation import PAPER_INWARD, SOURCE_INWARD, ablation_rows, train_variants
+from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
+from devrf.pipelines.bench.trainings import Bench, about, score_rows
+from devrf.pipelines.runner import Run
+
+GOALS = {"psnr": 34.3, "ssim": 0.982, "lpips_vgg": 0.0137}  # the paper's means over its five synthetic scenes
+PAPER_GPU_GB = 4.6
+SHARE = 0.5  # of pictures' sides, voxels' sides and rays, for the ablation
+ABLATION_CANONICAL, ABLATION_MOTION = 5000, 100  # iterations: of the scene at rest, and per key time
+
+
+def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[Row]:
+    """Train in full, then what of the ablation time allows; print and write both."""
+    until = time.monotonic() + 60 * minutes
+    full = Bench.prepare(run, out / "full")
+    options = full.options(run.config.reconstruct.seed)
+    rest = full.rest(options.canonical)
+    result = full.motion("motion", rest, options.motion)
+    rows = []
+    for row in score_rows("reference", [result], PAPER_INWARD["flow"], SOURCE_INWARD):
+        metric = row.name.rsplit("/", 1)[1]
+        judged = row.name.startswith("reference/test/") and metric in GOALS
+        rows.append(with_goal(row, GOALS[metric], low_is_good=metric.startswith("lpips")) if judged else row)
+    rows.append(Row("reference/canonical/seconds", rest.metrics["seconds"], "s"))
+    rows.append(Row("reference/canonical/train_psnr", rest.metrics["train_psnr"], "dB"))
+    rows.append(_memory(rest.metrics["peak_gpu_gb"], result["train"]["peak_gpu_gb"]))
+    rows.append(Row("reference/render_fps", result["render_fps"], "pictures/s"))
+    half = Bench.prepare(_halved(run), out / "half")
+    rows += ablation_rows(half, train_variants(half, [run.config.reconstruct.seed], until=until))
+    print_rows(run.talk, f"Reference recipe on {run.config.name}", rows)
+    write_rows(json_path, rows, benchmark="reference", **about(full, [run.config.reconstruct.seed]))
+    run.talk.say(f"  rows: {json_path}")
+    return rows
+
+
+def _memory(*peaks: float | None) -> Row:
+    found = [peak for peak in peaks if peak is not None]
+    row = Row(
+        "reference/peak_gpu_gb",
+        max(found) if found else None,
+        "GB",
+        anchor=PAPER_GPU_GB,
+        source=SOURCE_INWARD,
+        why=None if found else "trained on a CPU",
+    )
+    return with_goal(row, PAPER_GPU_GB, low_is_good=True)
+
+
+def _halved(run: Run) -> Run:
+    """The same scene at half the size in every respect."""
+    config = run.config
+    from devrf.reconstruct.options import PRESETS
+
+    preset, given = PRESETS[config.preset], config.reconstruct
+    shrink = (given.canonical_iterations or preset.canonical.iterations) / preset.canonical.iterations
+    motion = given.motion_iterations or sum(preset.motion.iterations)
+    half = given.model_copy(
+        update={
+            "image_scale": SHARE * (given.image_scale or 1.0),
+            "resolution": max(16, round(SHARE * (given.resolution or preset.canonical.resolution))),
+            "rays": max(64, round(SHARE * (given.rays or preset.motion.rays))),
+            "canonical_iterations": max(1, round(shrink * ABLATION_CANONICAL)),
+            "motion_iterations": max(5, round(ABLATION_MOTION * motion / sum(preset.motion.iterations))),
+        }
+    )
+    return Run(
+        config.model_copy(update={"reconstruct": half}),
+        run.scene_dir,
+        run.stages,
+        run.choice,
+        run.talk,
+        run.device,
+    )
