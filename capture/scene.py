@@ -5,6 +5,7 @@ similarity `box_from_world` takes world points into the box frame, in which the 
 origin and its longest half side is 1. `time` is 0 at `t0_s` and 1 at `t1_s` on cam0's clock.
 """
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,8 @@ from jaxtyping import Float, Int, UInt8
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 
-Background = Literal["shell", "white", "black"]
+Background = str  # "shell", "white", "black" or "#rrggbb" (`plain_colour`)
+PLAIN_COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 Kind = Literal["inward", "forward"]
 Split = Literal["train", "test"]
 
@@ -34,6 +36,7 @@ class PosedFrame:
         time_s: On cam0's clock; None for the sweep.
         time: `time_s` mapped to [0, 1]; None for the sweep.
         split: Pictures of split `test` are never trained on.
+        flow: Backward flow that a data set brings with the picture (`capture.formats.flow_files`), or None.
     """
 
     path: Path
@@ -43,6 +46,7 @@ class PosedFrame:
     time_s: float | None
     time: float | None
     split: Split
+    flow: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -78,12 +82,15 @@ class Scene:
         aabb: Box corners [2, 3] (lowest, highest) in the box frame.
         near, far: Nearest and farthest content along rays, in box frame units.
         kind: `inward` (cameras around the subject) or `forward`.
-        background: `shell` where the surroundings are seen, else the plain colour behind the subject.
+        background: `shell` where the surroundings are seen, else the plain colour behind the subject:
+            `white`, `black` or `#rrggbb`.
         t0_s, t1_s: First and last modelled time, seconds on cam0's clock.
         rest_time: `time` at which the moving clips show the scene as in the sweep; None if never.
         image_scale: Pictures are trained on and evaluated at this relative size.
         metric: Whether world units are metres.
         points: What structure from motion found beside the poses; None for data sets without.
+        ndc: Tangents of the reference camera's half angles (width/2/fx, height/2/fy): the scene is modelled
+            in normalised device coordinates with near plane z=1 of the box frame; None: it is not.
     """
 
     static: tuple[PosedFrame, ...]
@@ -100,6 +107,7 @@ class Scene:
     image_scale: float
     metric: bool = False
     points: SparsePoints | None = None
+    ndc: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.static and not self.dynamic:
@@ -110,6 +118,9 @@ class Scene:
             raise ValueError(f"near {self.near} and far {self.far} must satisfy 0 <= near < far")
         if not 0 < self.image_scale <= 1:
             raise ValueError(f"image_scale is {self.image_scale}, expected more than 0 and at most 1")
+        if self.ndc is not None and not min(self.ndc) > 0:
+            raise ValueError(f"ndc is {self.ndc}, expected two tangents above 0")
+        plain_colour(self.background)
 
     @property
     def frames(self) -> tuple[PosedFrame, ...]:
@@ -136,6 +147,28 @@ class Scene:
         )
 
 
+def plain_colour(background: Background) -> tuple[float, float, float] | None:
+    """RGB in [0, 1] of a plain background; None for `shell`, where the surroundings are seen.
+
+    Raises:
+        ValueError: Neither `shell`, `white`, `black` nor `#rrggbb`.
+    """
+    if background == "shell":
+        return None
+    if background in PLAIN_COLOURS:
+        return PLAIN_COLOURS[background]
+    if not re.fullmatch("#[0-9a-fA-F]{6}", background):
+        raise ValueError(f"background is {background!r}, expected shell, white, black or #rrggbb")
+    red, green, blue = (int(background[n : n + 2], 16) / 255 for n in (1, 3, 5))
+    return red, green, blue
+
+
+def background_of(rgb: tuple[float, float, float]) -> Background:
+    """The name of a plain colour, RGB in [0, 1]: `white`, `black` or `#rrggbb` (rounded to 8 bits)."""
+    code = "#" + "".join(f"{round(255 * value):02x}" for value in rgb)
+    return {"#ffffff": "white", "#000000": "black"}.get(code, code)
+
+
 def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8[np.ndarray, "h w 3"]:
     """The frame's picture, resized by area and, where it carries alpha, composited on the plain background.
 
@@ -159,7 +192,9 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if image.shape[2] == 4:
         alpha = image[..., 3:].astype(np.float32) / 255
-        behind = 0.0 if background == "black" else 255.0
+        behind = (
+            np.float32(255) * np.array(plain_colour(background) or PLAIN_COLOURS["white"], np.float32)[::-1]
+        )
         premultiplied = image[..., :3] * alpha + behind * (1 - alpha)
         resized = cv2.resize(premultiplied, size, interpolation=cv2.INTER_AREA)
         image = np.clip(resized.round(), 0, 255).astype(np.uint8)
