@@ -1,6 +1,6 @@
 """Scenes and data sets on disk, in and out: the only place that converts between conventions."""
 
-from devrf.capture.formats.datasets import DATASET_FORMATS, DatasetFormat, read_dataset
+from devrf.capture.formats.datasets import DATASET_FORMATS, DatasetFormat, read_dataset, write_dataset
 from devrf.capture.formats.opengl import FLIP_YZ
 from devrf.capture.formats.scene_files import read_scene, write_scene
 from devrf.capture.formats.transforms import read_transforms, write_transforms
@@ -12,6 +12,7 @@ __all__ = [
     "read_dataset",
     "read_scene",
     "read_transforms",
+    "write_dataset",
     "write_scene",
     "write_transforms",
 ]

@@ -10,7 +10,16 @@ import numpy as np
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
-from devrf.capture.formats.colmap_model import Model, ModelCamera, ModelImage, read_model
+from devrf.capture.formats.colmap_model import (
+    UNKNOWN_ERROR_PX,
+    Model,
+    ModelCamera,
+    ModelImage,
+    ModelPoint,
+    read_model,
+    write_model,
+)
+from devrf.capture.formats.export import Export, copied, static_of
 from devrf.capture.formats.files import Header, find_picture, read_header
 from devrf.capture.formats.llff import TEST_LIST, read_names
 from devrf.capture.pictures import natural_key
@@ -44,6 +53,37 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
         notes.append(f"{grey} grey pictures, read as RGB")
     points = _points(model, order)
     return Pictures(tuple(frames), has_split=test is not None, points=points)
+
+
+def write_colmap(export: Export) -> None:
+    """`sparse/0` with each camera's own lens, the points, and the pictures as they are."""
+    frames = copied(export, static_of(export, "colmap"), "images")
+    base, points = export.folder / "images", export.scene.points
+    cameras: dict[ModelCamera, int] = {}
+    images: dict[int, ModelImage] = {}
+    for n, frame in enumerate(frames):
+        camera = frame.camera
+        camera_id = cameras.setdefault(_model_camera(camera), len(cameras) + 1)
+        ids, keypoints = np.zeros(0, np.int64), np.zeros((0, 2))
+        if points is not None:
+            seen = points.obs_point[points.obs_frame == n]
+            pixels = camera.project(points.xyz[seen])
+            front = np.isfinite(pixels).all(axis=-1)
+            ids, keypoints = seen[front].astype(np.int64) + 1, pixels[front]
+        quat_wxyz = _quat_wxyz(camera.cam_from_world[:, :3])
+        name = frame.path.relative_to(base).as_posix()
+        images[n + 1] = ModelImage(name, camera_id, quat_wxyz, camera.cam_from_world[:, 3], keypoints, ids)
+    xyz = points.xyz if points is not None else np.zeros((0, 3))
+    none = np.zeros(0, np.int64)
+    model = Model(
+        {number: camera for camera, number in cameras.items()},
+        images,
+        {n + 1: ModelPoint(p, UNKNOWN_ERROR_PX, none) for n, p in enumerate(xyz)},
+    )
+    place = export.folder / "sparse" / "0"
+    write_model(place, model)
+    test = [images[n + 1].name for n, frame in enumerate(frames) if frame.split == "test"]
+    (place / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
 
 
 def model_folder(folder: Path) -> Path:
@@ -110,3 +150,30 @@ def _points(model: Model, order: list[int]) -> SparsePoints | None:
     if not xyz:
         return None
     return SparsePoints(np.array(xyz), np.array(obs_point, np.int64), np.array(obs_frame, np.int64))
+
+
+def _model_camera(camera: Camera) -> ModelCamera:
+    """The simplest of COLMAP's models that holds the lens."""
+    K, (k1, k2, p1, p2, k3) = camera.K, camera.distortion.tolist()
+    params = [float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
+    model = "PINHOLE"
+    if k3:
+        model, params = "FULL_OPENCV", [*params, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
+    elif any((k1, k2, p1, p2)):
+        model, params = "OPENCV", [*params, k1, k2, p1, p2]
+    return ModelCamera(model, camera.width, camera.height, tuple(params))
+
+
+def _quat_wxyz(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion [4] of a rotation, w >= 0: the eigenvector of Bar-Itzhack's matrix (JGCD 23(6), 2000)."""
+    (a, b, c), (d, e, f), (g, h, i) = R
+    K = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(K)[1][:, -1]
+    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)

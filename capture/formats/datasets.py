@@ -1,4 +1,4 @@
-"""Finished data sets in: which reader, what is held out, which times, and the background."""
+"""Finished data sets in and out: which reader or writer, what is held out, which times, and the background."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,13 +15,15 @@ from devrf.capture.formats.assembly import (
     hold_out,
     is_plain,
 )
-from devrf.capture.formats.blender import read_blender
-from devrf.capture.formats.colmap import read_colmap
-from devrf.capture.formats.devrf import read_devrf
+from devrf.capture.formats.blender import read_blender, write_blender
+from devrf.capture.formats.colmap import read_colmap, write_colmap
+from devrf.capture.formats.devrf import read_devrf, write_devrf
+from devrf.capture.formats.export import Export, FindFlow, write_export
 from devrf.capture.formats.files import read_header
-from devrf.capture.formats.llff import read_llff
-from devrf.capture.formats.nerfstudio import read_nerfstudio
+from devrf.capture.formats.llff import read_llff, write_llff
+from devrf.capture.formats.nerfstudio import read_nerfstudio, write_nerfstudio
 from devrf.capture.formats.scene_files import with_scene_entry
+from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Background, Scene
 
 DatasetFormat = Literal["devrf", "blender", "nerfstudio", "llff", "colmap"]
@@ -33,6 +35,38 @@ READERS: dict[DatasetFormat, Callable[[Path, list[str]], Pictures]] = {
     "llff": read_llff,
     "colmap": read_colmap,
 }
+
+WRITERS: dict[DatasetFormat, Callable[[Export], None]] = {
+    "devrf": write_devrf,
+    "blender": write_blender,
+    "nerfstudio": write_nerfstudio,
+    "llff": write_llff,
+    "colmap": write_colmap,
+}
+
+
+def write_dataset(
+    dataset_format: DatasetFormat,
+    scene: Scene,
+    folder: Path,
+    find_flow: FindFlow = lambda frame: None,
+    progress: Progress = no_progress,
+) -> list[str]:
+    """Write a calibrated scene as a data set, with a README.txt that states axes and scale.
+
+    Args:
+        dataset_format: As in `read_dataset`; `devrf` is the layout with cameras around the subject.
+        scene: The scene.
+        folder: New, empty, or an earlier export of the same format, which is replaced.
+        find_flow: Backward flow of a frame of the moving cameras, or None (for `devrf`).
+        progress: To be called with (fraction done, short text).
+    Returns:
+        What people should know of this data set, in words; its README.txt says the same.
+    Raises:
+        InputError: The folder holds something else.
+        CaptureError: The format cannot hold this scene, or a picture is missing.
+    """
+    return write_export(scene, dataset_format, WRITERS[dataset_format], folder, find_flow, progress)
 
 
 def read_dataset(

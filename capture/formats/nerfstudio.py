@@ -11,9 +11,10 @@ import numpy as np
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
-from devrf.capture.formats.files import read_json
-from devrf.capture.formats.scene_files import OWN_KEY
-from devrf.capture.formats.transforms import read_transforms
+from devrf.capture.formats.export import Export, copied
+from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
+from devrf.capture.formats.transforms import frame_entry, read_transforms
 from devrf.capture.scene import PosedFrame
 
 SAME_POSE_DECIMALS = 6  # fixed cameras' entries may be rounded differently
@@ -35,6 +36,28 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
         _within_0_1(_cameras(dynamic, notes), notes),
         has_split=any(f.split == "test" for f in static),
         own=None if own is None else (own, path),
+    )
+
+
+def write_nerfstudio(export: Export) -> None:
+    """`transforms.json` with each camera's own lens, and the pictures as they are."""
+    scene = export.scene
+    base = export.folder.resolve()
+    frames = copied(export, scene.frames, "images")
+    entries = [frame_entry(frame, base) for frame in frames]
+    write_json(
+        export.folder / "transforms.json",
+        {
+            "camera_model": "OPENCV",
+            **{
+                f"{split}_filenames": [
+                    e["file_path"] for e, f in zip(entries, frames, strict=True) if f.split == used
+                ]
+                for split, used in (("train", "train"), ("val", "test"), ("test", "test"))
+            },
+            OWN_KEY: scene_entry(scene),
+            "frames": [{key: value for key, value in e.items() if value is not None} for e in entries],
+        },
     )
 
 
