@@ -36,7 +36,7 @@ class Pictures:
         points: Sparse points, where the set has them.
         bounds: Nearest and farthest content of each picture at rest, world units: a forward-facing set.
         own: What an export of ours said of box, times and background (`scene_entry`), and in which file.
-        behind: Background where nobody says and the pictures carry no alpha.
+        behind: Background of a forward-facing set where nobody says and the pictures carry no alpha.
     """
 
     static: tuple[PosedFrame, ...]
@@ -69,7 +69,7 @@ def box_around(pictures: Pictures, background: Background) -> Scene:
         aabb=np.array([[-1.0] * 3, [1.0] * 3]),
         near=max(float(distance.min() - reach), 0.02 * half_side) / half_side,
         far=float(distance.max() + reach) / half_side,
-        kind="inward" if np.linalg.norm(axes.mean(0)) < FORWARD_MEAN else "forward",
+        kind="forward" if faces_forward(cameras) else "inward",
     )
 
 
@@ -112,6 +112,12 @@ def forward_frame(cameras: Sequence[Camera], bounds: Float[np.ndarray, "n 2"]) -
     out = np.eye(4)
     out[:3] = _scale(bounds) * np.column_stack([R, -R @ centre])
     return out
+
+
+def faces_forward(cameras: Sequence[Camera]) -> bool:
+    """Whether all cameras look about the same way, as LLFF's frame needs."""
+    axes = np.stack([c.cam_from_world[2, :3] for c in cameras])
+    return bool(np.linalg.norm(axes.mean(axis=0)) >= FORWARD_MEAN)
 
 
 def is_plain(background: Background) -> bool:

@@ -11,6 +11,7 @@ from devrf.capture.formats.assembly import (
     box_around,
     check_sizes,
     every_nth_time,
+    faces_forward,
     frustum_box,
     hold_out,
     is_plain,
@@ -106,18 +107,18 @@ def read_dataset(
         static=static if found.has_split else hold_out(static, holdout_every, found.keep),
         dynamic=every_nth_time(found.dynamic, frame_stride),
     )
-    return _scene(found, background)
+    return _scene(found, background, notes)
 
 
-def _scene(found: Pictures, background: Background | None) -> Scene:
+def _scene(found: Pictures, background: Background | None, notes: list[str]) -> Scene:
+    forward = found.bounds is not None and faces_forward([f.camera for f in found.static])
+    if found.bounds is not None and not forward:
+        notes.append("the cameras do not look the same way: not taken as a forward-facing scene")
     behind = background
     if behind is None:
-        behind = "white" if read_header(found.static[0].path).alpha else found.behind
-    scene = (
-        frustum_box(found, behind)
-        if found.bounds is not None and is_plain(behind)
-        else box_around(found, behind)
-    )
+        alpha = read_header(found.static[0].path).alpha
+        behind = "white" if alpha else found.behind if forward else "shell"
+    scene = (frustum_box if forward and is_plain(behind) else box_around)(found, behind)
     if found.own is None:
         return scene
     scene = with_scene_entry(scene, *found.own)

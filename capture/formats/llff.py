@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures
+from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
 from devrf.capture.formats.files import Header, read_header
 from devrf.capture.formats.opengl import cam_from_opengl
@@ -41,6 +41,10 @@ def read_llff(folder: Path, notes: list[str]) -> Pictures:
 def write_llff(export: Export) -> None:
     """The scene at rest as one pinhole camera sees it, with the bounds of its content."""
     frames = static_of(export, "llff")
+    if not faces_forward([f.camera for f in frames]):
+        export.notes.append(
+            "the cameras do not look the same way; most readers of LLFF expect a forward-facing scene"
+        )
     pinholes = Pinholes(export, frames)
     camera, near_far = pinholes.pinhole, bounds_of(export.scene)
     alpha = any(read_header(f.path).alpha for f in frames) or (pinholes.whole and not pinholes.same)
