@@ -102,6 +102,7 @@ def test_plain_readers_are_right(odd_scene: Scene, tmp_path: Path, name):
     meta = json.loads((folder / "transforms_train.json").read_text())
     entry = meta["frames"][0]
     rgba = cv2.imread(str(folder / (entry["file_path"] + ".png")), cv2.IMREAD_UNCHANGED)
+    assert rgba is not None
     height, width = rgba.shape[:2]
     assert rgba.shape[2] == 4
     assert 0.5 * width / np.tan(0.5 * meta["camera_angle_x"]) == pytest.approx(entry["fl_x"])
