@@ -121,5 +121,8 @@ def _scene(found: Pictures, background: Background | None, notes: list[str]) -> 
     scene = (frustum_box if forward and is_plain(behind) else box_around)(found, behind)
     if found.own is None:
         return scene
-    scene = with_scene_entry(scene, *found.own)
-    return scene if background is None else replace(scene, background=background)
+    own = with_scene_entry(scene, *found.own)
+    if background is None:
+        return own
+    fits = own.ndc is None or is_plain(background)  # surroundings need a box, not LLFF's frame
+    return replace(own if fits else scene, background=background)

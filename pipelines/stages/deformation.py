@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict
 
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.health import row
 from devrf.pipelines.stage import StageContext

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.formats import read_scene
 from devrf.capture.formats.flow_files import Flow, read_flow_file
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.flow.clip import FlowChecks, clip_flow
 from devrf.flow.estimator import FlowEstimator, create_estimator

@@ -21,12 +21,12 @@ from devrf.calibration.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats import write_scene
+from devrf.capture.formats.scene_files import write_scene
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints, image_scale_for
 from devrf.pipelines.clocks import read_clocks
+from devrf.pipelines.configured_dataset import configured_dataset
 from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.preflight import configured_dataset
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext
 
