@@ -6,6 +6,7 @@ cover is transparent; or every picture is cut to what all of them cover.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -126,17 +127,29 @@ class Undistorter:
         A pixel p of the pinhole camera shows what the camera has at D(p); followed there by f, it ends at
         U(D(p) + f(D(p))), where U undoes D.
         """
-        camera, pinhole = self.camera, self.pinhole
+        camera = self.camera
         ratio = np.array([flow.shape[1] / camera.width, flow.shape[0] / camera.height])
         x, y = (self._source * ratio - 0.5).astype(np.float32).transpose(2, 0, 1)
         found = cv2.remap(flow, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) / ratio
         share = cv2.remap(valid.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         good = (share > WHOLE_PIXEL) & self.seen
-        end = self._source[good] + found[good]
-        ideal = undistort((end - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T, camera.distortion)
-        out = np.zeros((pinhole.height, pinhole.width, 2), dtype=np.float32)
-        out[good] = ideal @ pinhole.K[:2, :2].T + pinhole.K[:2, 2] - self._pixels[good]
-        return out, good
+        end = self._source + found
+        x, y = (end - 0.5).astype(np.float32).transpose(2, 0, 1)
+        ended = cv2.remap(self._undone, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        outside = good & ~((end > 0.5) & (end < [camera.width - 0.5, camera.height - 0.5])).all(axis=-1)
+        ended[outside] = self._undo(end[outside])
+        return np.where(good[..., None], ended - self._pixels, 0.0).astype(np.float32), good
+
+    @cached_property
+    def _undone(self) -> Float32[np.ndarray, "height width 2"]:
+        """U at every pixel of the camera: where the pinhole camera has it. Smooth, so that it may be interpolated."""
+        rows, columns = np.mgrid[: self.camera.height, : self.camera.width]
+        return self._undo(np.stack([columns, rows], axis=-1) + 0.5).astype(np.float32)
+
+    def _undo(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+        camera, pinhole = self.camera, self.pinhole
+        ideal = undistort((pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T, camera.distortion)
+        return ideal @ pinhole.K[:2, :2].T + pinhole.K[:2, 2]
 
 
 def _outline(camera: Camera) -> Float[np.ndarray, "4 side 2"]:

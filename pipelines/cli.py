@@ -256,9 +256,12 @@ def _start(job: Run, device: str) -> int:
 
 
 def _check_raw_files(job: Run) -> None:
-    from devrf.pipelines.preflight import check_raw_files
+    if job.config.dataset is None:
+        from devrf.pipelines.preflight import check_raw_files as check
+    else:
+        from devrf.pipelines.configured_dataset import check_dataset as check
 
-    problems = check_raw_files(job.config, job.scene_dir)
+    problems = check(job.config, job.scene_dir)
     if problems:
         raise InputError("\n".join(problems))
 

@@ -33,16 +33,7 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
-    """Everything that is wrong with the raw files or the data set; empty when all is well."""
-    if config.dataset is None:
-        from devrf.capture.session import preflight
+    """Everything that is wrong with the raw files; empty when all is well."""
+    from devrf.capture.session import preflight
 
-        return preflight(capture_session(config, scene_dir))
-    from devrf.capture.errors import DevrfError
-    from devrf.pipelines.configured_dataset import configured_dataset
-
-    try:
-        configured_dataset(config, scene_dir)
-    except DevrfError as error:
-        return [f"dataset: {error}"]
-    return []
+    return preflight(capture_session(config, scene_dir))
