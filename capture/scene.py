@@ -5,6 +5,7 @@ similarity `box_from_world` takes world points into the box frame, in which the 
 origin and its longest half side is 1. `time` is 0 at `t0_s` and 1 at `t1_s` on cam0's clock.
 """
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,8 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.resize import shrink
 
-Background = Literal["shell", "white", "black"]
+Background = str  # "shell", "white", "black" or "#rrggbb" (`plain_colour`)
+PLAIN_COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 Kind = Literal["inward", "forward"]
 Split = Literal["train", "test"]
 
@@ -35,6 +37,7 @@ class PosedFrame:
         time_s: On cam0's clock; None for the sweep.
         time: `time_s` mapped to [0, 1]; None for the sweep.
         split: Pictures of split `test` are never trained on.
+        flow: Backward flow that a data set brings with the picture (`capture.formats.flow_files`), or None.
     """
 
     path: Path
@@ -44,6 +47,7 @@ class PosedFrame:
     time_s: float | None
     time: float | None
     split: Split
+    flow: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,8 @@ class Scene:
         aabb: Box corners [2, 3] (lowest, highest) in the box frame.
         near, far: Nearest and farthest content along rays, in box frame units.
         kind: `inward` (cameras around the subject) or `forward`.
-        background: `shell` where the surroundings are seen, else the plain colour behind the subject.
+        background: `shell` where the surroundings are seen, else the plain colour behind the subject:
+            `white`, `black` or `#rrggbb`.
         t0_s, t1_s: First and last modelled time, seconds on cam0's clock.
         rest_time: `time` at which the moving clips show the scene as in the sweep; None if never.
         image_scale: Pictures are trained on and evaluated at this relative size.
@@ -115,6 +120,9 @@ class Scene:
             raise ValueError(f"near {self.near} and far {self.far} must satisfy 0 <= near < far")
         if not 0 < self.image_scale <= 1:
             raise ValueError(f"image_scale is {self.image_scale}, expected more than 0 and at most 1")
+        if self.ndc is not None and not min(self.ndc) > 0:
+            raise ValueError(f"ndc is {self.ndc}, expected two tangents above 0")
+        plain_colour(self.background)
 
     @property
     def frames(self) -> tuple[PosedFrame, ...]:
@@ -141,6 +149,28 @@ class Scene:
         )
 
 
+def plain_colour(background: Background) -> tuple[float, float, float] | None:
+    """RGB in [0, 1] of a plain background; None for `shell`, where the surroundings are seen.
+
+    Raises:
+        ValueError: Neither `shell`, `white`, `black` nor `#rrggbb`.
+    """
+    if background == "shell":
+        return None
+    if background in PLAIN_COLOURS:
+        return PLAIN_COLOURS[background]
+    if not re.fullmatch("#[0-9a-fA-F]{6}", background):
+        raise ValueError(f"background is {background!r}, expected shell, white, black or #rrggbb")
+    red, green, blue = (int(background[n : n + 2], 16) / 255 for n in (1, 3, 5))
+    return red, green, blue
+
+
+def background_of(rgb: tuple[float, float, float]) -> Background:
+    """The name of a plain colour, RGB in [0, 1]: `white`, `black` or `#rrggbb` (rounded to 8 bits)."""
+    code = "#" + "".join(f"{round(255 * value):02x}" for value in rgb)
+    return {"#ffffff": "white", "#000000": "black"}.get(code, code)
+
+
 def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8[np.ndarray, "h w 3"]:
     """The frame's picture, resized by area and, where it carries alpha, composited on the plain background.
 
@@ -156,7 +186,7 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if image.shape[2] == 4:
         alpha = image[..., 3:].astype(np.float32) / 255
-        behind = 0.0 if background == "black" else 255.0
+        behind = np.float32(255) * np.array(plain_colour(background) or PLAIN_COLOURS["white"], np.float32)
         premultiplied = image[..., :3] * alpha + behind * (1 - alpha)
         image = np.clip(shrink(premultiplied, *size).round(), 0, 255).astype(np.uint8)
     elif size != (width, height):

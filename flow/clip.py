@@ -32,7 +32,8 @@ class FlowChecks:
         valid: Share of these that pass the consistency rule; None where there are none.
         moving: Share of all pixels that are supported and move by more than `MOVING_PX`.
         moving_valid: Share of these that pass the rule; None where nothing moves.
-        round_trip_px: Median miss of the round trip among moving, valid pixels; None where nothing moves.
+        round_trip_px: Median miss of the round trip among moving, valid pixels; None where nothing moves, or
+            where only the flow backward is known.
         warp_ratio: Difference to the previous picture after warping over the difference before, on moving,
             valid pixels. Below 1 for a flow of the right direction and sign; None where nothing moves.
         large: Share of moving, valid pixels that move by more than 1/8 of the width.
@@ -82,7 +83,7 @@ def clip_flow(
     width, height = size
     vectors = np.zeros((len(steps), height, width, 2), dtype=np.float16)
     valid = np.zeros((len(steps), height, width), dtype=bool)
-    tally = _Tally()
+    tally = Tally()
     previous = load(0)
     for n in range(len(steps)):
         current = load(n + 1)
@@ -106,7 +107,7 @@ def clip_flow(
     return CameraFlow(camera, numbers, vectors, valid), tally.checks()
 
 
-class _Tally:
+class Tally:
     """Sums over pairs, so that only two pictures are held at a time."""
 
     def __init__(self) -> None:
@@ -120,26 +121,29 @@ class _Tally:
         previous: np.ndarray,
         current: np.ndarray,
         flow: np.ndarray,
-        back: np.ndarray,
+        back: np.ndarray | None,
         textured: np.ndarray,
         valid: np.ndarray,
     ) -> None:
+        """Count one pair; without flow the other way there is no round trip. What has no texture is not judged."""
         length = np.linalg.norm(flow, axis=-1)
         moving = textured & (length > MOVING_PX)
         trusted = moving & valid
         self.pairs += 1
         self.pixels += length.size
         self.textured += int(textured.sum())
-        self.valid += int(valid.sum())
+        self.valid += int((valid & textured).sum())
         self.moving += int(moving.sum())
         self.trusted += int(trusted.sum())
         self.large += int((trusted & (length > LARGE_SHARE_OF_WIDTH * flow.shape[1])).sum())
         warped, still = warp_residuals(previous, current, flow, trusted)
         self.warped += warped * trusted.sum()
         self.still += still * trusted.sum()
-        self.missed.append(round_trip(flow, back)[trusted][::17])  # every 17th: a median needs no more
+        if back is not None:
+            self.missed.append(round_trip(flow, back)[trusted][::17])  # every 17th: a median needs no more
 
     def checks(self) -> FlowChecks:
+        """The sums as shares and means."""
         missed = np.concatenate([*self.missed, np.zeros(0, np.float32)])
         return FlowChecks(
             pairs=self.pairs,

@@ -132,6 +132,34 @@ def render(
 
 
 @app.command()
+def export(
+    scene: SceneArgument,
+    dataset_format: Annotated[
+        str, typer.Option("--format", help="nerfstudio, colmap, llff, devrf or blender")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default: export/FORMAT in the run")
+    ] = None,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Write the calibrated scene as a data set for other programs."""
+    talk = _talk(quiet, False)
+    job = _prepare(talk, scene, preset, overrides, None, check_files=False)
+    from devrf.pipelines import export_command
+
+    try:
+        export_command.export(talk, job.run_dir, dataset_format, out)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    except DevrfError as error:
+        talk.error(str(error))
+        raise typer.Exit(FAILED) from None
+
+
+@app.command()
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write into")],
     scene: Annotated[
@@ -257,9 +285,12 @@ def _start(job: Run, device: str) -> int:
 
 
 def _check_raw_files(job: Run) -> None:
-    from devrf.pipelines.preflight import check_raw_files
+    if job.config.dataset is None:
+        from devrf.pipelines.preflight import check_raw_files as check
+    else:
+        from devrf.pipelines.configured_dataset import check_dataset as check
 
-    problems = check_raw_files(job.config, job.scene_dir)
+    problems = check(job.config, job.scene_dir)
     if problems:
         raise InputError("\n".join(problems))
 

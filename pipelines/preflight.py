@@ -33,21 +33,7 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
-    """Everything that is wrong with the raw files or the data set; empty when all is well."""
-    if config.dataset is None:
-        from devrf.capture.session import preflight
+    """Everything that is wrong with the raw files; empty when all is well."""
+    from devrf.capture.session import preflight
 
-        return preflight(capture_session(config, scene_dir))
-    from devrf.capture.errors import DevrfError
-    from devrf.capture.formats import read_dataset
-
-    data = config.dataset
-    if data.format in ("llff", "colmap"):
-        return [f"dataset.format: {data.format} is not built yet"]
-    try:
-        read_dataset(
-            data.format, config.path(scene_dir, data.path), data.frame_stride, config.evaluate.holdout_every
-        )
-    except DevrfError as error:
-        return [f"dataset: {error}"]
-    return []
+    return preflight(capture_session(config, scene_dir))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from devrf.capture.errors import DevrfError
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 
 

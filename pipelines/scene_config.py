@@ -8,7 +8,7 @@ written, relative to the file (`SceneConfig.path`). Reading the file, overrides 
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
@@ -17,6 +17,7 @@ Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
 RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
+BackgroundWord = Literal["auto", "white", "black", "shell"]
 
 
 def _as_tuple(value: Any) -> Any:
@@ -27,6 +28,19 @@ def _auto_or_bool(value: Any) -> Any:
     if value != "auto" and not isinstance(value, bool):
         raise ValueError(f"{value!r}; expected auto, true or false")
     return value
+
+
+def _background(value: Any) -> Any:
+    """A word, or RGB in [0, 1] as a tuple of floats."""
+    if isinstance(value, str) and value in get_args(BackgroundWord):
+        return value
+    numbers = list(value) if isinstance(value, list | tuple) else []
+    good = all(isinstance(n, int | float) and not isinstance(n, bool) and 0 <= n <= 1 for n in numbers)
+    if len(numbers) != 3 or not good:
+        raise ValueError(
+            f"{value!r}; expected auto, white, black, shell or [r, g, b] with numbers from 0 to 1"
+        )
+    return tuple(float(n) for n in numbers)
 
 
 AutoBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
@@ -147,13 +161,8 @@ class DatasetConfig(_Section):
     """Folder of the data set."""
     frame_stride: int = Field(default=1, ge=1, le=1000)
     """Use every n-th time, of the test views too."""
-
-    @field_validator("format")
-    @classmethod
-    def _built(cls, format: str) -> str:
-        if format in ("llff", "colmap"):
-            raise ValueError(f"{format} is not built yet; convert it to nerfstudio's transforms.json")
-        return format
+    background: Annotated[BackgroundWord | tuple[float, float, float], BeforeValidator(_background)] = "auto"
+    """What is behind the subject: a plain colour (RGB in [0, 1]), or surroundings (shell)."""
 
 
 class StaticPosesConfig(_Section):

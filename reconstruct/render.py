@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from devrf.capture.scene import plain_colour
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
 from devrf.reconstruct.kernels.march import RaySegments, Samples, march
@@ -17,13 +18,13 @@ from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.rays import intersect
 from devrf.reconstruct.shell import Shell
 
-PLAIN = {"white": 1.0, "black": 0.0}
 SEEN = 1e-3  # transmittance below which what is behind is not looked at
 
 
 def plain_of(background: str, device: str | torch.device) -> Float[Tensor, " 3"] | None:
     """The plain colour behind the subject; None where surroundings are modelled."""
-    return None if background == "shell" else torch.full((3,), PLAIN[background], device=device)
+    colour = plain_colour(background)
+    return None if colour is None else torch.tensor(colour, dtype=torch.float32, device=device)
 
 
 Grads = tuple[Tensor | None, Tensor | None, Tensor | None]

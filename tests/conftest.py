@@ -8,8 +8,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from devrf.capture.scene import Scene, Split
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
@@ -28,6 +32,65 @@ def data_dir() -> Path:
             pytest.fail(f"real captures not found at {folder}; set DEVRF_DATA")
         pytest.skip(f"real captures not found at {folder}; set DEVRF_DATA")
     return folder
+
+
+@pytest.fixture
+def odd_scene(tmp_path: Path) -> "Scene":
+    """A small scene with everything that formats forget: lens distortion, a principal point off the middle,
+    pictures that are not square, cameras of different sizes, clocks that are not triggered together."""
+    import cv2
+    import numpy as np
+
+    from devrf.capture.camera import Camera
+    from devrf.capture.scene import PosedFrame, Scene, SparsePoints
+
+    rng = np.random.default_rng(5)
+    lenses = {
+        "static": (96, 64, [80.0, 81, 50.5, 30.25], [-0.12, 0.03, 0.001, -0.002, 0.0]),
+        "cam0": (88, 60, [75.0, 74, 42.0, 31.5], [-0.08, 0.01, 0.0, 0.001, 0.0]),
+        "cam1": (80, 56, [70.0, 70, 41.0, 27.0], [0.05, 0.0, 0.0, 0.0, 0.002]),
+        "witness": (88, 60, [76.0, 76, 44.0, 30.0], [0.0, 0.0, 0.0, 0.0, 0.0]),
+    }
+
+    def frame(name: str, n: int, angle: float, time: float | None, split: "Split") -> PosedFrame:
+        width, height, (fx, fy, cx, cy), lens = lenses[name]
+        centre = 4.0 * np.array([np.sin(angle), 0.1 * np.cos(7 * angle), -np.cos(angle)])
+        z = -centre / np.linalg.norm(centre)
+        x = np.cross([0.05, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.05, 1.0, 0.0], z))
+        R = np.stack([x, np.cross(z, x), z])
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        path = tmp_path / "pictures" / f"{name}_{n}.png"
+        path.parent.mkdir(exist_ok=True)
+        picture = cv2.resize(rng.integers(0, 255, (6, 9, 3)).astype(np.uint8), (width, height))
+        cv2.imwrite(str(path), picture)
+        camera = Camera(width, height, K, np.column_stack([R, -R @ centre]), np.array(lens))
+        time_s = None if time is None else 2.0 + 3.0 * time
+        return PosedFrame(path, camera, name, n, time_s, time, split)
+
+    static = [frame("static", n, -0.5 + 0.2 * n, None, "test" if n in (1, 4) else "train") for n in range(6)]
+    dynamic = [
+        frame(name, n, angle, min(1.0, n / 4 + late), "test" if name == "witness" else "train")
+        for name, angle, late in (("cam0", -0.4, 0.0), ("cam1", 0.4, 0.0621), ("witness", 0.05, 0.0313))
+        for n in range(5)
+    ]
+    xyz = rng.uniform(-0.5, 0.5, (40, 3))
+    observed = [(p, f) for p in range(40) for f in range(6)]
+    return Scene(
+        static=tuple(static),
+        dynamic=tuple(dynamic),
+        box_from_world=np.diag([1.25, 1.25, 1.25, 1.0]),
+        aabb=np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]]),
+        near=2.0,
+        far=7.5,
+        kind="inward",
+        background="shell",
+        t0_s=2.0,
+        t1_s=5.0,
+        rest_time=0.0,
+        image_scale=1.0,
+        metric=True,
+        points=SparsePoints(xyz, np.array([p for p, _ in observed]), np.array([f for _, f in observed])),
+    )
 
 
 @dataclass(frozen=True)

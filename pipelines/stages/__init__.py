@@ -24,7 +24,8 @@ def _glue(name: str) -> Callable[[StageContext], None]:
 NO_RAW_FILES = "a finished data set brings its own cameras"
 NO_SWEEP = "the capture has no sweep of the scene at rest"
 NO_CAMERAS = "the capture has no cameras of the moving scene (only a sweep)"
-NOTHING_MOVES = "a data set in the Blender layout shows the scene at rest"
+NOTHING_MOVES = "a data set of this format shows the scene at rest"
+FORMATS_AT_REST = ("blender", "llff", "colmap")
 
 
 def _from_raw_files(config: SceneConfig) -> str | None:
@@ -40,7 +41,7 @@ def _from_fixed_cameras(config: SceneConfig) -> str | None:
 
 
 def _where_something_moves(config: SceneConfig) -> str | None:
-    if config.dataset is not None and config.dataset.format == "blender":
+    if config.dataset is not None and config.dataset.format in FORMATS_AT_REST:
         return NOTHING_MOVES
     return NO_CAMERAS if config.kind == "sweep" else None
 

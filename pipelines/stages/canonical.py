@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict
 from typing import Any
 
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.health import row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_options import training_options

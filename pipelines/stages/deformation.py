@@ -5,7 +5,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.code_version import code_version
 from devrf.pipelines.health import row

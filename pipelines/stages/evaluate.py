@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_truth
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.health import HealthRow, row
 from devrf.pipelines.scene_config import SceneConfig

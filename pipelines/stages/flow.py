@@ -4,10 +4,15 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from devrf.capture.formats import read_scene
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.capture.formats.flow_files import Flow, read_flow_file
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.flow.clip import FlowChecks, clip_flow
-from devrf.flow.estimator import create_estimator
+from devrf.flow.estimator import FlowEstimator, create_estimator
+from devrf.flow.given import METHOD, given_clip_flow
 from devrf.flow.store import write_flow
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
@@ -16,29 +21,49 @@ from devrf.pipelines.stage import StageContext
 def run(context: StageContext) -> None:
     """Write `<camera>.npz` per training camera, and `flow.json` with what the flow says about itself."""
     scene = read_scene(context.run_dir / "scene")
-    weights = context.config.flow.weights
-    estimator = create_estimator(
-        context.config.flow.method, context.config.path(context.scene_dir, weights) if weights else None
-    )
     clips = training_clips(scene)
+    given = bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
+    estimator = None if given else _estimator(context)
     checks: dict[str, FlowChecks] = {}
     for n, (camera, frames) in enumerate(clips.items()):
         small = frames[0].camera.scaled(scene.image_scale)
-        flow, checks[camera] = clip_flow(
-            camera,
-            [frame.index for frame in frames],
-            [_time(frame) for frame in frames],
-            lambda k, frames=frames: load_image(frames[k], 1.0, scene.background),
-            (small.width, small.height),
-            estimator,
-            lambda share, text, n=n: context.progress((n + share) / len(clips), text),
-        )
+        index, size = [frame.index for frame in frames], (small.width, small.height)
+
+        def load(k: int, frames: list[PosedFrame] = frames) -> UInt8[np.ndarray, "h w 3"]:
+            return load_image(frames[k], 1.0, scene.background)
+
+        def progress(share: float, text: str, n: int = n) -> None:
+            context.progress((n + share) / len(clips), text)
+
+        if estimator is None:
+            paths = [frame.flow for frame in frames]
+            flow, checks[camera] = given_clip_flow(
+                camera, index, load, lambda k, paths=paths: _read(paths[k]), size, progress
+            )
+        else:
+            times = [_time(frame) for frame in frames]
+            flow, checks[camera] = clip_flow(camera, index, times, load, size, estimator, progress)
         write_flow(context.out, flow)
+    method = METHOD if estimator is None else estimator.name
     _write_json(
         context.out / "flow.json",
-        {"method": estimator.name, "cameras": {camera: asdict(check) for camera, check in checks.items()}},
+        {"method": method, "cameras": {camera: asdict(check) for camera, check in checks.items()}},
     )
+    if given:
+        context.health.append(note("flow", "given with the data set"))
     context.health.extend(health(checks))
+
+
+def _estimator(context: StageContext) -> FlowEstimator:
+    weights = context.config.flow.weights
+    return create_estimator(
+        context.config.flow.method, context.config.path(context.scene_dir, weights) if weights else None
+    )
+
+
+def _read(path: Path | None) -> Flow:
+    assert path is not None  # every frame but the first has one
+    return read_flow_file(path)
 
 
 def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from devrf.capture.errors import ReconstructError
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_renderer

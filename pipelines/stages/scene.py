@@ -21,10 +21,11 @@ from devrf.calibration.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats import DatasetFormat, read_dataset, write_scene
+from devrf.capture.formats.scene_files import write_scene
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints, image_scale_for
 from devrf.pipelines.clocks import read_clocks
+from devrf.pipelines.configured_dataset import configured_dataset
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext
@@ -66,12 +67,25 @@ def auto_image_scale(config: SceneConfig, frames: tuple[PosedFrame, ...]) -> flo
 
 
 def _from_dataset(context: StageContext) -> Scene:
-    dataset = context.config.dataset
-    assert dataset is not None
-    formats: dict[str, DatasetFormat] = {"devrf": "devrf", "blender": "blender", "nerfstudio": "nerfstudio"}
-    folder = context.config.path(context.scene_dir, dataset.path)
-    every = context.config.evaluate.holdout_every
-    return read_dataset(formats[dataset.format], folder, dataset.frame_stride, every)
+    """A finished data set; its sparse points, where it has any, give the box."""
+    notes: list[str] = []
+    scene = configured_dataset(context.config, context.scene_dir, notes)
+    context.health.extend(note("data set", text) for text in notes)
+    if scene.points is None:
+        return scene
+    start, end = scene.points.lines_of_sight(scene.static)
+    bounds = scene_bounds(
+        [f.camera for f in scene.static], [], scene.points.xyz, np.linalg.norm(end - start, axis=1)
+    )
+    context.health.extend(health(bounds, scene))
+    return replace(
+        scene,
+        box_from_world=bounds.box_from_world,
+        aabb=bounds.aabb,
+        near=bounds.near,
+        far=bounds.far,
+        kind=bounds.kind,
+    )
 
 
 def _from_capture(context: StageContext) -> tuple[Scene, Bounds]:

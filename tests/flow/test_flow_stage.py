@@ -1,6 +1,7 @@
 """The flow stage through its entry point: what it computes, stores and says of a small scene."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,8 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats import write_scene
+from devrf.capture.formats import read_scene, write_scene
+from devrf.capture.formats.flow_files import write_flow_file
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import read_flows
@@ -75,6 +77,44 @@ def test_the_gap_is_found_and_told(context: StageContext):
     gaps = by_check["flow: gaps in the clips"]
     assert gaps.verdict == "warn" and "cam1: 1" in str(gaps.value)
     assert all(row.verdict == "ok" for row in context.health if row is not gaps)
+
+
+def given(context: StageContext, scale: float = 1.0) -> None:
+    """Let every frame but the first bring true flow of `scale` times the picture's size, and say so."""
+    scene = read_scene(context.run_dir / "scene")
+    out = []
+    for frame in scene.dynamic:
+        path = context.run_dir / "given" / f"{frame.camera_name}_{frame.index}.npz"
+        shape = (round(80 * scale), round(128 * scale))
+        flow = np.zeros((*shape, 2), np.float32) + np.array([-STEP * scale, 0], np.float32)
+        mask = np.ones(shape, bool)
+        mask[: shape[0] // 4] = False
+        if frame.index > 10:
+            write_flow_file(path, (flow, mask))
+        out.append(replace(frame, flow=path if frame.index > 10 else None))
+    write_scene(context.run_dir / "scene", replace(scene, dynamic=tuple(out)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_flow_of_the_data_set_is_used(context: StageContext, scale: float):
+    given(context, scale)
+    flow.run(context)
+    checks = json.loads((Path(context.out) / "flow.json").read_text())
+    assert checks["method"] == "given" and checks["cameras"]["cam0"]["warp_ratio"] < 0.5
+    cam0 = read_flows(context.out)["cam0"]
+    assert cam0.index.tolist() == [11, 12, 13, 14] and cam0.flow.shape == (4, 40, 64, 2)
+    assert not cam0.valid[:, :10].any() and cam0.valid[:, 10:].all()
+    np.testing.assert_array_equal(cam0.flow[:, 12:], np.broadcast_to([-STEP / 2, 0], (4, 28, 64, 2)))
+    assert any(row.check == "flow" and "given" in str(row.value) for row in context.health)
+
+
+def test_flow_is_computed_where_the_data_set_does_not_bring_all(context: StageContext):
+    given(context)
+    scene = read_scene(context.run_dir / "scene")
+    some = tuple(replace(f, flow=None) if f.camera_name == "cam1" else f for f in scene.dynamic)
+    write_scene(context.run_dir / "scene", replace(scene, dynamic=some))
+    flow.run(context)
+    assert json.loads((Path(context.out) / "flow.json").read_text())["method"] == "dis"
 
 
 def test_mixed_up_frames_fail_the_checks(context: StageContext):

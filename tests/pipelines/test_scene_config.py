@@ -228,3 +228,24 @@ def test_every_field_is_described() -> None:
             if isinstance(here, ast.AnnAssign):
                 described = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
                 assert described, f"{section.name}.{ast.unparse(here.target)} has no docstring line"
+
+
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [("auto", "auto"), ("shell", "shell"), ("[1, 0.5, 0]", (1.0, 0.5, 0.0))],
+)
+def test_background_of_a_data_set(tmp_path: Path, written: str, expected: object) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"name: x\ndataset: {{format: llff, path: ., background: {written}}}\n")
+    data = load_scene(path).dataset
+    assert data is not None and data.background == expected
+
+
+@pytest.mark.parametrize("written", ["grey", "[1, 2, 3]", "[1, 0]", "[a, b, c]", "5", "null", "true"])
+def test_a_background_that_is_none(tmp_path: Path, written: str) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"name: x\ndataset: {{format: colmap, path: ., background: {written}}}\n")
+    with pytest.raises(ConfigError) as error:
+        load_scene(path)
+    assert "scene.yaml: dataset.background: " in str(error.value)
+    assert "auto, white, black, shell or [r, g, b]" in str(error.value)

@@ -1,0 +1,179 @@
+"""A COLMAP model with its pictures as a scene at rest: `sparse/0` (or `sparse`) and `images/`.
+
+Our addition, which other programs use too: `test.txt` beside the model, names of the test pictures.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.assembly import Pictures
+from devrf.capture.formats.colmap_model import (
+    UNKNOWN_ERROR_PX,
+    Model,
+    ModelCamera,
+    ModelImage,
+    ModelPoint,
+    read_model,
+    write_model,
+)
+from devrf.capture.formats.export import Export, copied, static_of
+from devrf.capture.formats.files import Header, find_picture, read_header
+from devrf.capture.formats.llff import TEST_LIST, read_names
+from devrf.capture.pictures import natural_key
+from devrf.capture.scene import PosedFrame, SparsePoints
+
+LARGEST_ERROR_PX, SHORTEST_TRACK = 2.0, 3  # as for our own sweeps: points beyond are often wrong
+READ_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+
+
+def read_colmap(folder: Path, notes: list[str]) -> Pictures:
+    """A scene at rest with its sparse points."""
+    place = model_folder(folder)
+    model = read_model(place)
+    if not model.images:
+        raise CaptureError(f"{place}: no image is registered; expected a model with pictures")
+    test = read_names(place / TEST_LIST)
+    order = sorted(model.images, key=lambda number: natural_key(model.images[number].name))
+    frames, grey = [], 0
+    for n, number in enumerate(order):
+        image = model.images[number]
+        where = f"{place}: image {number} ({image.name})"
+        header = read_header(find_picture(folder / "images" / image.name))
+        grey += header.grey
+        intrinsics = model.cameras.get(image.camera_id)
+        if intrinsics is None:
+            raise CaptureError(f"{where}: its camera {image.camera_id} is not in the model; export it again")
+        split = "test" if test is not None and image.name in test else "train"
+        camera = _camera(intrinsics, image, header, where)
+        frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
+    if grey:
+        notes.append(f"{grey} grey pictures, read as RGB")
+    points = _points(model, order)
+    return Pictures(tuple(frames), has_split=test is not None, points=points)
+
+
+def write_colmap(export: Export) -> None:
+    """`sparse/0` with each camera's own lens, the points, and the pictures as they are."""
+    frames = copied(export, static_of(export, "colmap"), "images")
+    base, points = export.folder / "images", export.scene.points
+    cameras: dict[ModelCamera, int] = {}
+    images: dict[int, ModelImage] = {}
+    for n, frame in enumerate(frames):
+        camera = frame.camera
+        camera_id = cameras.setdefault(_model_camera(camera), len(cameras) + 1)
+        ids, keypoints = np.zeros(0, np.int64), np.zeros((0, 2))
+        if points is not None:
+            seen = points.obs_point[points.obs_frame == n]
+            pixels = camera.project(points.xyz[seen])
+            front = np.isfinite(pixels).all(axis=-1)
+            ids, keypoints = seen[front].astype(np.int64) + 1, pixels[front]
+        quat_wxyz = _quat_wxyz(camera.cam_from_world[:, :3])
+        name = frame.path.relative_to(base).as_posix()
+        images[n + 1] = ModelImage(name, camera_id, quat_wxyz, camera.cam_from_world[:, 3], keypoints, ids)
+    xyz = points.xyz if points is not None else np.zeros((0, 3))
+    none = np.zeros(0, np.int64)
+    model = Model(
+        {number: camera for camera, number in cameras.items()},
+        images,
+        {n + 1: ModelPoint(p, UNKNOWN_ERROR_PX, none) for n, p in enumerate(xyz)},
+    )
+    place = export.folder / "sparse" / "0"
+    write_model(place, model)
+    test = [images[n + 1].name for n, frame in enumerate(frames) if frame.split == "test"]
+    (place / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
+
+
+def model_folder(folder: Path) -> Path:
+    """`sparse/0`, `sparse` or the folder itself, whichever holds a model first."""
+    places = [folder / "sparse" / "0", folder / "sparse", folder]
+    for place in places:
+        if any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
+            return place
+    raise CaptureError(
+        f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself; expected a "
+        "COLMAP model and images/"
+    )
+
+
+def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """K [3, 3] and distortion [5] of a COLMAP camera.
+
+    Raises:
+        CaptureError: A lens model that is not read.
+    """
+    p = camera.params
+    two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV")
+    if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
+        raise CaptureError(
+            f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)} (FULL_OPENCV with "
+            "k4 to k6 of 0); undistort the pictures with COLMAP first"
+        )
+    fx, fy, cx, cy, *lens = p if two_focal else (p[0], *p)
+    distortion = np.zeros(5)
+    distortion[: len(lens[:5])] = lens[:5]
+    if not (np.isfinite(p).all() and min(fx, fy) > 0):
+        raise CaptureError(f"{where}: camera parameters are {list(p)}; expected focal lengths above 0")
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion
+
+
+def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:
+    if (header.width, header.height) != (camera.width, camera.height):
+        raise CaptureError(
+            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the "
+            "pictures that the model was made from"
+        )
+    length = np.linalg.norm(image.quat_wxyz)
+    if not (np.isfinite(image.quat_wxyz).all() and np.isfinite(image.translation).all() and length > 0.5):
+        pose = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
+        raise CaptureError(f"{where}: the pose is not one ({pose}); remove the image from the model")
+    K, distortion = intrinsics(camera, where)
+    w, x, y, z = image.quat_wxyz / length
+    v = np.array([x, y, z])
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    R = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
+    return Camera(camera.width, camera.height, K, np.column_stack([R, image.translation]), distortion)
+
+
+def _points(model: Model, order: list[int]) -> SparsePoints | None:
+    """Good points, and which pictures show them."""
+    place = {number: n for n, number in enumerate(order)}
+    xyz, obs_point, obs_frame = [], [], []
+    for point in model.points.values():
+        seen = sorted({place[i] for i in point.images.tolist() if i in place})
+        if len(seen) >= SHORTEST_TRACK and point.error_px < LARGEST_ERROR_PX and np.isfinite(point.xyz).all():
+            obs_point += [len(xyz)] * len(seen)
+            obs_frame += seen
+            xyz.append(point.xyz)
+    if not xyz:
+        return None
+    return SparsePoints(np.array(xyz), np.array(obs_point, np.int64), np.array(obs_frame, np.int64))
+
+
+def _model_camera(camera: Camera) -> ModelCamera:
+    """The simplest of COLMAP's models that holds the lens."""
+    K, (k1, k2, p1, p2, k3) = camera.K, camera.distortion.tolist()
+    params = [float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
+    model = "PINHOLE"
+    if k3:
+        model, params = "FULL_OPENCV", [*params, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
+    elif any((k1, k2, p1, p2)):
+        model, params = "OPENCV", [*params, k1, k2, p1, p2]
+    return ModelCamera(model, camera.width, camera.height, tuple(params))
+
+
+def _quat_wxyz(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion [4] of a rotation, w >= 0: the eigenvector of Bar-Itzhack's matrix (JGCD 23(6), 2000)."""
+    (a, b, c), (d, e, f), (g, h, i) = R
+    K = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(K)[1][:, -1]
+    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)

@@ -1,0 +1,251 @@
+"""COLMAP's sparse models, read and written without COLMAP: cameras, images and points3D, `.bin` or `.txt`.
+
+Layout: COLMAP documentation, "Output format". Binary files are little endian and begin with a uint64 count:
+- camera: int32 id, int32 model, uint64 width, uint64 height, then the model's parameters as float64
+- image: int32 id, float64 qw qx qy qz tx ty tz (world-to-camera, OpenCV's axes), int32 camera id, name ended by
+  a zero byte, uint64 count of keypoints, each float64 x, y and int64 point id (-1: none)
+- point: uint64 id, float64 x y z, uint8 r g b, float64 error, uint64 length of its track, each int32 image id
+  and int32 keypoint
+Pixel (0, 0) has its centre at (0.5, 0.5), as everywhere here.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from devrf.capture.errors import CaptureError
+
+MODELS = (  # name and number of parameters, by COLMAP's number of the model
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+)
+MODEL_NUMBER = {name: number for number, (name, _) in enumerate(MODELS)}
+UNKNOWN_ERROR_PX = -1.0  # COLMAP's own mark for a reprojection error that was not computed
+GREY = 128
+KEYPOINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
+SEEN = np.dtype([("image", "<i4"), ("keypoint", "<i4")])
+
+
+@dataclass(frozen=True)
+class ModelCamera:
+    """Intrinsics: name of the model, size, parameters in COLMAP's order."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ModelImage:
+    """A registered picture: its name, camera's id, pose and keypoints.
+
+    Attributes:
+        name: Relative to the folder of pictures.
+        camera_id: Its camera.
+        quat_wxyz: Rotation of cam_from_world [4].
+        translation: Of cam_from_world [3].
+        keypoints: x, y of keypoints [k, 2], pixels.
+        points: Of each keypoint the id of its point, or -1 [k].
+    """
+
+    name: str
+    camera_id: int
+    quat_wxyz: Float[np.ndarray, "4"]
+    translation: Float[np.ndarray, "3"]
+    keypoints: Float[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    points: Int[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+@dataclass(frozen=True)
+class ModelPoint:
+    """A point: position [3], reprojection error in pixels (below 0: unknown), ids of the images that show it."""
+
+    xyz: Float[np.ndarray, "3"]
+    error_px: float
+    images: Int[np.ndarray, " seen"]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A sparse model; everything by its id."""
+
+    cameras: dict[int, ModelCamera]
+    images: dict[int, ModelImage]
+    points: dict[int, ModelPoint]
+
+
+def read_model(folder: Path) -> Model:
+    """Read a model in either form; binary files are preferred. Without points3D there are no points.
+
+    Raises:
+        CaptureError: A file is missing or damaged.
+    """
+    parts = []
+    for name, binary, text in (
+        ("cameras", _binary_cameras, _text_cameras),
+        ("images", _binary_images, _text_images),
+        ("points3D", _binary_points, _text_points),
+    ):
+        path = folder / f"{name}.bin"
+        path = path if path.is_file() else folder / f"{name}.txt"
+        if not path.is_file():
+            if name == "points3D":
+                parts.append({})
+                continue
+            raise CaptureError(f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model")
+        try:
+            parts.append(
+                binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
+            )
+        except (struct.error, ValueError, IndexError, OSError, KeyError) as error:
+            raise CaptureError(
+                f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
+            ) from None
+    return Model(*parts)
+
+
+def write_model(folder: Path, model: Model) -> None:
+    """Write a model in binary form; points are grey."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows: list[bytes] = []
+    for number, camera in model.cameras.items():
+        head = struct.pack("<iiQQ", number, MODEL_NUMBER[camera.model], camera.width, camera.height)
+        rows.append(head + struct.pack(f"<{len(camera.params)}d", *camera.params))
+    _write(folder / "cameras.bin", rows)
+    rows, track = [], {number: [] for number in model.points}
+    for number, image in model.images.items():
+        head = struct.pack("<i7di", number, *image.quat_wxyz, *image.translation, image.camera_id)
+        keypoints = np.zeros(len(image.points), KEYPOINT)
+        keypoints["x"], keypoints["y"] = image.keypoints.T
+        keypoints["point"] = image.points
+        for place, point in enumerate(image.points.tolist()):
+            if point >= 0:
+                track[point].append((number, place))
+        rows.append(
+            head + image.name.encode() + b"\0" + struct.pack("<Q", len(keypoints)) + keypoints.tobytes()
+        )
+    _write(folder / "images.bin", rows)
+    rows = []
+    for number, point in model.points.items():
+        head = struct.pack("<Q3d3Bd", number, *point.xyz, GREY, GREY, GREY, point.error_px)
+        rows.append(head + struct.pack("<Q", len(track[number])) + np.array(track[number], SEEN).tobytes())
+    _write(folder / "points3D.bin", rows)
+
+
+def _write(path: Path, rows: Sequence[bytes]) -> None:
+    path.write_bytes(struct.pack("<Q", len(rows)) + b"".join(rows))
+
+
+class _Bytes:
+    """A place in the bytes of a file; reading beyond the end is a struct.error."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def take(self, layout: str) -> tuple:
+        values = struct.unpack_from("<" + layout, self.data, self.at)
+        self.at += struct.calcsize("<" + layout)
+        return values
+
+    def name(self) -> str:
+        end = self.data.index(b"\0", self.at)
+        text = self.data[self.at : end].decode()
+        self.at = end + 1
+        return text
+
+    def array(self, kind: np.dtype, count: int) -> np.ndarray:
+        if self.at + kind.itemsize * count > len(self.data):
+            raise struct.error(f"{len(self.data)} bytes are fewer than its counts promise")
+        out = np.frombuffer(self.data, kind, count, self.at)
+        self.at += kind.itemsize * count
+        return out
+
+    def each(self, read: Callable[[], tuple[int, object]]) -> dict:
+        (count,) = self.take("Q")
+        if count > len(self.data):
+            raise struct.error(f"{len(self.data)} bytes are fewer than its counts promise")
+        return dict(read() for _ in range(count))
+
+
+def _binary_cameras(data: _Bytes) -> dict[int, ModelCamera]:
+    def camera() -> tuple[int, ModelCamera]:
+        number, model, width, height = data.take("iiQQ")
+        if not 0 <= model < len(MODELS):
+            raise ValueError(f"camera {number} has model number {model}, which is not known")
+        name, count = MODELS[model]
+        return number, ModelCamera(name, width, height, data.take(f"{count}d"))
+
+    return data.each(camera)
+
+
+def _binary_images(data: _Bytes) -> dict[int, ModelImage]:
+    def image() -> tuple[int, ModelImage]:
+        number, *pose, camera_id = data.take("i7di")
+        name = data.name()
+        keypoints = data.array(KEYPOINT, data.take("Q")[0])
+        xy = np.stack([keypoints["x"], keypoints["y"]], axis=-1)
+        points = keypoints["point"].astype(np.int64)
+        return number, ModelImage(name, camera_id, np.array(pose[:4]), np.array(pose[4:]), xy, points)
+
+    return data.each(image)
+
+
+def _binary_points(data: _Bytes) -> dict[int, ModelPoint]:
+    def point() -> tuple[int, ModelPoint]:
+        number, x, y, z, _, _, _, error, length = data.take("Q3d3BdQ")
+        images = data.array(SEEN, length)["image"].astype(np.int64)
+        return number, ModelPoint(np.array([x, y, z]), error, images)
+
+    return data.each(point)
+
+
+def _lines(text: str) -> list[str]:
+    return [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
+
+
+def _text_cameras(text: str) -> dict[int, ModelCamera]:
+    out = {}
+    for line in filter(None, _lines(text)):
+        number, model, width, height, *params = line.split()
+        if model not in MODEL_NUMBER or len(params) != MODELS[MODEL_NUMBER[model]][1]:
+            raise ValueError(f"camera {number}: model {model} with {len(params)} parameters is not known")
+        out[int(number)] = ModelCamera(model, int(width), int(height), tuple(map(float, params)))
+    return out
+
+
+def _text_images(text: str) -> dict[int, ModelImage]:
+    """Two lines per image; the second, of keypoints, may be empty."""
+    out, lines = {}, _lines(text)
+    while lines and not lines[-1]:
+        lines.pop()
+    for head, keypoints in zip(lines[::2], [*lines[1::2], ""], strict=False):
+        number, *pose, camera_id, name = head.split(maxsplit=9)
+        values = np.array(keypoints.split(), dtype=np.float64).reshape(-1, 3)
+        quat_wxyz, translation = np.array(pose[:4], dtype=np.float64), np.array(pose[4:], dtype=np.float64)
+        points = values[:, 2].astype(np.int64)
+        out[int(number)] = ModelImage(name, int(camera_id), quat_wxyz, translation, values[:, :2], points)
+    return out
+
+
+def _text_points(text: str) -> dict[int, ModelPoint]:
+    out = {}
+    for line in filter(None, _lines(text)):
+        number, x, y, z, _, _, _, error, *track = line.split()
+        images = np.array(track[::2], dtype=np.int64)
+        out[int(number)] = ModelPoint(np.array([float(x), float(y), float(z)]), float(error), images)
+    return out

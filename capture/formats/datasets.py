@@ -1,0 +1,128 @@
+"""Finished data sets in and out: which reader or writer, what is held out, which times, and the background."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, get_args
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.assembly import (
+    Pictures,
+    box_around,
+    check_sizes,
+    every_nth_time,
+    faces_forward,
+    frustum_box,
+    hold_out,
+    is_plain,
+)
+from devrf.capture.formats.blender import read_blender, write_blender
+from devrf.capture.formats.colmap import read_colmap, write_colmap
+from devrf.capture.formats.devrf import read_devrf, write_devrf
+from devrf.capture.formats.export import Export, FindFlow, write_export
+from devrf.capture.formats.files import read_header
+from devrf.capture.formats.llff import read_llff, write_llff
+from devrf.capture.formats.nerfstudio import read_nerfstudio, write_nerfstudio
+from devrf.capture.formats.scene_files import with_scene_entry
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import Background, Scene
+
+DatasetFormat = Literal["devrf", "blender", "nerfstudio", "llff", "colmap"]
+DATASET_FORMATS: tuple[DatasetFormat, ...] = get_args(DatasetFormat)
+READERS: dict[DatasetFormat, Callable[[Path, list[str]], Pictures]] = {
+    "devrf": read_devrf,
+    "blender": read_blender,
+    "nerfstudio": read_nerfstudio,
+    "llff": read_llff,
+    "colmap": read_colmap,
+}
+
+WRITERS: dict[DatasetFormat, Callable[[Export], None]] = {
+    "devrf": write_devrf,
+    "blender": write_blender,
+    "nerfstudio": write_nerfstudio,
+    "llff": write_llff,
+    "colmap": write_colmap,
+}
+
+
+def write_dataset(
+    dataset_format: DatasetFormat,
+    scene: Scene,
+    folder: Path,
+    find_flow: FindFlow = lambda frame: None,
+    progress: Progress = no_progress,
+) -> list[str]:
+    """Write a calibrated scene as a data set, with a README.txt that states axes and scale.
+
+    Args:
+        dataset_format: As in `read_dataset`; `devrf` is the layout with cameras around the subject.
+        scene: The scene.
+        folder: New, empty, or an earlier export of the same format, which is replaced.
+        find_flow: Backward flow of a frame of the moving cameras, or None (for `devrf`).
+        progress: To be called with (fraction done, short text).
+    Returns:
+        What people should know of this data set, in words; its README.txt says the same.
+    Raises:
+        InputError: The folder holds something else.
+        CaptureError: The format cannot hold this scene, or a picture is missing.
+    """
+    return write_export(scene, dataset_format, WRITERS[dataset_format], folder, find_flow, progress)
+
+
+def read_dataset(
+    dataset_format: DatasetFormat,
+    folder: Path,
+    frame_stride: int = 1,
+    holdout_every: int = 8,
+    background: Background | None = None,
+    notes: list[str] | None = None,
+) -> Scene:
+    """Read a finished data set.
+
+    Args:
+        dataset_format: `devrf` (the published layouts), `blender`, `nerfstudio`, `llff`, `colmap`.
+        folder: The data set.
+        frame_stride: Every n-th time is used, of test views too.
+        holdout_every: Every n-th picture of the scene at rest is held out where the set names no test split.
+        background: What is behind the subject; None: white behind pictures with alpha (the published data
+            sets are composited so), else the surroundings, or what an export of ours says.
+        notes: What was repaired or left out is added here, in words.
+    Raises:
+        CaptureError: The folder is not such a data set, one of its files cannot be used, or it shows
+            nothing at rest.
+    """
+    if not folder.is_dir():
+        raise CaptureError(f"data set {folder}: no such folder; check dataset.path")
+    notes = [] if notes is None else notes
+    found = READERS[dataset_format](folder, notes)
+    check_sizes(found.dynamic)
+    if frame_stride > 1 and any(f.flow is not None for f in found.dynamic):
+        notes.append(
+            f"the flow that the data set brings spans one step, dataset.frame_stride is {frame_stride}: not used"
+        )
+    static = found.static
+    found = replace(
+        found,
+        static=static if found.has_split else hold_out(static, holdout_every, found.keep),
+        dynamic=every_nth_time(found.dynamic, frame_stride),
+    )
+    return _scene(found, background, notes)
+
+
+def _scene(found: Pictures, background: Background | None, notes: list[str]) -> Scene:
+    forward = found.bounds is not None and faces_forward([f.camera for f in found.static])
+    if found.bounds is not None and not forward:
+        notes.append("the cameras do not look the same way: not taken as a forward-facing scene")
+    behind = background
+    if behind is None:
+        alpha = read_header(found.static[0].path).alpha
+        behind = "white" if alpha else found.behind if forward else "shell"
+    scene = (frustum_box if forward and is_plain(behind) else box_around)(found, behind)
+    if found.own is None:
+        return scene
+    own = with_scene_entry(scene, *found.own)
+    if background is None:
+        return own
+    fits = own.ndc is None or is_plain(background)  # surroundings need a box, not LLFF's frame
+    return replace(own if fits else scene, background=background)

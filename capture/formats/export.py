@@ -1,0 +1,179 @@
+"""A calibrated scene written as a data set: into a new folder, which is renamed when it is whole.
+
+nerfstudio and COLMAP keep every camera's lens, and get the pictures as they are. The others have one focal
+length: their pictures are undistorted to a common pinhole camera. An earlier export of the same format is
+replaced; any other folder that holds something is left alone.
+"""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.formats.files import safe_name
+from devrf.capture.formats.flow_files import Flow
+from devrf.capture.formats.readme import readme
+from devrf.capture.pictures import write_picture
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import PosedFrame, Scene, plain_colour
+from devrf.capture.undistort import Undistorter, at_pose_of, common_pinhole, read_rgba
+
+MARKER = ".devrf-export"  # holds the name of the format
+README = "README.txt"
+FindFlow = Callable[[PosedFrame], Flow | None]
+
+
+@dataclass
+class Export:
+    """What a writer is given, and what it leaves behind to be told.
+
+    Attributes:
+        scene: The scene.
+        folder: Empty folder to write into.
+        find_flow: Backward flow of a frame at any size of its picture, or None.
+        progress: To be called with (fraction done, short text).
+        notes: What people should know of this data set; added to its README.txt.
+    """
+
+    scene: Scene
+    folder: Path
+    find_flow: FindFlow
+    progress: Progress
+    notes: list[str] = field(default_factory=list)
+
+
+def write_export(
+    scene: Scene,
+    dataset_format: str,
+    write: Callable[[Export], None],
+    folder: Path,
+    find_flow: FindFlow = lambda frame: None,
+    progress: Progress = no_progress,
+) -> list[str]:
+    """Write a data set and its README.txt; returns what people should know of it.
+
+    Raises:
+        InputError: The folder holds something else.
+        CaptureError: The format cannot hold this scene, or a picture is missing.
+    """
+    check_target(folder, dataset_format)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    new = folder.with_name(f".new-{folder.name}")
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir()
+    export = Export(scene, new, find_flow, progress)
+    try:
+        write(export)
+        (new / README).write_text(readme(scene, dataset_format, export.notes))
+        (new / MARKER).write_text(f"{dataset_format}\n")
+        if folder.exists():
+            shutil.rmtree(folder)
+        new.rename(folder)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+    return export.notes
+
+
+def check_target(folder: Path, dataset_format: str) -> None:
+    """A folder to export into is new, empty, or an earlier export of the same format.
+
+    Raises:
+        InputError: It is not.
+    """
+    if folder.is_file():
+        raise InputError(f"--out {folder}: is a file; expected a folder")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    marker = folder / MARKER
+    earlier = marker.read_text().strip() if marker.is_file() else None
+    if earlier != dataset_format:
+        what = f"an export to {earlier}" if earlier else "files that are no export"
+        raise InputError(f"--out {folder}: holds {what}; name another folder, or empty it")
+
+
+def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[PosedFrame, ...]:
+    """The frames with their pictures copied to `part/<camera>/<number>`, bit by bit."""
+    out = []
+    for n, (frame, stem) in enumerate(zip(frames, stems(frames), strict=True)):
+        path = export.folder / part / f"{stem}{frame.path.suffix.lower()}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not frame.path.is_file():
+            raise CaptureError(f"{frame.path}: picture not found; run the scene again with --force scene")
+        shutil.copyfile(frame.path, path)
+        out.append(replace(frame, path=path, flow=None))
+        export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
+    return tuple(out)
+
+
+def stems(frames: tuple[PosedFrame, ...]) -> list[str]:
+    """`<camera>/<index>` where indices are unique in each camera, else numbered in order."""
+    keys = [(f.camera_name, f.index) for f in frames]
+    unique = len(set(keys)) == len(keys)
+    return [f"{safe_name(f.camera_name)}/{f.index if unique else n:06d}" for n, f in enumerate(frames)]
+
+
+def static_of(export: Export, what: str) -> tuple[PosedFrame, ...]:
+    """The pictures at rest, for formats that hold nothing else.
+
+    Raises:
+        CaptureError: There are none.
+    """
+    scene = export.scene
+    if not scene.static:
+        raise CaptureError(f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio")
+    if scene.dynamic:
+        export.notes.append(
+            f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio and devrf "
+            "hold them)"
+        )
+    return scene.static
+
+
+class Pinholes:
+    """Pictures of several cameras as one pinhole camera sees them."""
+
+    def __init__(self, export: Export, frames: tuple[PosedFrame, ...]) -> None:
+        """Where the background is plain nothing is cut; where surroundings are seen no pixel stays empty."""
+        self.export = export
+        self.whole = plain_colour(export.scene.background) is not None
+        self.pinhole = common_pinhole([f.camera for f in frames], self.whole)
+        self._undistorters: dict[tuple, Undistorter] = {}
+        self.same = all(self._of(f.camera).same for f in frames)
+        if not self.same:
+            how = (
+                "nothing is cut, what a camera did not see is transparent"
+                if self.whole
+                else "cut to what all see"
+            )
+            size = f"{self.pinhole.width}x{self.pinhole.height}"
+            export.notes.append(f"pictures are undistorted to one pinhole camera of {size} ({how})")
+
+    def camera(self, frame: PosedFrame) -> Camera:
+        """The pinhole camera where a frame's camera is."""
+        return at_pose_of(self.pinhole, frame.camera)
+
+    def write(self, frame: PosedFrame, path: Path, alpha: bool = True) -> PosedFrame:
+        """Write a frame's picture as PNG; the frame as it is in the data set."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        undistorter, rgba = self._of(frame.camera), read_rgba(frame.path)
+        if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
+            raise CaptureError(
+                f"{frame.path}: picture has another size than its calibration; run again with --force scene"
+            )
+        picture = undistorter.picture(rgba)
+        write_picture(path, picture if alpha else picture[..., :3])
+        return replace(frame, path=path, camera=self.camera(frame), flow=None)
+
+    def flow(self, frame: PosedFrame) -> Flow | None:
+        """A frame's backward flow at the size of the written picture."""
+        found = self.export.find_flow(frame)
+        return None if found is None else self._of(frame.camera).flow(*found)
+
+    def _of(self, camera: Camera) -> Undistorter:
+        key = (camera.width, camera.height, camera.K.tobytes(), camera.distortion.tobytes())
+        if key not in self._undistorters:
+            self._undistorters[key] = Undistorter(camera, self.pinhole)
+        return self._undistorters[key]

@@ -1,0 +1,125 @@
+"""Files of data sets: JSON, and what the header of a picture says before its pixels are read."""
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image, UnidentifiedImageError
+
+from devrf.capture.errors import CaptureError
+
+PICTURE_ENDINGS = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+GREY_MODES = ("1", "L", "I;16", "I;16B", "I")  # Pillow's names
+COLOUR_MODES = ("RGB", "RGBA", "P", "RGBX")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a picture's header says: its file, size in pixels, and whether it is grey or has alpha."""
+
+    path: Path
+    width: int
+    height: int
+    grey: bool
+    alpha: bool
+
+    @property
+    def size(self) -> str:
+        """`640x480`, for messages."""
+        return f"{self.width}x{self.height}"
+
+
+def find_picture(file: Path) -> Path:
+    """The file itself, or with a usual ending added (Blender's layout names pictures without one).
+
+    Raises:
+        CaptureError: There is no such file.
+    """
+    for ending in PICTURE_ENDINGS:
+        candidate = file.with_name(file.name + ending) if file.name else file
+        if candidate.is_file():
+            return candidate.resolve()
+    raise CaptureError(
+        f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its "
+        "entry"
+    )
+
+
+def read_header(path: Path) -> Header:
+    """Size and channels of a picture.
+
+    Raises:
+        CaptureError: Not a picture, or one with neither one, three nor four channels.
+    """
+    try:
+        with Image.open(path) as image:
+            mode, (width, height) = image.mode, image.size
+            alpha = mode == "RGBA" or "transparency" in image.info
+    except (UnidentifiedImageError, OSError) as error:
+        what = "not a picture" if isinstance(error, UnidentifiedImageError) else f"cannot be read ({error})"
+        raise CaptureError(f"{path}: {what}; expected PNG or JPEG; copy it into the data set again") from None
+    if mode in GREY_MODES:
+        return Header(path, width, height, True, False)
+    if mode in COLOUR_MODES:
+        return Header(path, width, height, False, alpha)
+    count = {"LA": "2 channels (grey and transparency)", "PA": "2 channels (palette and transparency)"}
+    raise CaptureError(
+        f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or "
+        "RGBA"
+    )
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object.
+
+    Raises:
+        CaptureError: The file is missing, is not JSON, or holds something else.
+    """
+    try:
+        value = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: file not found; check dataset.path and dataset.format") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{path}: not a JSON file ({error}); copy it again") from None
+    if not isinstance(value, dict):
+        raise CaptureError(f"{path}: holds a {type(value).__name__}; expected an object with the key frames")
+    return value
+
+
+def write_json(path: Path, value: dict[str, Any]) -> None:
+    """Write a JSON object; folders on the way are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value, indent=1) + "\n")
+
+
+def frames_of(meta: dict[str, Any], path: Path) -> list[dict[str, Any]]:
+    """The entries of a transforms file, each known to be an object with `file_path` and `transform_matrix`."""
+    entries = meta.get("frames")
+    if not isinstance(entries, list) or not entries:
+        raise CaptureError(f"{path}: no frames listed; expected a list frames with an entry per picture")
+    for number, entry in enumerate(entries):
+        if not isinstance(entry, dict):
+            raise CaptureError(f"{path}: frames[{number}] is {entry!r}; expected an object")
+        for key, kind in (("file_path", str), ("transform_matrix", list)):
+            if not isinstance(entry.get(key), kind):
+                raise CaptureError(
+                    f"{path}: frames[{number}].{key} is {entry.get(key)!r}; expected {_word(kind)}"
+                )
+    return entries
+
+
+def relative_to(path: Path, base: Path) -> str:
+    """`path` relative to `base`, so that a folder can be moved together with its pictures."""
+    return Path(os.path.relpath(path.resolve(), base)).as_posix()
+
+
+def safe_name(name: object) -> str:
+    """A name that can be a file's: letters, digits, `_` and `-`."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name)).strip("_") or "camera"
+
+
+def _word(kind: type) -> str:
+    return {str: "the path of a picture", list: "4 rows of 4 numbers"}[kind]

@@ -1,0 +1,109 @@
+"""Backward flow that data sets bring: `NNN_bwd.npz` with `flow` [H, W, 2] and `mask` [H, W].
+
+`flow` leads from the picture to the one before it of the same camera, in pixels: x right, then y down; `mask`
+says where it can be trusted. The file belongs to a picture of the same size; what differs is refused.
+"""
+
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from numpy.lib import format as npy
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.scene import PosedFrame
+
+Flow = tuple[Float32[np.ndarray, "height width 2"], Bool[np.ndarray, "height width"]]
+STEPS_PER_PX = 128  # flow is good to 0.2 px; rounded vectors compress better
+COMPRESSION = 1  # zlib's level; several times as fast as its usual one
+DAMAGED = (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile)
+
+
+def flow_name(number: int) -> str:
+    """Name of the flow file of entry `number`."""
+    return f"{number:03d}_bwd.npz"
+
+
+def read_flow_file(path: Path) -> Flow:
+    """Vectors and where they can be trusted.
+
+    Raises:
+        CaptureError: The file is damaged or is not a flow file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            flow, mask = data["flow"].astype(np.float32), data["mask"] > 0
+    except DAMAGED as error:
+        raise CaptureError(f"{path}: {_damaged(error)}") from None
+    finite = np.isfinite(flow).all(axis=-1)
+    return np.where(finite[..., None], flow, np.float32(0)), mask & finite
+
+
+def write_flow_file(path: Path, flow: Flow) -> None:
+    """Write one flow file; vectors that cannot be trusted are stored as 0."""
+    vectors = np.round(np.where(flow[1][..., None], flow[0], np.float32(0)) * STEPS_PER_PX) / STEPS_PER_PX
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION) as archive:
+        for key, value in (("flow", vectors.astype(np.float32)), ("mask", flow[1])):
+            with archive.open(f"{key}.npy", "w") as file:
+                npy.write_array(file, value, allow_pickle=False)
+
+
+def with_flow_files(
+    frames: Sequence[PosedFrame], file_of: Callable[[int], Path], size: tuple[int, int] | None = None
+) -> tuple[PosedFrame, ...]:
+    """Frames with their flow files, looked for and their sizes compared before anything is computed.
+
+    Args:
+        frames: Training frames, in the order that numbers the files.
+        file_of: The file of the n-th frame. The first frame of each camera needs none.
+        size: (width, height) of the flow where it is not that of the pictures.
+    Raises:
+        CaptureError: A file is missing while others are there, is damaged, or has another size.
+    """
+    first: dict[str, float] = {}
+    for frame in frames:
+        first[frame.camera_name] = min(frame.time or 0.0, first.get(frame.camera_name, np.inf))
+    out = []
+    for number, frame in enumerate(frames):
+        path = file_of(number)
+        if (frame.time or 0.0) <= first[frame.camera_name]:
+            out.append(frame)
+            continue
+        if not path.is_file():
+            raise CaptureError(
+                f"{path}: flow of {frame.path.name} not found, while the folder is there; copy it again, or remove "
+                "the whole folder so that flow is computed"
+            )
+        width, height = size or (frame.camera.width, frame.camera.height)
+        found = _shapes(path)
+        if found != ((height, width, 2), (height, width)):
+            raise CaptureError(
+                f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}, its picture {frame.path.name} "
+                f"is {width}x{height}; expected [{height}, {width}, 2] and [{height}, {width}]; compute the flow on "
+                "the pictures of the data set"
+            )
+        out.append(replace(frame, flow=path.resolve()))
+    return tuple(out)
+
+
+def _shapes(path: Path) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Shapes of `flow` and `mask` by the headers alone."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _shape(archive, "flow"), _shape(archive, "mask")
+    except DAMAGED as error:
+        raise CaptureError(f"{path}: {_damaged(error)}") from None
+
+
+def _shape(archive: zipfile.ZipFile, key: str) -> tuple[int, ...]:
+    with archive.open(f"{key}.npy") as file:
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        return read[npy.read_magic(file)](file)[0]
+
+
+def _damaged(error: Exception) -> str:
+    return f"damaged or not a flow file ({error}); expected an npz with flow and mask; copy it again"

@@ -1,0 +1,191 @@
+"""LLFF's layout: `poses_bounds.npy` and `images/`; one row per picture, in the order of their names.
+
+A row is a 3x5 matrix [R | t | height, width, focal] and the nearest and farthest depth. Its R has the columns
+down, right, back in the world; t is the camera's centre. Square pixels, principal point at the middle.
+Our addition: `test.txt`, names of the test pictures, one per line.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.assembly import Pictures, faces_forward
+from devrf.capture.formats.export import Export, Pinholes, static_of
+from devrf.capture.formats.files import Header, read_header
+from devrf.capture.formats.opengl import cam_from_opengl
+from devrf.capture.pictures import PICTURE_SUFFIXES, natural_key
+from devrf.capture.scene import PosedFrame, Scene
+
+FACTORS = ("", "_2", "_4", "_8")  # endings of folders with smaller copies, the largest first
+TEST_LIST = "test.txt"
+DEPTH_PERCENTILES = (0.1, 99.9)
+LEAST_POINTS = 10  # in a picture, for its own bounds
+LEAST_NEAR = 0.01  # of far, where the scene says no nearest content
+
+
+def read_llff(folder: Path, notes: list[str]) -> Pictures:
+    """A forward-facing scene at rest."""
+    rows = read_rows(folder / "poses_bounds.npy", 17)
+    files = largest_pictures(folder, len(rows))
+    test = read_names(folder / TEST_LIST)
+    frames, bounds = llff_frames(folder, rows, files, notes)
+    if test is not None:
+        frames = tuple(replace(f, split=("test" if f.path.name in test else "train")) for f in frames)
+    return Pictures(frames, has_split=test is not None, bounds=bounds, behind="black")
+
+
+def write_llff(export: Export) -> None:
+    """The scene at rest as one pinhole camera sees it, with the bounds of its content."""
+    frames = static_of(export, "llff")
+    if not faces_forward([f.camera for f in frames]):
+        export.notes.append(
+            "the cameras do not look the same way; most readers of LLFF expect a forward-facing scene"
+        )
+    pinholes = Pinholes(export, frames)
+    camera, near_far = pinholes.pinhole, bounds_of(export.scene)
+    alpha = any(read_header(f.path).alpha for f in frames) or (pinholes.whole and not pinholes.same)
+    rows, test = [], []
+    for n, frame in enumerate(frames):
+        name = f"{n:06d}.png"
+        pose = pinholes.write(frame, export.folder / "images" / name, alpha).camera.world_from_cam
+        hwf = [camera.height, camera.width, camera.K[0, 0]]
+        matrix = np.column_stack([pose[:3, 1], pose[:3, 0], -pose[:3, 2], pose[:3, 3], hwf])
+        rows.append(np.concatenate([matrix.ravel(), near_far[n]]))
+        test += [name] if frame.split == "test" else []
+        export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
+    np.save(export.folder / "poses_bounds.npy", np.array(rows))
+    (export.folder / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
+
+
+def bounds_of(scene: Scene) -> Float[np.ndarray, "static 2"]:
+    """Nearest and farthest depth in every picture at rest: of the points it shows (0.1 and 99.9 percentile, as
+    LLFF), else as the scene says for all."""
+    scale = float(np.cbrt(np.linalg.det(scene.box_from_world[:3, :3])))
+    far = scene.far / scale
+    out = np.tile([max(scene.near / scale, LEAST_NEAR * far), far], (len(scene.static), 1))
+    points = scene.points
+    for n, frame in enumerate(scene.static if points is not None else ()):
+        assert points is not None
+        xyz = points.xyz[points.obs_point[points.obs_frame == n]]
+        depth = xyz @ frame.camera.cam_from_world[2, :3] + frame.camera.cam_from_world[2, 3]
+        if (depth > 0).sum() >= LEAST_POINTS:
+            out[n] = np.percentile(depth[depth > 0], DEPTH_PERCENTILES)
+    return out
+
+
+def llff_frames(
+    folder: Path, rows: Float[np.ndarray, "n 17"], files: list[Path], notes: list[str]
+) -> tuple[tuple[PosedFrame, ...], Float[np.ndarray, "n 2"]]:
+    """Pictures at rest with their cameras, and their bounds [n, 2], in LLFF's world."""
+    path = folder / "poses_bounds.npy"
+    headers = [read_header(file) for file in files]
+    grey = sum(header.grey for header in headers)
+    if grey:
+        notes.append(f"{files[0].parent.name}: {grey} grey pictures, read as RGB")
+    bounds = check_bounds(rows[:, 15:], path)
+    frames = []
+    for n, (row, header) in enumerate(zip(rows, headers, strict=True)):
+        where = f"{path}: row {n} ({header.path.name})"
+        matrix = row[:15].reshape(3, 5)
+        opengl = np.column_stack([matrix[:, 1], -matrix[:, 0], matrix[:, 2:4]])
+        frames.append(
+            PosedFrame(
+                header.path, pinhole(opengl, matrix[:, 4], header, where), "static", n, None, None, "train"
+            )
+        )
+    return tuple(frames), bounds
+
+
+def pinhole(
+    opengl: Float[np.ndarray, "3 4"], hwf: Float[np.ndarray, "3"], header: Header, where: str
+) -> Camera:
+    """The camera of a row; its focal length is scaled from the size in the row to that of the picture."""
+    height, width, focal = hwf
+    if not (np.isfinite(hwf).all() and hwf.min() > 0):
+        raise CaptureError(f"{where}: height, width, focal are {hwf.tolist()}; expected numbers above 0")
+    ratio_x, ratio_y = header.width / width, header.height / height
+    if (
+        abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3
+    ):  # copies have rounded sizes
+        raise CaptureError(
+            f"{header.path}: picture is {header.size}, {where} says {width:g}x{height:g}; expected the same "
+            "shape; use the pictures that were calibrated"
+        )
+    K = np.array([[focal * ratio_x, 0, header.width / 2], [0, focal * ratio_y, header.height / 2], [0, 0, 1]])
+    return Camera(header.width, header.height, K, cam_from_opengl(opengl, where))
+
+
+def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
+    """Rows of a table of poses or bounds.
+
+    Raises:
+        CaptureError: Missing, damaged, or of another shape.
+    """
+    try:
+        table = np.load(path, allow_pickle=False).astype(np.float64)
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: file not found; check dataset.path and dataset.format") from None
+    except (ValueError, OSError, EOFError) as error:
+        raise CaptureError(f"{path}: not a table of numbers ({error}); copy it again") from None
+    if table.ndim < 2 or len(table) == 0 or table[0].size != columns:
+        raise CaptureError(
+            f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture"
+        )
+    return table.reshape(len(table), columns)
+
+
+def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, "n 2"]:
+    """Bounds [n, 2] as they are, where they can be depths.
+
+    Raises:
+        CaptureError: A row has not 0 < near < far.
+    """
+    good = np.isfinite(bounds).all(axis=1) & (bounds[:, 0] > 0) & (bounds[:, 1] > bounds[:, 0])
+    if not good.all():
+        n = int(np.argmin(good))
+        raise CaptureError(
+            f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; the picture saw no "
+            "points: remove its row and its file"
+        )
+    return bounds
+
+
+def largest_pictures(folder: Path, count: int | None) -> list[Path]:
+    """Pictures of `images`, else of `images_2`, `images_4`, `images_8`, in natural order.
+
+    Raises:
+        CaptureError: None of these holds `count` pictures (any, where `count` is None).
+    """
+    seen = []
+    for factor in FACTORS:
+        files = pictures_in(folder / f"images{factor}")
+        if files and count in (None, len(files)):
+            return files
+        if files:
+            seen.append(f"images{factor} {len(files)}")
+    expected = f"{count} pictures" if count is not None else "pictures"
+    raise CaptureError(
+        f"{folder}: expected {expected} in images, images_2, images_4 or images_8, found "
+        f"{', '.join(seen) or 'none'}; each row of the poses is one picture"
+    )
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """Pictures of a folder in natural order; none where there is no such folder."""
+    if not folder.is_dir():
+        return []
+    files = [
+        p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")
+    ]
+    return [p.resolve() for p in sorted(files, key=lambda p: natural_key(p.name))]
+
+
+def read_names(path: Path) -> frozenset[str] | None:
+    """Names in a list, one per line; None where there is no list."""
+    if not path.is_file():
+        return None
+    return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())

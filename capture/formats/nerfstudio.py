@@ -1,0 +1,99 @@
+"""nerfstudio's layout: one `transforms.json`; pictures without `time` are at rest, those with it in motion.
+
+`time` may be in seconds: outside [0, 1] all times are rescaled. Moving pictures of one pose are one camera.
+"""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.assembly import Pictures
+from devrf.capture.formats.export import Export, copied
+from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
+from devrf.capture.formats.transforms import frame_entry, read_transforms
+from devrf.capture.scene import PosedFrame
+
+SAME_POSE_DECIMALS = 6  # fixed cameras' entries may be rounded differently
+
+
+def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
+    """A scene at rest, and in motion where pictures have times."""
+    path = folder / "transforms.json"
+    frames = read_transforms(path, notes)
+    static = tuple(f for f in frames if f.time is None)
+    dynamic = tuple(f for f in frames if f.time is not None)
+    if not static:
+        raise CaptureError(
+            f"data set {folder}: no picture without a time, so none of the scene at rest; add a sweep of it"
+        )
+    own = read_json(path).get(OWN_KEY)
+    return Pictures(
+        static,
+        _within_0_1(_cameras(dynamic, notes), notes),
+        has_split=any(f.split == "test" for f in static),
+        own=None if own is None else (own, path),
+    )
+
+
+def write_nerfstudio(export: Export) -> None:
+    """`transforms.json` with each camera's own lens, and the pictures as they are."""
+    scene = export.scene
+    base = export.folder.resolve()
+    frames = copied(export, scene.frames, "images")
+    entries = [frame_entry(frame, base) for frame in frames]
+    write_json(
+        export.folder / "transforms.json",
+        {
+            "camera_model": "OPENCV",
+            **{
+                f"{split}_filenames": [
+                    e["file_path"] for e, f in zip(entries, frames, strict=True) if f.split == used
+                ]
+                for split, used in (("train", "train"), ("val", "test"), ("test", "test"))
+            },
+            OWN_KEY: scene_entry(scene),
+            "frames": [{key: value for key, value in e.items() if value is not None} for e in entries],
+        },
+    )
+
+
+def _cameras(frames: tuple[PosedFrame, ...], notes: list[str]) -> tuple[PosedFrame, ...]:
+    """Moving pictures without a camera's name get one by their pose, where poses come back."""
+    nameless = [f for f in frames if f.camera_name == "camera"]
+    poses = [f.camera.cam_from_world.round(SAME_POSE_DECIMALS).tobytes() for f in nameless]
+    if len(set(poses)) < 2 or min(Counter(poses).values()) < 2:
+        return frames
+    names = {pose: f"view{n + 1}" for n, pose in enumerate(dict.fromkeys(poses))}
+    taken = {f.camera_name for f in frames}
+    if taken & set(names.values()):
+        return frames
+    notes.append(f"moving pictures without a camera's name: {len(names)} cameras by their poses")
+    of = {id(f): names[pose] for f, pose in zip(nameless, poses, strict=True)}
+    numbers: Counter[str] = Counter()
+    out = []
+    for frame in sorted(frames, key=lambda f: f.time or 0.0):
+        name = of.get(id(frame))
+        if name is None:
+            out.append(frame)
+        else:
+            out.append(replace(frame, camera_name=name, index=numbers[name]))
+            numbers[name] += 1
+    return tuple(out)
+
+
+def _within_0_1(frames: tuple[PosedFrame, ...], notes: list[str]) -> tuple[PosedFrame, ...]:
+    """Times as they are within [0, 1], else mapped from first and last."""
+    times = np.array([f.time for f in frames], dtype=np.float64)
+    if len(times) == 0 or (times.min() >= 0 and times.max() <= 1):
+        return frames
+    first, last = float(times.min()), float(times.max())
+    if last <= first:
+        raise CaptureError(f"every moving picture has the time {first}; expected more than one time")
+    notes.append(f"times from {first:g} to {last:g} are taken as seconds and rescaled to [0, 1]")
+    return tuple(
+        replace(f, time=(t - first) / (last - first)) for f, t in zip(frames, times.tolist(), strict=True)
+    )

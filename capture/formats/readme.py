@@ -1,0 +1,46 @@
+"""The README.txt beside an exported data set: axes, scale, time, and what plain readers should know."""
+
+import textwrap
+
+from devrf.capture.scene import Scene
+
+AXES = {
+    "nerfstudio": "transform_matrix is camera-to-world with OpenGL's axes: x right, y up, z back. fl_x, fl_y, cx, cy "
+    "and the distortion stand per frame; pixel (0, 0) has its centre at (0.5, 0.5).",
+    "blender": "transform_matrix is camera-to-world with OpenGL's axes: x right, y up, z back. One focal length "
+    "(camera_angle_x), square pixels, principal point at the picture's middle.",
+    "devrf": "transform_matrix is camera-to-world with OpenGL's axes: x right, y up, z back. One focal length "
+    "(camera_angle_x) per folder, square pixels, principal point at the picture's middle.",
+    "llff": "Rows of poses_bounds.npy: 3x5 camera-to-world [R | t | height, width, focal], columns of R down, right, "
+    "back; then the nearest and farthest depth. Rows are in the order of the pictures' names.",
+    "colmap": "World-to-camera poses with OpenCV's axes: x right, y down, z forward; pixel (0, 0) has its centre at "
+    "(0.5, 0.5).",
+}
+FILES = {
+    "nerfstudio": "transforms.json; images/static: the scene at rest; images/<camera>: the scene in motion.",
+    "blender": "transforms_train.json, transforms_test.json (transforms_val.json is the same as test), pictures as "
+    "RGBA in train/ and test/.",
+    "devrf": "static/ and dynamic_<n>views/, each with transforms_train.json, transforms_test.json "
+    "(transforms_val.json is the same as test) and pictures as RGBA.",
+    "llff": "poses_bounds.npy, images/, test.txt (names of the test pictures).",
+    "colmap": "sparse/0 (binary), images/, sparse/0/test.txt (names of the test pictures). Keypoints are where the "
+    "points project, points are grey, errors are unknown (-1).",
+}
+
+
+def readme(scene: Scene, dataset_format: str, notes: list[str]) -> str:
+    """Text of the file."""
+    unit = "metres" if scene.metric else "units of arbitrary scale (nothing of known length was filmed)"
+    paragraphs = [
+        f"A calibrated scene in the format {dataset_format}.",
+        f"Files: {FILES[dataset_format]}",
+        f"Axes: {AXES[dataset_format]}",
+        f"Scale: positions are in {unit}. The world's axes are those of the calibration; none is up by rule.",
+    ]
+    if scene.dynamic and dataset_format in ("nerfstudio", "devrf"):
+        paragraphs.append(
+            f"Time: time 0 is {scene.t0_s:.6f} s and time 1 is {scene.t1_s:.6f} s on the first camera's clock. Every "
+            "picture has its own exact time; cameras need not be triggered together."
+        )
+    paragraphs += [f"Note: {text}." for text in notes]
+    return "\n\n".join(textwrap.fill(text, 100) for text in paragraphs) + "\n"

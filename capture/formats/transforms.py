@@ -1,0 +1,121 @@
+"""nerfstudio's transforms.json with the keys that we add: `camera`, `frame_index`, `time_s`, `split`, `flow_path`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.files import (
+    find_picture,
+    frames_of,
+    read_header,
+    read_json,
+    relative_to,
+    safe_name,
+    write_json,
+)
+from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_entry, opengl_pose
+from devrf.capture.scene import PosedFrame, Split
+
+MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+
+
+def write_transforms(path: Path, frames: tuple[PosedFrame, ...]) -> None:
+    """Write a transforms.json with intrinsics per frame, and `time`, `camera` and `split`."""
+    base = path.parent.resolve()
+    write_json(path, {"frames": [frame_entry(frame, base) for frame in frames]})
+
+
+def frame_entry(frame: PosedFrame, base: Path) -> dict[str, Any]:
+    """One entry of `frames`; paths are relative to `base`."""
+    camera = frame.camera
+    entry = {
+        "file_path": relative_to(frame.path, base),
+        "transform_matrix": opengl_pose(camera),
+        "camera_model": "OPENCV",
+        **intrinsics_entry(camera),
+        **{key: float(value) for key, value in zip(DISTORTION_KEYS, camera.distortion, strict=True)},
+        "camera": frame.camera_name,
+        "frame_index": frame.index,
+        "time_s": frame.time_s,
+        "time": frame.time,
+        "split": frame.split,
+    }
+    return entry if frame.flow is None else {**entry, "flow_path": relative_to(frame.flow, base)}
+
+
+def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFrame, ...]:
+    """Read a transforms.json: ours or another program's, with intrinsics for all or per frame.
+
+    Args:
+        path: The file.
+        notes: What was repaired is added here, in words.
+    Raises:
+        CaptureError: Not such a file, or an entry that cannot be used.
+    """
+    meta = read_json(path)
+    common = {key: value for key, value in meta.items() if key != "frames"}
+    _check_model(meta.get("camera_model", "OPENCV"), path)
+    frames, grey = [], 0
+    for number, entry in enumerate(frames_of(meta, path)):
+        where = f"{path}: frames[{number}] ({entry['file_path']})"
+        _check_model(entry.get("camera_model", "OPENCV"), path)
+        header = read_header(find_picture(path.parent / entry["file_path"]))
+        grey += header.grey
+        time = _number_or_none(entry, "time", where)
+        time_s = _number_or_none(entry, "time_s", where)
+        frames.append(
+            PosedFrame(
+                path=header.path,
+                camera=camera_of({**common, **entry}, header, where),
+                camera_name=safe_name(entry.get("camera", "static" if time is None else "camera")),
+                index=index_of(entry, number, where),
+                time_s=time if time_s is None else time_s,
+                time=time,
+                split=_split(entry, meta, where),
+                flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
+            )
+        )
+    if grey and notes is not None:
+        notes.append(f"{path.name}: {grey} grey pictures, read as RGB")
+    return tuple(frames)
+
+
+def index_of(entry: dict[str, Any], number: int, where: str) -> int:
+    """`frame_index` of an entry, else the number given."""
+    index = entry.get("frame_index", number)
+    if isinstance(index, bool) or not isinstance(index, int) or index < 0:
+        raise CaptureError(f"{where}: frame_index is {index!r}; expected a whole number from 0")
+    return index
+
+
+def _check_model(model: object, path: Path) -> None:
+    if model not in MODELS:
+        raise CaptureError(
+            f"{path}: camera_model {model} is not read; expected OPENCV or PINHOLE; undistort the pictures"
+        )
+
+
+def _number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise CaptureError(f"{where}: {key} is {value!r}; expected a number, or no such key at rest")
+    return float(value)
+
+
+def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
+    """`split` of the entry, else by nerfstudio's lists of names."""
+    split = entry.get("split")
+    if split is None:
+        name = entry["file_path"]
+        return (
+            "test"
+            if any(name in (meta.get(f"{kind}_filenames") or ()) for kind in ("test", "val"))
+            else "train"
+        )
+    if split not in ("train", "test", "val"):
+        raise CaptureError(f"{where}: split is {split!r}; expected train or test")
+    return "train" if split == "train" else "test"

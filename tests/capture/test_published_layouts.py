@@ -1,0 +1,347 @@
+"""Data sets as others publish them, made here by their own rules, without the shortcuts of their loaders."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats import FLIP_YZ, read_dataset
+from devrf.capture.formats.flow_files import read_flow_file
+from devrf.capture.scene import background_of, load_image, plain_colour
+
+WIDTH, HEIGHT, FOCAL = 48, 32, 40.0
+
+
+def picture(path: Path, width: int = WIDTH, height: int = HEIGHT, channels: int = 3) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    cv2.imwrite(str(path), np.full(shape, 100, np.uint8))
+
+
+def opengl(angle: float) -> np.ndarray:
+    """A camera on a circle of radius 4 that looks at the origin: camera-to-world, OpenGL's axes, z up."""
+    back = np.array([np.cos(angle), np.sin(angle), 0.3]) / np.linalg.norm([1, 0.3])
+    right = np.cross([0, 0, 1.0], back) / np.linalg.norm(np.cross([0, 0, 1.0], back))
+    out = np.eye(4)
+    out[:3] = np.column_stack([right, np.cross(back, right), back, 4 * back])
+    return out
+
+
+def transforms(path: Path, entries: list[dict], angle_x: float) -> None:
+    for entry in entries:
+        picture(path.parent / (entry["file_path"] + ".png"), channels=4)
+    path.write_text(json.dumps({"camera_angle_x": angle_x, "frames": entries}))
+
+
+@pytest.fixture
+def inward(tmp_path: Path) -> Path:
+    """Two views of three times in mixed order, with flow; each file has its own focal length; no validation."""
+    (tmp_path / "static").mkdir()
+    (tmp_path / "dynamic_2views").mkdir()
+    at_rest = [{"file_path": f"./train/r_{n}", "transform_matrix": opengl(n).tolist()} for n in range(6)]
+    transforms(tmp_path / "static/transforms_train.json", at_rest, 1.0)
+    test = [{"file_path": "./test/r_0", "transform_matrix": opengl(0.5).tolist()}]
+    transforms(tmp_path / "static/transforms_test.json", test, 0.9)
+    order = [(1, 2), (0, 0), (1, 0), (0, 2), (0, 1), (1, 1)]  # (view, time)
+    moving = [
+        {
+            "file_path": f"./train/r_{view}_{time}",
+            "transform_matrix": opengl(3.0 * view).tolist(),
+            "time": time / 2,
+        }
+        for view, time in order
+    ]
+    transforms(tmp_path / "dynamic_2views/transforms_train.json", moving, 0.8)
+    (tmp_path / "dynamic_2views/train_flow").mkdir()
+    for number, (view, time) in enumerate(order):
+        if time:
+            flow = np.full((HEIGHT, WIDTH, 2), [10.0 * view + time, 0], np.float32)
+            mask = np.ones((HEIGHT, WIDTH), np.uint8)
+            np.savez(tmp_path / f"dynamic_2views/train_flow/{number:03d}_bwd.npz", flow=flow, mask=mask)
+    return tmp_path
+
+
+def test_inward_order_is_not_trusted(inward: Path):
+    scene = read_dataset("devrf", inward)
+    views = {name: [f for f in scene.dynamic if f.camera_name == name] for name in ("view1", "view2")}
+    for name, number in (("view1", 1), ("view2", 0)):  # view1 is the pose that the file names first
+        frames = views[name]
+        assert [(f.index, f.time) for f in frames] == [(0, 0.0), (1, 0.5), (2, 1.0)]
+        assert {f.path.stem for f in frames} == {f"r_{number}_{time}" for time in range(3)}
+        assert frames[0].flow is None
+        for frame in frames[1:]:
+            assert frame.flow is not None
+            assert read_flow_file(frame.flow)[0][0, 0, 0] == 10 * number + frame.index
+    assert len(scene.dynamic) == 6
+
+
+def test_inward_focal_length_is_from_the_width_of_each_file(inward: Path):
+    scene = read_dataset("devrf", inward)
+    focal = {split: 0.5 * WIDTH / np.tan(0.5 * angle) for split, angle in (("train", 1.0), ("test", 0.9))}
+    for frame in scene.static:
+        np.testing.assert_allclose(np.diag(frame.camera.K)[:2], focal[frame.split])
+        np.testing.assert_allclose(frame.camera.K[:2, 2], [WIDTH / 2, HEIGHT / 2])
+    assert scene.dynamic[0].camera.K[0, 0] == pytest.approx(0.5 * WIDTH / np.tan(0.4))
+
+
+def test_entries_may_have_their_own_intrinsics(inward: Path):
+    path = inward / "static/transforms_train.json"
+    meta = json.loads(path.read_text())
+    meta["frames"][2] |= {"fl_x": 50.0, "fl_y": 51.0, "cx": 20.0, "cy": 15.0, "w": WIDTH, "h": HEIGHT}
+    path.write_text(json.dumps(meta))
+    K = read_dataset("devrf", inward).static[2].camera.K
+    np.testing.assert_allclose(K, [[50, 0, 20], [0, 51, 15], [0, 0, 1]])
+
+
+def test_given_flow_does_not_fit_a_stride(inward: Path):
+    notes: list[str] = []
+    scene = read_dataset("devrf", inward, frame_stride=2, notes=notes)
+    assert all(f.flow is None for f in scene.dynamic) and len(scene.dynamic) == 4
+    assert any("frame_stride is 2: not used" in note for note in notes)
+
+
+# --- forward-facing: LLFF and the published DeVRF layout ---
+
+
+def llff_rows(count: int) -> np.ndarray:
+    """Cameras on a patch, looking about along +y with z up: rows of poses_bounds.npy."""
+    rng = np.random.default_rng(1)
+    rows = []
+    for n in range(count):
+        turn = cv2.Rodrigues(rng.normal(0, 0.05, 3))[0]
+        right, up, back = (turn @ axis for axis in ([1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]))
+        centre = np.array([0.3 * (n % 3) - 0.3, 5.0, 0.2 * (n // 3)])
+        matrix = np.column_stack([-up, right, back, centre, [2 * HEIGHT, 2 * WIDTH, 2 * FOCAL]])
+        rows.append(np.concatenate([matrix.ravel(), [4.0 + 0.1 * n, 20.0 + n]]))
+    return np.array(rows)
+
+
+def published_frame(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the published static loader makes of them: swapped axes, scaled, recentred; and its bounds."""
+    poses = rows[:, :15].reshape(-1, 3, 5)
+    poses = np.concatenate([poses[:, :, 1:2], -poses[:, :, 0:1], poses[:, :, 2:]], axis=2)
+    scale = 1 / (0.75 * rows[:, 15:].min())
+    poses[:, :, 3] *= scale
+    z = poses[:, :, 2].sum(0) / np.linalg.norm(poses[:, :, 2].sum(0))
+    x = np.cross(poses[:, :, 1].sum(0), z)
+    x /= np.linalg.norm(x)
+    mean = np.eye(4)
+    mean[:3] = np.column_stack([x, np.cross(z, x), z, poses[:, :, 3].mean(0)])
+    full = np.tile(np.eye(4), (len(poses), 1, 1))
+    full[:, :3] = poses[:, :, :4]
+    poses[:, :, :4] = (np.linalg.inv(mean) @ full)[:, :3]
+    return poses, rows[:, 15:] * scale
+
+
+@pytest.fixture
+def forward(tmp_path: Path) -> Path:
+    """Nine pictures at rest, the last three by the fixed cameras; three views of four frames, pictures halved."""
+    rows = llff_rows(9)
+    (tmp_path / "static").mkdir()
+    np.save(tmp_path / "static/poses_bounds.npy", rows)
+    for n in range(9):
+        picture(tmp_path / f"static/images_2/{n:03d}.png", channels=4)
+    poses, bounds = published_frame(rows)
+    poses[:, :, 4] /= 2
+    moving = tmp_path / "dynamic_3views"
+    moving.mkdir()
+    np.save(moving / "poses.npy", poses)
+    np.save(moving / "bds.npy", bounds)
+    for view in (1, 2, 3):
+        for n in range(4):
+            picture(moving / f"view{view}/images_2/{n}.png", channels=4)
+            if n:
+                flow = np.full((HEIGHT, WIDTH, 2), [view, n], np.float32)
+                path = moving / f"view{view}/images_2_flow/{n:03d}_bwd.npz"
+                path.parent.mkdir(exist_ok=True)
+                np.savez(path, flow=flow, mask=np.ones((HEIGHT, WIDTH), bool))
+    return tmp_path
+
+
+def test_forward_layout(forward: Path):
+    scene = read_dataset("devrf", forward)
+    assert scene.kind == "forward" and scene.background == "white" and scene.rest_time == 0.0
+    assert [f.split for f in scene.static] == ["test"] + 8 * ["train"]  # the fixed cameras' are kept
+    views = {f"view{n}": [f for f in scene.dynamic if f.camera_name == f"view{n}"] for n in (1, 2, 3)}
+    points = np.random.default_rng(0).uniform([-1, -4, -1], [1, 0, 1], (200, 3))
+    for n, frames in enumerate(views.values()):
+        assert [f.time for f in frames] == [0.0, 1 / 3, 2 / 3, 1.0]
+        assert {f.split for f in frames} == {"test" if n == 2 else "train"}
+        for frame in frames:  # the same camera as at rest, though its file is in another frame
+            np.testing.assert_allclose(
+                frame.camera.project(points), scene.static[6 + n].camera.project(points), atol=1e-6
+            )
+        if n < 2:
+            flows = [read_flow_file(f.flow)[0][0, 0].tolist() for f in frames if f.flow is not None]
+            assert flows == [[n + 1.0, k] for k in (1, 2, 3)]
+
+
+@pytest.mark.parametrize("name", ["devrf", "llff"])
+def test_forward_scenes_are_ready_for_ndc(forward: Path, name):
+    folder = forward if name == "devrf" else forward / "static"
+    scene = read_dataset(name, folder)
+    assert scene.ndc == pytest.approx((WIDTH / 2 / FOCAL, HEIGHT / 2 / FOCAL))
+    moved = scene.in_box_frame()
+    at_rest = [f.camera for f in moved.static]
+    np.testing.assert_allclose(np.mean([c.centre for c in at_rest], axis=0), 0, atol=1e-9)
+    forward_axis = np.mean([c.cam_from_world[2, :3] for c in at_rest], axis=0)
+    np.testing.assert_allclose(forward_axis / np.linalg.norm(forward_axis), [0, 0, 1], atol=1e-9)
+    down = np.mean([c.cam_from_world[1, :3] for c in at_rest], axis=0)
+    assert down[0] == pytest.approx(0, abs=1e-9) and down[1] > 0.9
+    assert scene.near == pytest.approx(4 / 3) and scene.far == pytest.approx(28 / 3)
+    assert scene.aabb[0, 2] == 1 and scene.aabb[1, 2] == scene.far
+    poses, _ = published_frame(np.load(folder / ("static" if name == "devrf" else ".") / "poses_bounds.npy"))
+    np.testing.assert_allclose([c.centre for c in at_rest], poses[:, :, 3] * [1, -1, -1], atol=1e-9)
+
+
+def test_llff_pixels(forward: Path):
+    """A row's columns are down, right, back: a point to the right shows right of the middle, one above, above."""
+    matrix = np.load(forward / "static/poses_bounds.npy")[0, :15].reshape(3, 5)
+    camera = read_dataset("llff", forward / "static").static[0].camera
+    point = matrix[:, 3] - 4 * matrix[:, 2] + 0.5 * matrix[:, 1] - 0.25 * matrix[:, 0]
+    expected = [WIDTH / 2 + FOCAL * 0.5 / 4, HEIGHT / 2 - FOCAL * 0.25 / 4]
+    np.testing.assert_allclose(camera.project(point), expected, atol=1e-9)
+
+
+def test_llff_without_alpha_has_nothing_behind_and_surroundings_on_request(forward: Path):
+    for n in range(9):
+        picture(forward / f"static/images_2/{n:03d}.png")
+    assert read_dataset("llff", forward / "static").background == "black"
+    shell = read_dataset("llff", forward / "static", background="shell")
+    assert shell.background == "shell" and shell.ndc is None and shell.kind == "forward"
+    np.testing.assert_array_equal(shell.aabb, [[-1.0] * 3, [1.0] * 3])
+
+
+def test_the_largest_pictures_that_are_there(forward: Path):
+    for n in range(9):
+        picture(forward / f"static/images/{n:03d}.png", 2 * WIDTH, 2 * HEIGHT)
+    camera = read_dataset("llff", forward / "static").static[0].camera
+    assert (camera.width, camera.K[0, 0]) == (2 * WIDTH, 2 * FOCAL)
+    (forward / "static/images/003.png").unlink()
+    assert read_dataset("llff", forward / "static").static[0].camera.width == WIDTH
+
+
+def test_fixed_cameras_that_are_not_the_last_at_rest_are_refused(forward: Path):
+    path = forward / "dynamic_3views/poses.npy"
+    np.save(path, np.load(path)[::-1])
+    with pytest.raises(CaptureError, match="poses.npy: view1 is .* the last pictures of static/"):
+        read_dataset("devrf", forward)
+
+
+# --- COLMAP ---
+
+POSES = ("1 0 0 0 0.1 0.2 3", "0.9238795325112867 0 0.3826834323650898 0 0 0 3", "2 0 0 0 -1 0 3")
+
+
+def colmap_text(folder: Path, camera: str) -> None:
+    """Three pictures, two points seen by all and one by two; one line of keypoints is empty."""
+    model = folder / "sparse"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text(f"# Camera list\n7 {camera}\n")
+    lines = ["# Image list"]
+    for n, pose in enumerate(POSES):
+        picture(folder / "images" / f"a {n}.png")
+        lines += [f"{n + 3} {pose} 7 a {n}.png", "" if n == 2 else "1.5 2.5 11 3.5 4.5 -1"]
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    (model / "points3D.txt").write_text(
+        "11 0 0 1 9 9 9 0.5 3 0 4 0 5 0\n12 0.1 0 1 9 9 9 5.0 3 0 4 0 5 0\n"
+        "13 0 0.5 1 9 9 9 0.5 3 0 4 0\n14 0 1 2 9 9 9 0.1 5 0 4 1 3 1\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("camera", "K", "lens"),
+    [
+        ("SIMPLE_PINHOLE 48 32 40 23 15", [40, 40, 23, 15], [0, 0, 0, 0, 0]),
+        ("PINHOLE 48 32 40 41 23 15", [40, 41, 23, 15], [0, 0, 0, 0, 0]),
+        ("SIMPLE_RADIAL 48 32 40 23 15 0.1", [40, 40, 23, 15], [0.1, 0, 0, 0, 0]),
+        ("RADIAL 48 32 40 23 15 0.1 0.2", [40, 40, 23, 15], [0.1, 0.2, 0, 0, 0]),
+        ("OPENCV 48 32 40 41 23 15 .1 .2 .3 .4", [40, 41, 23, 15], [0.1, 0.2, 0.3, 0.4, 0]),
+        ("FULL_OPENCV 48 32 40 41 23 15 .1 .2 .3 .4 .5 0 0 0", [40, 41, 23, 15], [0.1, 0.2, 0.3, 0.4, 0.5]),
+    ],
+)
+def test_colmap_text(tmp_path: Path, camera, K, lens):
+    colmap_text(tmp_path, camera)
+    scene = read_dataset("colmap", tmp_path, holdout_every=2)
+    assert [(f.path.name, f.split) for f in scene.static] == [
+        ("a 0.png", "test"),
+        ("a 1.png", "train"),
+        ("a 2.png", "test"),
+    ]
+    camera = scene.static[1].camera
+    assert [camera.K[0, 0], camera.K[1, 1], *camera.K[:2, 2]] == K
+    np.testing.assert_array_equal(camera.distortion, lens)
+    np.testing.assert_allclose(camera.cam_from_world[0], [np.sqrt(0.5), 0, np.sqrt(0.5), 0], atol=1e-12)
+    np.testing.assert_allclose(scene.static[2].camera.centre, [1, 0, -3])  # its quaternion had length 2
+    assert scene.points is not None  # one point has too large an error, one is seen twice only
+    np.testing.assert_array_equal(scene.points.xyz, [[0, 0, 1], [0, 1, 2]])
+    assert scene.points.obs_frame.tolist() == [0, 1, 2, 0, 1, 2]
+
+
+def test_colmap_lenses_that_are_not_read_are_named(tmp_path: Path):
+    colmap_text(tmp_path, "OPENCV_FISHEYE 48 32 40 41 23 15 .1 .2 .3 .4")
+    with pytest.raises(CaptureError, match="lens model OPENCV_FISHEYE is not read.*undistort"):
+        read_dataset("colmap", tmp_path)
+
+
+# --- nerfstudio ---
+
+
+def nerfstudio(folder: Path, times: list[float | None], **more: object) -> None:
+    entries = []
+    for n, time in enumerate(times):
+        picture(folder / f"images/{n}.png")
+        entry = {"file_path": f"images/{n}.png", "transform_matrix": opengl(n % 3).tolist()}
+        entries.append(entry if time is None else {**entry, "time": time})
+    meta = {"fl_x": FOCAL, **more, "frames": entries}
+    (folder / "transforms.json").write_text(json.dumps(meta))
+
+
+def test_nerfstudio_seconds_are_rescaled_and_said(tmp_path: Path):
+    nerfstudio(tmp_path, [None, None, None, 10.0, 10.5, 11.0, 12.0, 13.0, 14.0])
+    notes: list[str] = []
+    scene = read_dataset("nerfstudio", tmp_path, notes=notes)
+    assert [f.time for f in scene.dynamic] == [0.0, 0.125, 0.25, 0.5, 0.75, 1.0]
+    assert (scene.t0_s, scene.t1_s) == pytest.approx((10.0, 14.0))
+    assert any("from 10 to 14 are taken as seconds" in note for note in notes)
+    assert [f.camera_name for f in scene.dynamic] == 2 * ["view1", "view2", "view3"]  # by their poses
+    assert [f.index for f in scene.dynamic] == [0, 0, 0, 1, 1, 1]
+
+
+def test_nerfstudio_lists_of_test_pictures(tmp_path: Path):
+    nerfstudio(tmp_path, [None] * 4, test_filenames=["images/2.png"], train_filenames=["images/0.png"])
+    assert [f.split for f in read_dataset("nerfstudio", tmp_path).static] == [
+        "train",
+        "train",
+        "test",
+        "train",
+    ]
+
+
+# --- backgrounds ---
+
+
+def test_background_of_a_data_set(inward: Path):
+    assert read_dataset("devrf", inward).background == "white"
+    assert read_dataset("devrf", inward, background="black").background == "black"
+    scene = read_dataset("devrf", inward, background=background_of((1.0, 0.5, 0.0)))
+    assert scene.background == "#ff8000"
+    frame = scene.static[0]
+    cv2.imwrite(str(frame.path), np.zeros((HEIGHT, WIDTH, 4), np.uint8))
+    assert load_image(frame, 1.0, scene.background)[0, 0].tolist() == [255, 128, 0]
+
+
+def test_names_of_plain_colours():
+    assert background_of((1.0, 1.0, 1.0)) == "white" and background_of((0.0, 0.0, 0.0)) == "black"
+    assert plain_colour("shell") is None and plain_colour("#0000ff") == (0.0, 0.0, 1.0)
+    with pytest.raises(ValueError, match="#12345"):
+        plain_colour("#12345")
+
+
+def test_flip_is_its_own_inverse():
+    np.testing.assert_array_equal(FLIP_YZ @ FLIP_YZ, np.eye(4))
+    assert isinstance(Camera(2, 2, np.eye(3), np.eye(4)[:3]).moved(FLIP_YZ), Camera)
