@@ -6,12 +6,17 @@ What is covered in the other picture has no counterpart there: it fails the rule
 occlusion mask too.
 """
 
-import cv2
 import numpy as np
+import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float, Float32, UInt8
+from scipy.ndimage import uniform_filter
+
+from devrf.capture.resize import shrink
 
 RELATIVE = 0.5  # share of the two flows' lengths the round trip may miss by (DynamicNeRF, alpha_1)
 ABSOLUTE_PX = 0.5  # plus this much (DynamicNeRF, alpha_2)
+LUMA = (0.299, 0.587, 0.114)  # of red, green and blue (ITU-R BT.601)
 SUPPORT_WINDOW = 11  # pixels; a little more than one 8 x 8 patch
 SUPPORT_LEVELS = 0.5  # grey levels of deviation; sensor noise alone is more, a plain backdrop has none
 RESIZED_VALID_SHARE = 0.5  # a reduced pixel is valid when half of what it covers was
@@ -22,10 +27,12 @@ def warp(
 ) -> Float32[np.ndarray, "height width *channels"]:
     """Fetch `image` where `flow` leads: out(x) = image(x + flow(x)), bilinear; the border is repeated."""
     height, width = flow.shape[:2]
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    return cv2.remap(
-        image, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
+    at = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1) + flow
+    span = np.array([max(width - 1, 1), max(height - 1, 1)])
+    grid = torch.from_numpy((2 * at / span - 1).astype(np.float32))[None]
+    source = torch.from_numpy(np.ascontiguousarray(image.reshape(height, width, -1).transpose(2, 0, 1)))[None]
+    out = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=True)
+    return out[0].permute(1, 2, 0).reshape(image.shape).numpy()
 
 
 def round_trip(
@@ -59,8 +66,8 @@ def supported(image: UInt8[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "h
 
     On a plain backdrop a flow method spreads what it found at the subject, consistently and wrongly.
     """
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    mean, square = (cv2.blur(x, (SUPPORT_WINDOW, SUPPORT_WINDOW)) for x in (grey, grey * grey))
+    grey = image.astype(np.float32) @ np.array(LUMA, np.float32)
+    mean, square = (uniform_filter(x, SUPPORT_WINDOW, mode="mirror") for x in (grey, grey * grey))
     return square - mean * mean > SUPPORT_LEVELS**2
 
 
@@ -80,11 +87,22 @@ def resize_flow(
     if (flow.shape[1], flow.shape[0]) == size:
         return flow.copy(), valid.copy()
     weight = valid.astype(np.float32)
-    share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-    total = cv2.resize(flow * weight[..., None], size, interpolation=cv2.INTER_AREA)
-    plain = cv2.resize(flow, size, interpolation=cv2.INTER_AREA)
+    share = _resized(weight, width, height)
+    total = _resized(flow * weight[..., None], width, height)
+    plain = _resized(flow, width, height)
     mean = np.where(share[..., None] > 0, total / np.maximum(share, 1e-6)[..., None], plain)
     return mean * ratio, share >= RESIZED_VALID_SHARE
+
+
+def _resized(
+    x: Float32[np.ndarray, "height width *c"], width: int, height: int
+) -> Float32[np.ndarray, "out_height out_width *c"]:
+    """Smaller by area, larger by bilinear interpolation."""
+    if height <= x.shape[0] and width <= x.shape[1]:
+        return shrink(x, width, height)
+    volume = torch.from_numpy(np.ascontiguousarray(x.reshape(*x.shape[:2], -1).transpose(2, 0, 1)))[None]
+    out = F.interpolate(volume, (height, width), mode="bilinear", align_corners=False)
+    return out[0].permute(1, 2, 0).reshape(height, width, *x.shape[2:]).numpy()
 
 
 def warp_residuals(

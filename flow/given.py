@@ -6,12 +6,12 @@ pictures'. There is no flow the other way, so the round trip cannot be measured.
 
 from collections.abc import Callable, Sequence
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from devrf.capture.errors import FlowError
 from devrf.capture.progress import Progress, no_progress
+from devrf.capture.resize import shrink
 from devrf.flow.clip import FlowChecks, Tally
 from devrf.flow.consistency import resize_flow, supported
 from devrf.flow.store import CameraFlow
@@ -62,4 +62,4 @@ def given_clip_flow(
 def _at(picture: UInt8[np.ndarray, "height width 3"], width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
     if picture.shape[:2] == (height, width):
         return picture
-    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return shrink(picture, width, height)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.scene import Background, PosedFrame
+from devrf.capture.scene import Background, PosedFrame, plain_colour
 from devrf.reconstruct.grids import vertices
 
 MATTE = 0.02  # opacity, or difference from the plain colour, that counts as subject
@@ -27,7 +27,7 @@ def silhouette(frame: PosedFrame, background: Background) -> Bool[np.ndarray, "h
     image = read_pixels(frame.path)
     if image.shape[2] == 4:
         return image[..., 3] > MATTE * 255
-    plain = 255.0 if background == "white" else 0.0
+    plain = 255 * np.array(plain_colour(background) or (0.0, 0.0, 0.0), np.float32)
     return np.any(np.abs(image.astype(np.float32) - plain) > MATTE * 255, axis=-1)
 
 

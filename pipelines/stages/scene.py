@@ -1,42 +1,25 @@
 """Stage `scene`: pictures, cameras, exact times and the box, in one place for everything that follows."""
 
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
-from jaxtyping import UInt8
 
-from devrf.calibration.board import read_grey
-from devrf.calibration.bounds import (
-    MASK_SIDE_PX,
-    MAX_ERROR_PX,
-    MIN_TRACK,
-    Bounds,
-    MotionMask,
-    motion_mask,
-    scene_bounds,
-)
-from devrf.calibration.rig import ARBITRARY, Rig, read_rig
-from devrf.calibration.static_poses import SweepModel, read_static_poses
-from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats.scene_files import write_scene
-from devrf.capture.frames import CameraFrames, FrameSet
-from devrf.capture.scene import PosedFrame, Scene, SparsePoints, image_scale_for
-from devrf.pipelines.clocks import read_clocks
+from devrf.capture.scene import PosedFrame, Scene, image_scale_for
 from devrf.pipelines.configured_dataset import configured_dataset
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext
+
+if TYPE_CHECKING:
+    from devrf.calibration.bounds import Bounds
 
 MAX_PIXELS = {
     "tiny": 64_000,
     "fast": 400_000,
     "reference": 10**9,
 }  # per picture, where image_scale is not set
-MASK_FRAMES = 24  # of a clip, for finding what moves
-TIME_SLACK_S = 1e-6
 
 
 def run(context: StageContext) -> None:
@@ -45,7 +28,9 @@ def run(context: StageContext) -> None:
     if config.dataset is not None:
         scene = _from_dataset(context)
     else:
-        scene, bounds = _from_capture(context)
+        from devrf.pipelines.captured_scene import scene_from_capture  # a data set needs no vision library
+
+        scene, bounds = scene_from_capture(context)
         context.health.extend(health(bounds, scene))
     scene = replace(scene, image_scale=auto_image_scale(config, scene.frames))
     context.health.append(
@@ -73,6 +58,8 @@ def _from_dataset(context: StageContext) -> Scene:
     context.health.extend(note("data set", text) for text in notes)
     if scene.points is None:
         return scene
+    from devrf.calibration.bounds import scene_bounds
+
     start, end = scene.points.lines_of_sight(scene.static)
     bounds = scene_bounds(
         [f.camera for f in scene.static], [], scene.points.xyz, np.linalg.norm(end - start, axis=1)
@@ -88,134 +75,7 @@ def _from_dataset(context: StageContext) -> Scene:
     )
 
 
-def _from_capture(context: StageContext) -> tuple[Scene, Bounds]:
-    config, ingest = context.config, context.run_dir / "ingest"
-    assert config.capture is not None
-    frames = FrameSet.read(ingest)
-    rig_file, sweep_folder = context.run_dir / "rig" / "rig.json", context.run_dir / "static_poses"
-    rig = read_rig(rig_file) if frames.moving else Rig({}, ARBITRARY)
-    model = read_static_poses(sweep_folder) if (sweep_folder / "static_poses.json").is_file() else None
-    factor = rig.scale.factor
-    static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
-    dynamic, t0_s, t1_s = _moving_frames(context, frames, rig)
-    context.progress(0.4, "what moves")
-    masks = [
-        m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
-    ]
-    points = None
-    xyz, distances = np.zeros((0, 3)), np.zeros(0)
-    if model is not None:
-        points = _points(model, factor)
-        start, end = points.lines_of_sight(static)
-        xyz, distances = points.xyz, np.linalg.norm(end - start, axis=1)
-    context.progress(0.8, "box")
-    bounds = scene_bounds(
-        [f.camera for f in static],
-        [c.camera for c in rig.cameras.values()],
-        xyz,
-        distances,
-        masks,
-    )
-    rest = config.capture.rest
-    scene = Scene(
-        static=static,
-        dynamic=dynamic,
-        box_from_world=bounds.box_from_world,
-        aabb=bounds.aabb,
-        near=bounds.near,
-        far=bounds.far,
-        kind=bounds.kind,
-        background="shell",
-        t0_s=t0_s,
-        t1_s=t1_s,
-        rest_time={"start": 0.0, "end": 1.0}.get(rest) if dynamic else None,
-        image_scale=1.0,
-        metric=rig.scale.metric,
-        points=points,
-    )
-    return scene, bounds
-
-
-def _sweep_frames(model: SweepModel, ingest: Path, factor: float, every: int) -> tuple[PosedFrame, ...]:
-    """The registered sweep in the rig's unit; every n-th picture is held out."""
-    unit = np.diag([factor, factor, factor, 1.0])
-    out = []
-    for n, (name, camera) in enumerate(zip(model.names, model.cameras, strict=True)):
-        out.append(
-            PosedFrame(
-                path=ingest / "frames" / name,
-                camera=camera.moved(unit),
-                camera_name="static",
-                index=int(Path(name).stem),
-                time_s=None,
-                time=None,
-                split="test" if n % every == 0 else "train",
-            )
-        )
-    return tuple(out)
-
-
-def _moving_frames(
-    context: StageContext, frames: FrameSet, rig: Rig
-) -> tuple[tuple[PosedFrame, ...], float, float]:
-    """Frames of the fixed cameras with their exact times, cut to what is modelled; and that span."""
-    if not frames.moving:
-        return (), 0.0, 1.0
-    assert context.config.capture is not None
-    ingest, clocks = context.run_dir / "ingest", read_clocks(context.run_dir / "sync" / "sync.json")
-    times: dict[str, list[tuple[int, Path, float]]] = {}
-    for name, camera in frames.moving.items():
-        offset_s, rate = clocks[name]
-        times[name] = [
-            (f.index, ingest / f.file, offset_s + rate * f.time_s)
-            for f in camera.used
-            if f.file is not None and f.time_s is not None
-        ]
-        if not times[name]:
-            raise CaptureError(f"camera '{name}' has no frames; check its clip and capture.range_s")
-    t0_s = max(t[0][2] for t in times.values())
-    t1_s = min(t[-1][2] for t in times.values())
-    if context.config.capture.range_s is not None:
-        from_s, to_s = context.config.capture.range_s
-        t0_s, t1_s = max(t0_s, from_s), min(t1_s, to_s)
-    if t1_s <= t0_s:
-        spans = ", ".join(f"{n} {t[0][2]:.2f} to {t[-1][2]:.2f} s" for n, t in times.items())
-        raise CaptureError(
-            f"the cameras share no time on {next(iter(times))}'s clock ({spans}); check capture.range_s"
-        )
-    out = []
-    for name, rows in times.items():
-        for index, path, time_s in rows:
-            if t0_s - TIME_SLACK_S <= time_s <= t1_s + TIME_SLACK_S:
-                time = float(np.clip((time_s - t0_s) / (t1_s - t0_s), 0.0, 1.0))
-                split = "test" if frames.moving[name].role == "test" else "train"
-                out.append(PosedFrame(path, rig.cameras[name].camera, name, index, time_s, time, split))
-    return tuple(out), t0_s, t1_s
-
-
-def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask | None:
-    files = [ingest / f.file for f in camera.used if f.file is not None]
-    if len(files) < 3:
-        return None
-    chosen = np.unique(np.linspace(0, len(files) - 1, MASK_FRAMES).round().astype(int))
-    small = calibrated.scaled(min(1.0, MASK_SIDE_PX / max(calibrated.width, calibrated.height)))
-    pictures: list[UInt8[np.ndarray, "h w"]] = []
-    for n in chosen:
-        grey = cv2.resize(read_grey(files[n]), (small.width, small.height), interpolation=cv2.INTER_AREA)
-        pictures.append(np.asarray(grey, dtype=np.uint8))
-    return MotionMask(small, motion_mask(pictures))
-
-
-def _points(model: SweepModel, factor: float) -> SparsePoints:
-    """Good points in the rig's unit, and the pictures that show them."""
-    track = np.bincount(model.obs_point, minlength=len(model.xyz))
-    good = (model.error_px < MAX_ERROR_PX) & (track >= MIN_TRACK)
-    number = np.cumsum(good) - 1
-    seen = good[model.obs_point]
-    return SparsePoints(factor * model.xyz[good], number[model.obs_point[seen]], model.obs_image[seen])
-
-
-def health(bounds: Bounds, scene: Scene) -> list[HealthRow]:
+def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
     """Rows about the box and about the time that is modelled."""
     unit = "m" if scene.metric else "units of arbitrary scale"
     size = " x ".join(f"{side:.3g}" for side in bounds.size)
