@@ -81,10 +81,10 @@ def with_flow_files(
         width, height = size or (frame.camera.width, frame.camera.height)
         found = _shapes(path)
         if found != ((height, width, 2), (height, width)):
+            of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
             raise CaptureError(
-                f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}, its picture {frame.path.name} "
-                f"is {width}x{height}; expected [{height}, {width}, 2] and [{height}, {width}]; compute the flow on "
-                "the pictures of the data set"
+                f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}; expected [{height}, {width}, 2] "
+                f"and [{height}, {width}], the size of {of}; compute the flow on the pictures of the data set"
             )
         out.append(replace(frame, flow=path.resolve()))
     return tuple(out)
