@@ -135,7 +135,7 @@ def simulate_forward(
     poses, bounds = normalised(poses, np.array(bounds))
     folder.array(f"{dynamic}/poses.npy", poses)
     folder.array(f"{dynamic}/bds.npy", bounds)
-    folder.text("scene.yaml", scene_yaml(scene, "llff"))
+    folder.text("scene.yaml", scene_yaml(scene, "devrf"))
     folder.finish()
     return Made(path, rendered)
 
