@@ -17,6 +17,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Background, PosedFrame, plain_colour
 from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.ndc import Ndc
 
 MATTE = 0.02  # opacity, or difference from the plain colour, that counts as subject
 MISSED = 0.1  # share of the cameras that may see background where the subject is (highlights, wrong mattes)
@@ -37,17 +38,22 @@ def visual_hull(
     shape: tuple[int, int, int],
     background: Background,
     least_seen: float = 0.0,
+    ndc: Ndc | None = None,
 ) -> Bool[Tensor, "X Y Z"]:
-    """Vertices of a grid over the box at which the subject can be, by the silhouettes of pictures of one moment."""
-    points = vertices(aabb, shape)
-    voxel = float(((aabb[1] - aabb[0]) / (torch.tensor(shape) - 1)).max())
-    flat = points.reshape(-1, 3).numpy().astype(np.float64)
+    """Vertices of a grid over the box at which the subject can be, by the silhouettes of pictures of one moment.
+
+    With `ndc` the grid's positions are normalised device coordinates.
+    """
+    points = vertices(aabb, shape).reshape(-1, 3)
+    sides = (aabb[1] - aabb[0]) / (torch.tensor(shape) - 1)
+    voxel = float(sides.max()) if ndc is None else float(sides[0]) * ndc.tan_x  # the latter at a depth of 1
+    flat = (points if ndc is None else ndc.to_world(points)).numpy().astype(np.float64)
     seen, missed = np.zeros(len(flat), np.int32), np.zeros(len(flat), np.int32)
     count = 0
     for frame in frames:
         count += 1
         mask, camera = silhouette(frame, background), frame.camera
-        inside, hit = _looked_up(mask, camera, flat, voxel)
+        inside, hit = _looked_up(mask, camera, flat, voxel, ndc is not None)
         seen += inside
         missed += inside & ~hit
     keep = (seen >= max(1, least_seen * count)) & (missed <= MISSED * seen)
@@ -68,16 +74,20 @@ def box_of(
 
 
 def _looked_up(
-    mask: np.ndarray, camera: Camera, points: np.ndarray, voxel: float
+    mask: np.ndarray, camera: Camera, points: np.ndarray, voxel: float, per_depth: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whether each point lies in the picture, and whether the silhouette reaches within half a voxel of it."""
+    """Whether each point lies in the picture, and whether the silhouette reaches within half a voxel of it.
+
+    With `per_depth` voxels grow with the depth, and `voxel` is their size at a depth of 1.
+    """
     depth = points @ camera.cam_from_world[2, :3] + camera.cam_from_world[2, 3]
     pixels = np.nan_to_num(camera.project(points), nan=-1.0, posinf=-1.0, neginf=-1.0)
     u, v = np.clip(np.floor(pixels), -1, 1 << 20).astype(np.int64).T
     inside = (depth > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     if not inside.any():
         return inside, inside
-    radius = int(np.ceil(camera.K[0, 0] * voxel * 0.87 / np.median(depth[inside])))
+    distance = 1.0 if per_depth else np.median(depth[inside])
+    radius = int(np.ceil(camera.K[0, 0] * voxel * 0.87 / distance))
     grown = maximum_filter(mask, size=2 * radius + 1, mode="constant")
     hit = np.zeros(len(points), bool)
     hit[inside] = grown[v[inside], u[inside]]

@@ -184,7 +184,7 @@ PRESETS: dict[str, Options] = {
 }  # fmt: skip
 
 FORWARD: dict[str, dict[str, Any]] = {
-    "tiny": {"resolution": 112, "planes": 64},
+    "tiny": {"resolution": 96, "planes": 48, "opacity": 0.1, "variation": 0.0},
     "fast": {"resolution": 192, "planes": 96},
     "reference": {"resolution": 256, "planes": 128, "iterations": 25000, "rays": 4096},
 }
@@ -227,7 +227,7 @@ def preset(
     canonical, motion = PRESETS[name].canonical, PRESETS[name].motion
     inward = canonical.resolution
     if forward:
-        canonical = replace(canonical, **PUBLISHED_FORWARD, **FORWARD[name])
+        canonical = replace(canonical, **(PUBLISHED_FORWARD | FORWARD[name]))
     if resolution is not None:
         ratio = resolution / inward
         motion = replace(motion, levels=tuple(max(4, round(level * ratio)) for level in motion.levels))

@@ -110,7 +110,7 @@ def _box(
     """The box to model, and where in it the subject can be, over a box of its own, where that is known."""
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     if scene.ndc is not None:
-        return CUBE, None
+        return CUBE, _hull_in_planes(frames, Ndc(*scene.ndc), rays, scene.background, options)
     if plain is None:
         return aabb, None
     if options.box_search == "coarse":
@@ -129,6 +129,17 @@ def _box(
             "longer (reconstruct.canonical_iterations)"
         )
     return tight, (near_kept, aabb)
+
+
+def _hull_in_planes(
+    frames: tuple[PosedFrame, ...], ndc: Ndc, rays: RaySet, background: str, options: CanonicalOptions
+) -> tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None:
+    """Where the subject can be by its mattes; None where pictures have none, or as published, which looks everywhere."""
+    if rays.opacity is None or options.box_search == "coarse":
+        return None
+    shape = (options.hull_resolution, options.hull_resolution, options.planes)
+    kept = visual_hull(frames, CUBE, shape, background, ndc=ndc)
+    return (grown(kept), CUBE) if bool(kept.any()) else None
 
 
 class _Recipe:

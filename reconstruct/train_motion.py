@@ -115,7 +115,7 @@ def _motion_box(
     scene: Scene, rest: RestModel, frames: tuple[PosedFrame, ...], keys: int
 ) -> Float[Tensor, "2 3"]:
     """The box that the subject sweeps: before a plain background the union of its hulls over time."""
-    if scene.background == "shell":
+    if scene.background == "shell" or rest.canonical.ndc is not None:
         return rest.canonical.aabb
     cameras: dict[str, list[PosedFrame]] = {}
     for frame in frames:
