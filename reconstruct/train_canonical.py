@@ -134,7 +134,7 @@ def _box(
 def _hull_in_planes(
     frames: tuple[PosedFrame, ...], ndc: Ndc, rays: RaySet, background: str, options: CanonicalOptions
 ) -> tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None:
-    """Where the subject can be by its mattes; None where pictures have none, or as published, which looks everywhere."""
+    """Where the subject can be by its mattes; None without, or as published, which looks everywhere."""
     if rays.opacity is None or options.box_search == "coarse":
         return None
     shape = (options.hull_resolution, options.hull_resolution, options.planes)
