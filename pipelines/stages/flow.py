@@ -51,7 +51,7 @@ def run(context: StageContext) -> None:
     )
     if given:
         context.health.append(note("flow", "given with the data set"))
-    context.health.extend(health(checks))
+    context.health.extend(health(checks, given))
 
 
 def _estimator(context: StageContext) -> FlowEstimator:
@@ -75,23 +75,14 @@ def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
     return {camera: sorted(frames, key=_time) for camera, frames in clips.items()}
 
 
-def health(checks: dict[str, FlowChecks]) -> list[HealthRow]:
-    """Rows for the worst camera of each check (docs: capture, hand-off to training)."""
+def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow]:
+    """Rows for the worst camera of each check (docs: capture, hand-off to training).
+
+    Given flow need not be consistent with a way back that nobody knows; its mask may leave out the backdrop.
+    """
     if not checks:
         return [note("flow", "no training camera sees the scene move: no flow")]
-    rows = []
-    camera = min(checks, key=lambda name: checks[name].valid or 0.0)
-    rows.append(
-        row(
-            f"flow: consistent share of what can be followed, worst camera ({camera})",
-            checks[camera].valid,
-            "",
-            warn=0.7,
-            fail=0.3,
-            remedy="Most of the flow contradicts itself: film with a higher frame rate, a shorter shutter "
-            "and more light; check that frames are in order.",
-        )
-    )
+    rows = [] if given else [_consistent(checks)]
     moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
     if not moving:
         return [*rows, note("flow: motion", "nothing moves by more than half a pixel between frames")]
@@ -143,6 +134,19 @@ def health(checks: dict[str, FlowChecks]) -> list[HealthRow]:
             )
         )
     return rows
+
+
+def _consistent(checks: dict[str, FlowChecks]) -> HealthRow:
+    camera = min(checks, key=lambda name: checks[name].valid or 0.0)
+    return row(
+        f"flow: consistent share of what can be followed, worst camera ({camera})",
+        checks[camera].valid,
+        "",
+        warn=0.7,
+        fail=0.3,
+        remedy="Most of the flow contradicts itself: film with a higher frame rate, a shorter shutter "
+        "and more light; check that frames are in order.",
+    )
 
 
 def _time(frame: PosedFrame) -> float:

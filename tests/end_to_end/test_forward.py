@@ -1,0 +1,48 @@
+"""A forward-facing scene in the published layout, modelled by planes in normalised device coordinates."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from devrf.capture.simulate_dataset_options import ForwardOptions
+from devrf.capture.simulate_forward import simulate_forward
+
+GAIN_DB = 3.0  # of the motion over the scene at rest, where it moves
+
+
+@pytest.fixture(scope="module")
+def run_dir(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("forward")
+    simulate_forward(
+        folder / "set", "flower", size=(96, 54), options=ForwardOptions(static_views=24, times=6, spp=8)
+    )
+    out = folder / "run"
+    done = devrf("run", folder / "set", "--preset", "tiny", "--set", f"output={out}", "--until", "render")
+    assert done.code == 0, done.said[-3000:]
+    return out
+
+
+def test_motion_beats_standing_still(run_dir: Path) -> None:
+    metrics = json.loads((run_dir / "evaluate" / "metrics.json").read_text())
+    gain = metrics["test_moving"]["psnr"] - metrics["static_baseline"]["test_moving"]["psnr"]
+    assert gain >= GAIN_DB
+    assert metrics["test"]["views"] == 6  # one test camera
+    assert metrics["test_static"]["psnr"] > 28
+
+
+def test_it_is_modelled_by_planes(run_dir: Path) -> None:
+    scene = json.loads((run_dir / "scene" / "scene.json").read_text())
+    assert scene["kind"] == "forward" and scene["background"] == "white" and len(scene["ndc"]) == 2
+    grid = json.loads((run_dir / "canonical" / "metrics.json").read_text())["grid"]
+    assert grid[2] == 48  # planes of preset tiny
+
+
+def test_flow_of_the_data_set_was_used(run_dir: Path) -> None:
+    assert json.loads((run_dir / "flow" / "flow.json").read_text())["method"] == "given"
+    assert json.loads((run_dir / "deformation" / "metrics.json").read_text())["flow_pictures"] == 3 * 5
+
+
+def test_a_film_was_made(run_dir: Path) -> None:
+    assert next((run_dir / "render").glob("*.mp4")).stat().st_size > 5_000

@@ -1,0 +1,148 @@
+"""`bench ablation`, `views` and `reference` through the command line, on a data set of 32 x 32 pictures."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from devrf.capture.simulate_dataset import simulate_dataset
+from devrf.capture.simulate_dataset_options import DatasetOptions
+from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
+from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.reconstruct.ablation import VARIANTS, ablated
+from devrf.reconstruct.options import PRESETS
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SMALL = {
+    "resolution": 16, "rays": 128, "canonical_iterations": 60, "motion_iterations": 10, "image_scale": 1.0,
+}  # fmt: skip
+SETTINGS = [part for key, value in SMALL.items() for part in ("--set", f"reconstruct.{key}={value}")]
+KEYS = {"name", "value", "unit", "anchor", "goal", "met"}  # the contract's
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("arm")
+    options = DatasetOptions(
+        static_views=14, static_test_views=1, times=3, test_views_per_time=1, spp=4, motion_scale=0.3
+    )
+    simulate_dataset(folder, "arm", cameras=2, size=(32, 32), options=options)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def ablation(devrf: Any, dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("ablation")
+    return out, _bench(devrf, "ablation", dataset, "--out", str(out), "--seeds", "2", *SETTINGS)
+
+
+def _bench(devrf: Any, name: str, scene: Path, *arguments: str, code: int = 0) -> str:
+    """Output of a benchmark that has to end with an exit code."""
+    preset = () if name == "reference" else ("--preset", "reference")
+    done = devrf("bench", name, scene, *preset, "--device", "cpu", *arguments)
+    assert done.code == code, done.said[-2000:]
+    return done.said
+
+
+def _rows(path: Path) -> dict[str, dict]:
+    content = json.loads(path.read_text())
+    assert all(row.keys() >= KEYS for row in content["rows"])
+    assert content["device"].startswith("CPU")
+    return {row["name"]: row for row in content["rows"]}
+
+
+def test_ablation_measures_every_variant_beside_the_paper(ablation: tuple[Path, str]) -> None:
+    out, _ = ablation
+    rows = _rows(out / "ablation.json")
+    for name in VARIANTS:
+        row = rows[f"ablation/{name}/test/psnr"]
+        assert 5 < row["value"] < 60 and row["spread"] >= 0
+        assert row["anchor"] == PAPER_INWARD[name]["psnr"] and "other data" in row["source"]
+    gain = rows["ablation/base to c2f/psnr"]
+    difference = rows["ablation/c2f/test/psnr"]["value"] - rows["ablation/base/test/psnr"]["value"]
+    assert gain["value"] == pytest.approx(difference) and gain["goal"] == 2.0
+    assert gain["met"] == (difference >= 2.0)
+    lpips = rows["ablation/flow/test/lpips_vgg"]
+    assert lpips["value"] is None and "no LPIPS weights" in lpips["why"]
+    assert (out / "ablation.png").stat().st_size > 10_000
+
+
+def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], dataset: Path) -> None:
+    out, _ = ablation
+    files = sorted(out.glob("seed*/*/metrics.json"))
+    before = {file: file.stat().st_mtime_ns for file in files}
+    assert len(before) == 2 * (1 + len(VARIANTS))
+    output = _bench(devrf, "ablation", dataset, "--out", str(out), "--seeds", "2", *SETTINGS)
+    assert "nothing changed" in output
+    assert before == {file: file.stat().st_mtime_ns for file in files}
+
+
+def test_some_variants_only(devrf: Any, dataset: Path, ablation: tuple[Path, str], tmp_path: Path) -> None:
+    out, _ = ablation
+    _bench(
+        devrf, "ablation", dataset, "--out", str(out), "--only", "base,+tv", "--json", str(tmp_path / "few.json"),
+        *SETTINGS,
+    )  # fmt: skip
+    names = {name.split("/")[1] for name in _rows(tmp_path / "few.json")}
+    assert names == {"base", "tv", "base to tv"}
+    wrong = _bench(devrf, "ablation", dataset, "--only", "tvv", *SETTINGS, code=2)
+    assert "tvv" in wrong and "c2f" in wrong
+
+
+def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+    _bench(devrf, "views", dataset, "--out", str(tmp_path), *SETTINGS)
+    rows = _rows(tmp_path / "views.json")
+    assert {name.split("/")[1] for name in rows} == {"1", "2"}
+    one, two = (rows[f"views/{n}/test/psnr"]["value"] for n in (1, 2))
+    assert one != two
+    assert (tmp_path / "views.png").is_file()
+
+
+def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path: Path) -> None:
+    """benchmarks/gpu.sh as a user calls it, on the CPU at a small size."""
+    script = tmp_path / "repository" / "benchmarks"
+    shutil.copytree(REPOSITORY / "benchmarks", script)
+    done = subprocess.run(
+        [script / "gpu.sh", dataset, "--device", "cpu", *SETTINGS],
+        env={"PATH": "/usr/bin:/bin", "PYTHON": sys.executable, "RESULTS": str(tmp_path / "results")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    rows = _rows(tmp_path / "results" / "reference-arm.json")
+    assert rows["reference/test/psnr"]["goal"] == 34.3
+    assert rows["reference/canonical/seconds"]["value"] > 0
+    assert rows["reference/peak_gpu_gb"]["value"] is None and "CPU" in rows["reference/peak_gpu_gb"]["why"]
+    assert rows["ablation/flow/test/psnr"]["value"] > 5
+    table = (tmp_path / "results" / "reference.md").read_text()
+    assert "| arm | CPU" in table and "not measured" in table
+
+
+def test_a_scene_at_rest_is_refused(devrf: Any, tmp_path: Path, data_dir: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(f"name: fox\ncapture: {{static: {data_dir / 'fox_static' / 'images'}}}\n")
+    assert "moving" in _bench(devrf, "ablation", scene, code=2)
+
+
+def test_ablation_takes_parts_away_and_nothing_else() -> None:
+    full = PRESETS["reference"].motion
+    variants = ablated(full)
+    assert tuple(variants) == VARIANTS == tuple(PAPER_INWARD) == tuple(PAPER_FORWARD)
+    assert variants["flow"] == full
+    assert sum(variants["base"].iterations) == sum(full.iterations) and len(variants["base"].levels) == 1
+    assert variants["base"].levels[0] == full.levels[-1]
+    weights = {name: (o.variation > 0, o.cycle > 0, o.flow > 0) for name, o in variants.items()}
+    assert weights["c2f"] == (False, False, False) and weights["tv"] == (True, False, False)
+    assert weights["cycle"] == (True, True, False)
+
+
+def test_rows_are_judged_against_goals() -> None:
+    assert with_goal(Row("a", 2.0, "dB"), 2.0).met is True
+    assert with_goal(Row("a", 1.9, "dB"), 2.0).met is False
+    assert with_goal(Row("a", 0.1, ""), 0.2, low_is_good=True).met is True
+    assert with_goal(Row("a", None, ""), 1.0).met is None
