@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from devrf.capture.errors import ReconstructError
-from devrf.capture.scene import load_image
+from devrf.capture.scene import load_image, plain_colour
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
@@ -44,6 +44,20 @@ def test_scene_at_rest_is_learned(ball, rest: RestModel) -> None:
             assert _psnr(render_view(model, frame.camera, None), true) > 22
     assert rest.metrics["iterations"] == 120
     assert rest.metrics["curve"][-1]["psnr"] > rest.metrics["curve"][0]["psnr"]
+
+
+@pytest.mark.parametrize("background", ["black", "#336699"])
+def test_any_plain_background(ball, background: str) -> None:
+    """Mattes are composited on the colour, and the model sees the same colour behind the subject."""
+    scene = replace(ball.scene, background=background)
+    model = DynamicModel(train_canonical(scene, REST))
+    frame = next(f for f in scene.static if f.split == "test")
+    true = load_image(frame, 1.0, background).astype(np.float64) / 255
+    rendered = render_view(model, frame.camera, None)
+    assert _psnr(rendered, true) > 20
+    np.testing.assert_allclose(
+        rendered[0, 0], plain_colour(background), atol=0.02
+    )  # nothing but backdrop there
 
 
 def test_training_repeats_bit_by_bit(ball) -> None:
