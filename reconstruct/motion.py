@@ -70,8 +70,8 @@ class MotionField:
 
     def window(self, first: int, last: int, device: torch.device | str) -> "MotionField":
         """Key times `first` to `last` (at least two) on a device; where they are there already, the same memory."""
-        first = min(first, self.keys - 2)
-        last = max(last, first + 1)
+        if not 0 <= first < last < self.keys:
+            raise ValueError(f"keys {first} to {last} of {self.keys}: expected two or more of them")
         spacing = (self.t_last - self.t_first) / (self.keys - 1)
         rest_key = self.rest_key
         return MotionField(

@@ -229,17 +229,12 @@ class _Recipe:
             motion.forward[key] = motion.forward[before]
         self.step_of_key = 0
         self.pictures = self._pictures_around(key)
-        names = [self.rays.frames[int(f)].camera_name for f in self.pictures]
-        of_view = [
-            [f for f, n in zip(self.pictures.tolist(), names, strict=True) if n == v]
-            for v in sorted(set(names))
-        ]
-        self.views = [torch.tensor(v, device=self.pictures.device) for v in of_view]
+        self.views = self._by_camera(self.pictures)
         looked_at = self.tau_of_frame[torch.cat([self.pictures, self.flow.previous[self.pictures]])]
-        first = min(int(looked_at.min().floor()), key - 1 if key else 0)
-        self.window = motion.window(max(0, first), max(int(looked_at.max().ceil()), key), self.device)
-        self.first = min(max(0, first), motion.keys - 2)
-        self.whole_key, self.key = key, key - self.first
+        self.first = max(0, min(int(looked_at.min()), key - 1))
+        last = max(int(looked_at.max().ceil()), key, self.first + 1)
+        self.window = motion.window(self.first, last, self.device)
+        self.key = key - self.first
         self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
         self.live: Tensor | None = None
 
@@ -250,7 +245,7 @@ class _Recipe:
             (self.motion.forward, self.window.forward),
         ):
             if whole.device != part.device:
-                whole[self.whole_key] = part[self.key].to(whole.device)
+                whole[self.first + self.key] = part[self.key].to(whole.device)
 
     def step(self) -> dict[str, Tensor]:
         """One iteration on the present key; returns the unweighted losses."""
@@ -312,6 +307,13 @@ class _Recipe:
             if len(chosen):
                 return chosen
         raise ReconstructError(f"no picture near key time {key}")
+
+    def _by_camera(self, pictures: Int[Tensor, " f"]) -> list[Int[Tensor, " _"]]:
+        """The same pictures, those of each camera together."""
+        cameras: dict[str, list[int]] = {}
+        for picture in pictures.tolist():
+            cameras.setdefault(self.rays.frames[picture].camera_name, []).append(picture)
+        return [torch.tensor(cameras[name], device=pictures.device) for name in sorted(cameras)]
 
     def _draw(self) -> RayBatch:
         n = self.options.rays
