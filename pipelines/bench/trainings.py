@@ -173,9 +173,17 @@ def about(bench: Bench, seeds: Sequence[int]) -> dict[str, Any]:
     """What a JSON of results has to say beside its rows."""
     from devrf.pipelines.stages.evaluate import versions
 
-    config = bench.run.config
+    config, scene = bench.run.config, bench.scene
+    camera = scene.dynamic[0].camera.scaled(scene.image_scale)
     return {
         "scene": config.name,
+        "pictures": {
+            "width": camera.width,
+            "height": camera.height,
+            "static": sum(f.split == "train" for f in scene.static),
+            "cameras": len({f.camera_name for f in scene.dynamic if f.split == "train"}),
+            "times": len({f.time for f in scene.dynamic}),
+        },
         "preset": config.preset,
         "reconstruct": config.reconstruct.model_dump(exclude_none=True, exclude={"seed"}),
         "device": device_name(bench.run.device),

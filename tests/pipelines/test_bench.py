@@ -21,6 +21,7 @@ SMALL = {
     "resolution": 16, "rays": 128, "canonical_iterations": 60, "motion_iterations": 10, "image_scale": 1.0,
 }  # fmt: skip
 SETTINGS = [part for key, value in SMALL.items() for part in ("--set", f"reconstruct.{key}={value}")]
+PICTURES = {"width": 32, "static": 14, "cameras": 2, "times": 3}
 KEYS = {"name", "value", "unit", "anchor", "goal", "met"}  # the contract's
 
 
@@ -52,6 +53,7 @@ def _rows(path: Path) -> dict[str, dict]:
     content = json.loads(path.read_text())
     assert all(row.keys() >= KEYS for row in content["rows"])
     assert content["device"].startswith("CPU")
+    assert {k: content["pictures"][k] for k in ("width", "static", "cameras", "times")} == PICTURES
     return {row["name"]: row for row in content["rows"]}
 
 
