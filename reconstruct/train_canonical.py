@@ -78,12 +78,13 @@ def train_canonical(
         seen = visible(coarse, rays, SEEN_BATCHES, options.coarse_rays, generator)
         hand_on(coarse, seen, recipe.canonical, recipe.shell, rays.centres)
         recipe.restart()
+    begun = READING + (COARSE if options.box_search == "coarse" and plain is not None else 0.0)
     for iteration in range(options.iterations):
         recipe.before(iteration)
         parts = recipe.step(rays.draw(recipe.rays_now, generator), generator)
         log.add(recipe.rays_now, parts, samples=recipe.samples_per_ray * recipe.rays_now)
         if iteration % 10 == 0:
-            done = READING + (1 - READING) * iteration / options.iterations
+            done = begun + (1 - begun) * iteration / options.iterations
             last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
             progress(done, f"iteration {iteration} of {options.iterations}{last}")
     recipe.finish()
