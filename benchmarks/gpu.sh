@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The published recipe in full and its ablation at half size, on a GPU, within nine minutes; then one table of all scenes.
+# The published recipe in full and its ablation at half size, on a GPU; then one table of all scenes. Meant for nine
+# minutes: no part of the ablation begins later.
 #
 #   benchmarks/gpu.sh SCENE [options of `devrf-pipeline bench reference`, such as --device cpu --set reconstruct.rays=256]
 #

@@ -3,10 +3,17 @@
 from pydantic import BaseModel, ConfigDict, Field
 
 
-class DatasetOptions(BaseModel):
-    """Options of a data set with cameras all around; the defaults are the numbers of the DeVRF paper."""
-
+class _SharedOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+    spp: int = Field(default=16, ge=4, le=1024)
+    """Light paths per pixel; 16 leave about 1 % of noise, more in half shadow."""
+    motion_scale: float = Field(default=1.0, ge=0, le=1.5)
+    """Amplitude of the motion, relative; above 1 parts may leave the picture or pass through each other."""
+
+
+class DatasetOptions(_SharedOptions):
+    """Options of a data set with cameras all around; the defaults are the numbers of the DeVRF paper."""
 
     static_views: int = Field(default=100, ge=3, le=2000)
     """Training pictures of the scene at rest, random on the upper hemisphere."""
@@ -16,16 +23,10 @@ class DatasetOptions(BaseModel):
     """Times of the moving scene, evenly from 0 (at rest) to 1."""
     test_views_per_time: int = Field(default=2, ge=1, le=50)
     """Test pictures of the moving scene at every time, each from a random place of its own."""
-    spp: int = Field(default=16, ge=4, le=1024)
-    """Light paths per pixel; 16 leave about 1 % of noise, more in half shadow."""
-    motion_scale: float = Field(default=1.0, ge=0, le=1.5)
-    """Amplitude of the motion, relative; above 1 parts may leave the picture or pass through each other."""
 
 
-class ForwardOptions(BaseModel):
+class ForwardOptions(_SharedOptions):
     """Options of a data set whose cameras all look the same way at a wall."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
     static_views: int = Field(default=30, ge=3, le=2000)
     """Pictures of the sweep of the scene at rest, without the fixed cameras' own."""
@@ -35,7 +36,3 @@ class ForwardOptions(BaseModel):
     """Width of the region that the cameras stand in, world units; its height is 0.6 of it."""
     wobble_deg: float = Field(default=2.0, ge=0, le=5)
     """Largest turn of a camera of the sweep away from straight ahead, degrees."""
-    spp: int = Field(default=16, ge=4, le=1024)
-    """Light paths per pixel; 16 leave about 1 % of noise, more in half shadow."""
-    motion_scale: float = Field(default=1.0, ge=0, le=1.5)
-    """Amplitude of the motion, relative; above 1 parts may leave the picture or pass through each other."""

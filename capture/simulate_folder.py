@@ -10,11 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.errors import InputError
+from devrf.capture.picture_files import write_png
 
 MADE_BY = "made_by.json"
 REVISION = 1  # raised when the same arguments give other pictures
@@ -52,8 +52,7 @@ class OutputFolder:
 
     def picture(self, name: str, rgba: UInt8[np.ndarray, "h w 4"]) -> None:
         """Write a PNG."""
-        data = cv2.imencode(".png", rgba[..., [2, 1, 0, 3]])[1].tobytes()
-        self._write(name, lambda file: file.write_bytes(data))
+        self._write(name, lambda file: write_png(file, rgba))
 
     def arrays(self, name: str, **arrays: np.ndarray) -> None:
         """Write an .npz."""

@@ -5,9 +5,7 @@ cover is transparent; or every picture is cut to what all of them cover.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -59,11 +57,6 @@ def common_pinhole(cameras: Sequence[Camera], whole: bool) -> Camera:
     return Camera(max(width, 1), max(height, 1), K, np.eye(4)[:3])
 
 
-def at_pose_of(pinhole: Camera, camera: Camera) -> Camera:
-    """The pinhole camera where another camera is."""
-    return replace(pinhole, cam_from_world=camera.cam_from_world)
-
-
 def same_picture(camera: Camera, pinhole: Camera) -> bool:
     """Whether a camera's pictures are already those of the pinhole camera."""
     return (
@@ -71,24 +64,6 @@ def same_picture(camera: Camera, pinhole: Camera) -> bool:
         and not np.any(camera.distortion)
         and bool(np.abs(camera.K - pinhole.K).max() < SAME_PX)
     )
-
-
-def read_rgba(path: Path) -> UInt8[np.ndarray, "h w 4"]:
-    """A picture as 8 bits of red, green, blue, alpha; opaque where the file has no alpha.
-
-    Raises:
-        CaptureError: It cannot be read.
-    """
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise CaptureError(f"{path}: cannot be read as a picture; make it again or remove it from the set")
-    if image.dtype == np.uint16:
-        image = (image / 257.0).round().astype(np.uint8)
-    code = {2: cv2.COLOR_GRAY2RGBA, 3: cv2.COLOR_BGR2RGBA}.get(
-        image.ndim if image.ndim == 2 else image.shape[2]
-    )
-    image = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if code is None else code)
-    return np.asarray(image, dtype=np.uint8)
 
 
 class Undistorter:

@@ -50,16 +50,10 @@ def given_clip_flow(
     for n in range(len(index) - 1):
         current = load(n + 1)
         flow, trusted = load_flow(n + 1)
-        before, now = (_at(picture, flow.shape[1], flow.shape[0]) for picture in (previous, current))
+        before, now = (shrink(picture, flow.shape[1], flow.shape[0]) for picture in (previous, current))
         tally.add(before, now, flow, None, supported(now), trusted)
         reduced, valid[n] = resize_flow(flow, trusted, width, height)
         vectors[n] = reduced.astype(np.float16)
         previous = current
         progress((n + 1) / (len(index) - 1), f"{camera}: {n + 1} of {len(index) - 1} pairs")
     return CameraFlow(camera, np.asarray(index[1:], dtype=np.int32), vectors, valid), tally.checks()
-
-
-def _at(picture: UInt8[np.ndarray, "height width 3"], width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
-    if picture.shape[:2] == (height, width):
-        return picture
-    return shrink(picture, width, height)

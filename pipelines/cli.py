@@ -11,7 +11,17 @@ import typer
 import devrf
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.bench.cli import bench
-from devrf.pipelines.console import Loudness, Talk
+from devrf.pipelines.cli_options import (
+    DeviceOption,
+    PresetOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    VerboseOption,
+    configured,
+    talk_of,
+)
+from devrf.pipelines.console import Talk
 from devrf.pipelines.plan import Choice, standings
 from devrf.pipelines.runner import (
     BAD_INPUT,
@@ -23,7 +33,6 @@ from devrf.pipelines.runner import (
     execute,
     resolve_device,
 )
-from devrf.pipelines.scene_file import load_scene
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
 
@@ -37,14 +46,6 @@ app = typer.Typer(
 
 app.add_typer(bench, name="bench")
 
-SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
-PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="Override a key: reconstruct.rays=4096 (repeatable)")
-]
-DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
-VerboseOption = Annotated[bool, typer.Option("--verbose", help="Every health row, and why nothing runs")]
 STAGE_HELP = f"one of {', '.join(stage_names())}"
 
 
@@ -67,7 +68,7 @@ def run(
     verbose: VerboseOption = False,
 ) -> None:
     """Run the stages of a scene; resume where the last run stopped."""
-    talk = _talk(quiet, verbose)
+    talk = talk_of(quiet, verbose)
     choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
     job = _prepare(talk, scene, preset, overrides, choice)
     if dry:
@@ -101,7 +102,7 @@ def report(
     quiet: QuietOption = False,
 ) -> None:
     """Make the report anew from what the run folder holds, and say where it is."""
-    talk = _talk(quiet, False)
+    talk = talk_of(quiet)
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
     if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
@@ -128,7 +129,7 @@ def render(
     quiet: QuietOption = False,
 ) -> None:
     """Film the reconstruction anew: an orbit through space and time."""
-    _only("render", scene, preset, overrides, _talk(quiet, False), device)
+    _only("render", scene, preset, overrides, talk_of(quiet), device)
 
 
 @app.command()
@@ -145,7 +146,7 @@ def export(
     quiet: QuietOption = False,
 ) -> None:
     """Write the calibrated scene as a data set for other programs."""
-    talk = _talk(quiet, False)
+    talk = talk_of(quiet)
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
     from devrf.pipelines import export_command
 
@@ -201,7 +202,7 @@ def simulate(
     """
     from devrf.pipelines import simulate_command
 
-    talk = _talk(quiet, False)
+    talk = talk_of(quiet)
     try:
         simulate_command.simulate(talk, out, scene, protocol, cameras, seed, size, settings or [])
     except InputError as error:
@@ -251,16 +252,14 @@ def _prepare(
 
     Without a choice nothing is going to run, and what could not be run is no mistake.
     """
-    path = scene / "scene.yaml" if scene.is_dir() else scene
-    settings = [*([f"preset={preset}"] if preset else []), *(overrides or [])]
     try:
-        config = load_scene(path, settings, check_files=check_files)
+        config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
         if choice is not None:
             check_choice(config, STAGES, choice)
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None
-    return Run(config, path.resolve().parent, STAGES, choice or Choice(), talk)
+    return Run(config, scene_dir, STAGES, choice or Choice(), talk)
 
 
 def _start(job: Run, device: str) -> int:
@@ -335,11 +334,6 @@ def _where_to_look(job: Run) -> None:
     for what, path in found:
         if path.is_file():
             job.talk.say(f"  {what}: {path}")
-
-
-def _talk(quiet: bool, verbose: bool) -> Talk:
-    loudness: Loudness = "quiet" if quiet else "verbose" if verbose else "normal"
-    return Talk(loudness)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ RUNNER = (
     "status",
     "stages",
     "cli",
+    "cli_options",
 )
 _DATA_FILE = re.compile(r"[\w-]+\.(css|js|html|json)")
 

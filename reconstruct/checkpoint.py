@@ -37,7 +37,7 @@ class Checkpoint:
     def write(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
         """Replace the file, whole or not at all."""
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
-        ready = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+        ready = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
         save_file(ready, str(new), metadata={"devrf": json.dumps(numbers | {"of": self.fingerprint})})
         os.replace(new, self.path)
         self._written = time.monotonic()

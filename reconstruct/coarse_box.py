@@ -5,7 +5,6 @@ few pictures see and what lies just before a camera is kept empty; voxels that m
 voxels that end up opaque give the tight box and the space in which the fine model looks.
 """
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
@@ -28,7 +27,6 @@ ENTROPY, PER_POINT = 0.01, 0.1
 LR, LR_DECAY = 0.1, 0.1  # and by how much it falls over 20 000 iterations
 DECAY_ITERATIONS = 20_000
 OCCUPANCY_EVERY = 100
-SAMPLES = 1 << 20  # per iteration, at most
 
 
 def find_subject(
@@ -46,13 +44,13 @@ def find_subject(
         aabb, resolution, resolution, channels=3, mlp_width=0, stepsize=options.stepsize, alpha_init=ALPHA_INIT,
         alpha_threshold=ALPHA_THRESHOLD, weight_threshold=ALPHA_THRESHOLD, device=device, seed=options.seed,
     )  # fmt: skip
-    views = _views(rays, aabb, model.shape, near).to(device)
+    views = _views(rays, aabb, model.shape, near)
     allowed = views >= min(FEWEST_VIEWS, len(rays))
     model.density[~allowed] = KEPT_EMPTY
     share = (views.float() / views.max().clamp(min=1))[..., None]
     density, features = GridTrainer(model.density), GridTrainer(model.features)
     per_ray = max(1, int(1.2 * sum(model.shape) / 3 / options.stepsize))
-    most = max(256, min(options.coarse_rays, SAMPLES // per_ray))
+    most = max(256, min(options.coarse_rays, options.samples // per_ray))
     for iteration in range(options.coarse_iterations):
         if iteration % OCCUPANCY_EVERY == 0:
             density.visit(model.rebuild_occupancy(allowed))
@@ -79,12 +77,15 @@ def find_subject(
 def _views(
     rays: RaySet, aabb: Float[Tensor, "2 3"], shape: tuple[int, int, int], near: float
 ) -> Int[Tensor, "X Y Z"]:
-    """How many pictures see each vertex; none of what is nearer than `near` to a camera."""
-    points = vertices(aabb, shape).reshape(-1, 3).double().numpy()
-    count, blocked = np.zeros(len(points), np.int32), np.zeros(len(points), bool)
-    for camera in rays.cameras:
-        local = points @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3]
-        u, v = np.nan_to_num(camera.project(points), nan=-1.0, posinf=-1.0, neginf=-1.0).T
-        count += (local[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-        blocked |= np.einsum("ni,ni->n", local, local) < near**2
-    return torch.from_numpy(np.where(blocked, 0, count).reshape(shape))
+    """How many pictures see each vertex, lenses taken as pinholes; none of what is nearer than `near` to a camera."""
+    points = vertices(aabb, shape).reshape(-1, 3).to(rays.device)
+    count = torch.zeros(len(points), dtype=torch.int32, device=rays.device)
+    blocked = torch.zeros(len(points), dtype=torch.bool, device=rays.device)
+    for camera, R, centre in zip(rays.cameras, rays.rotations, rays.centres, strict=True):
+        local = (points - centre) @ R
+        pixel = local @ torch.from_numpy(camera.K).to(local).T
+        u, v = pixel[:, 0] / pixel[:, 2], pixel[:, 1] / pixel[:, 2]
+        inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+        count += (local[:, 2] > 0) & inside
+        blocked |= (local**2).sum(1) < near**2
+    return torch.where(blocked, 0, count).reshape(shape)

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+VARIATION_RESOLUTION, VARIATION_CLAMP = 128, 1.0  # published: differences beyond 1 pull no harder
 EDGE = 1e-6  # a transmittance is held this far from 0 and 1, where the entropy's slope is infinite
 
 
@@ -39,6 +40,11 @@ def flow_loss(
     apart = (moved_px - target_px).abs().sum(-1)
     kept = torch.where(valid, weights * apart, 0.0)
     return kept.sum() / (2 * valid.sum() + 1e-8)
+
+
+def variation_weight(weight: float, shape: tuple[int, ...], rays: int) -> float:
+    """Weight of total variation (DeVRF Eq. 7) in a gradient, as the program has it: by resolution and rays."""
+    return weight * max(shape) / VARIATION_RESOLUTION / rays
 
 
 def entropy_loss(left: Float[Tensor, " R"]) -> Float[Tensor, ""]:

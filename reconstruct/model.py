@@ -93,9 +93,9 @@ class DynamicModel:
         """Surroundings of rays."""
         rest, n = self.rest, len(rays_o)
         plain = plain_of(rest.background, rays_o.device)
-        if rest.shell is None or plain is not None:
-            back = rays_o.new_zeros(3) if plain is None else plain
-            return Around(torch.zeros_like(rays_o), rays_o.new_ones(n), back.expand(n, 3).contiguous())
+        if plain is not None:
+            return Around(torch.zeros_like(rays_o), rays_o.new_ones(n), plain.expand(n, 3).contiguous())
+        assert rest.shell is not None  # surroundings are modelled wherever nothing plain is behind
         t_in, t_out, _ = intersect(rays_o, rays_d, rest.canonical.aabb, rest.near)
         middle = rays_o.new_full((n,), 0.5)
         near, far = torch.full_like(t_in, rest.near), torch.full_like(t_in, rest.far)

@@ -36,9 +36,8 @@ class CanonicalOptions:
         variation: Weight of the total variation of density and features.
         coarse_iterations, coarse_rays, coarse_size: The first, coarse model where surroundings are modelled, or where
             it searches the box: iterations, rays per iteration, vertices along each axis.
-        box_search: How the tight box is found before a plain background: from silhouettes, or by a coarse model, as
-            published.
-        hitting_rays: Only rays that meet the space where the subject can be are drawn (plain background), as published.
+        box_search: How the tight box is found before a plain background: from silhouettes, or, as published, by a
+            coarse model; then only rays that meet what it found are drawn.
         hull_resolution: Vertices along the longest side of the grid of silhouettes.
         box_margin: The tight box is enlarged by this factor about its centre.
         occupancy_every: Iterations between rebuilds of the occupancy.
@@ -68,7 +67,6 @@ class CanonicalOptions:
     coarse_rays: int = 8192
     coarse_size: int = 128
     box_search: Literal["silhouettes", "coarse"] = "silhouettes"
-    hitting_rays: bool = False
     hull_resolution: int = 64
     box_margin: float = 1.2
     occupancy_every: int = 500
@@ -174,7 +172,6 @@ PRESETS: dict[str, Options] = {
             coarse_iterations=5000,
             coarse_size=100,
             box_search="coarse",
-            hitting_rays=True,
         ),
         MotionOptions(
             levels=(10, 20, 40, 80, 160), iterations=(200, 100, 100, 50, 50), rays=8192, most_keys=400,
@@ -197,7 +194,6 @@ PUBLISHED_FORWARD: dict[str, Any] = {
     "weight_threshold": 1e-3,
     "opacity": 0.0045,
     "variation": 1e-5,
-    "hitting_rays": False,
 }
 
 

@@ -23,7 +23,14 @@ from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.adam import add_total_variation
 from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import march
-from devrf.reconstruct.losses import entropy_loss, opacity_loss, per_point_loss, rendering_loss
+from devrf.reconstruct.losses import (
+    VARIATION_CLAMP,
+    entropy_loss,
+    opacity_loss,
+    per_point_loss,
+    rendering_loss,
+    variation_weight,
+)
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
@@ -36,8 +43,6 @@ LOG_EVERY = 25
 FEWEST_RAYS = 256
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
-TV_CLAMP = 1.0  # published: larger differences pull no harder
-TV_RESOLUTION = 128  # published: variation is weighted by resolution / 128 / rays
 
 
 @dataclass
@@ -70,7 +75,7 @@ def train_canonical(
     plain = plain_of(scene.background, device)
     aabb, hull = _box(scene, frames, rays, plain, options, generator, progress)
     recipe = _Recipe(scene, options, rays, plain, aabb, hull, device)
-    if options.hitting_rays and recipe.shell is None:
+    if hull is not None and options.box_search == "coarse":
         rays.keep_only(recipe.hitting())
     if recipe.shell is not None:
         progress(READING, "coarse model")
@@ -234,8 +239,8 @@ class _Recipe:
         loss.backward()
         if self.options.variation:
             for grid in (self.density, self.features):
-                weight = self.options.variation * max(grid.values.shape[:3]) / TV_RESOLUTION / len(batch.rgb)
-                add_total_variation(grid.values, grid.grad[0], weight, TV_CLAMP)
+                weight = variation_weight(self.options.variation, grid.values.shape[:3], len(batch.rgb))
+                add_total_variation(grid.values, grid.grad[0], weight, VARIATION_CLAMP)
         self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad[0])  # touched alike
         self.density.update(self.options.lr_grid * self.decay)
         if self.surround is not None:

@@ -27,7 +27,15 @@ from devrf.reconstruct.grids import BETAS, EPS, grid_shape
 from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
-from devrf.reconstruct.losses import cycle_loss, entropy_loss, flow_loss, per_point_loss, rendering_loss
+from devrf.reconstruct.losses import (
+    VARIATION_CLAMP,
+    cycle_loss,
+    entropy_loss,
+    flow_loss,
+    per_point_loss,
+    rendering_loss,
+    variation_weight,
+)
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import changing_pixels
@@ -40,8 +48,7 @@ from devrf.reconstruct.training_log import TrainingLog
 
 LOG_EVERY = 50
 HULL_RESOLUTION, HULL_TIMES, HULL_MARGIN = 40, 12, 1.05  # to find the box that the subject sweeps
-TV_CLAMP = 1.0  # published: differences beyond one world unit pull no harder
-TV_RAYS, TV_RESOLUTION = 8192, 128  # published: variation is weighted by resolution / 128 / rays
+PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 
 
 def train_motion(
@@ -275,11 +282,10 @@ class _Recipe:
         loss = loss + o.entropy * parts["entropy"] + o.per_point * parts["per_point"]
         if loss.requires_grad:
             loss.backward()
-        resolution = max(motion.backward.shape[1:4])
-        weight = o.variation * resolution / TV_RESOLUTION / TV_RAYS * self.unit**2
+        weight = variation_weight(o.variation, motion.backward.shape[1:4], PUBLISHED_RAYS) * self.unit**2
         for values, adam in ((motion.backward, back), (motion.forward, forth)):
             if weight > 0:
-                add_total_variation(values[key], adam.grad[0], weight, TV_CLAMP / self.unit)
+                add_total_variation(values[key], adam.grad[0], weight, VARIATION_CLAMP / self.unit)
             dense_step(
                 values[key],
                 adam.grad[0],

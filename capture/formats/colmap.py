@@ -22,7 +22,7 @@ from devrf.capture.formats.colmap_model import (
 from devrf.capture.formats.export import Export, copied, static_of
 from devrf.capture.formats.files import Header, find_picture, read_header
 from devrf.capture.formats.llff import TEST_LIST, read_names
-from devrf.capture.pictures import natural_key
+from devrf.capture.picture_files import natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
 
 LARGEST_ERROR_PX, SHORTEST_TRACK = 2.0, 3  # as for our own sweeps: points beyond are often wrong

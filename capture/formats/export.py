@@ -9,16 +9,22 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats.files import safe_name
 from devrf.capture.formats.flow_files import Flow
 from devrf.capture.formats.readme import readme
-from devrf.capture.pictures import write_picture
+from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, plain_colour
-from devrf.capture.undistort import Undistorter, at_pose_of, common_pinhole, read_rgba
+
+if TYPE_CHECKING:
+    from devrf.capture.undistort import Undistorter
 
 MARKER = ".devrf-export"  # holds the name of the format
 README = "README.txt"
@@ -137,6 +143,10 @@ class Pinholes:
 
     def __init__(self, export: Export, frames: tuple[PosedFrame, ...]) -> None:
         """Where the background is plain nothing is cut; where surroundings are seen no pixel stays empty."""
+        from devrf.capture.undistort import (
+            common_pinhole,
+        )  # by OpenCV, which reading a data set does not need
+
         self.export = export
         self.whole = plain_colour(export.scene.background) is not None
         self.pinhole = common_pinhole([f.camera for f in frames], self.whole)
@@ -153,18 +163,18 @@ class Pinholes:
 
     def camera(self, frame: PosedFrame) -> Camera:
         """The pinhole camera where a frame's camera is."""
-        return at_pose_of(self.pinhole, frame.camera)
+        return replace(self.pinhole, cam_from_world=frame.camera.cam_from_world)
 
     def write(self, frame: PosedFrame, path: Path, alpha: bool = True) -> PosedFrame:
         """Write a frame's picture as PNG; the frame as it is in the data set."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        undistorter, rgba = self._of(frame.camera), read_rgba(frame.path)
+        undistorter, rgba = self._of(frame.camera), _with_alpha(read_pixels(frame.path))
         if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
             raise CaptureError(
                 f"{frame.path}: picture has another size than its calibration; run again with --force scene"
             )
         picture = undistorter.picture(rgba)
-        write_picture(path, picture if alpha else picture[..., :3])
+        write_png(path, picture if alpha else picture[..., :3])
         return replace(frame, path=path, camera=self.camera(frame), flow=None)
 
     def flow(self, frame: PosedFrame) -> Flow | None:
@@ -172,8 +182,16 @@ class Pinholes:
         found = self.export.find_flow(frame)
         return None if found is None else self._of(frame.camera).flow(*found)
 
-    def _of(self, camera: Camera) -> Undistorter:
+    def _of(self, camera: Camera) -> "Undistorter":
+        from devrf.capture.undistort import Undistorter
+
         key = (camera.width, camera.height, camera.K.tobytes(), camera.distortion.tobytes())
         if key not in self._undistorters:
             self._undistorters[key] = Undistorter(camera, self.pinhole)
         return self._undistorters[key]
+
+
+def _with_alpha(pixels: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w 4"]:
+    """Opaque where the file has no alpha."""
+    opaque = np.full((*pixels.shape[:2], 4 - pixels.shape[2]), 255, np.uint8)
+    return np.concatenate([pixels, opaque], axis=2)

@@ -17,7 +17,7 @@ from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
 from devrf.capture.formats.files import Header, read_header
 from devrf.capture.formats.opengl import cam_from_opengl
-from devrf.capture.pictures import PICTURE_SUFFIXES, natural_key
+from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
 
 FACTORS = ("", "_2", "_4", "_8")  # endings of folders with smaller copies, the largest first

@@ -65,6 +65,8 @@ def train_variants(
     """Results by variant, one per seed; variants that would begin after `until` (time.monotonic) are left out."""
     results: dict[str, list[dict[str, Any]]] = {}
     for seed in seeds:
+        if until is not None and time.monotonic() >= until:
+            break
         options = bench.options(seed)
         rest = bench.rest(options.canonical)
         for name, variant in ablated(options.motion).items():
@@ -104,7 +106,7 @@ def _gains(results: dict[str, list[dict[str, Any]]], paper: dict[str, float], so
             round(paper[name] - paper[before], 3),
             source,
         )
-        goal = C2F_GAIN_DB if name == "c2f" else -(spread(gains) or 0.0)
+        goal = C2F_GAIN_DB if name == "c2f" else 0.0 - (spread(gains) or 0.0)
         rows.append(with_goal(row, goal))
     return rows
 

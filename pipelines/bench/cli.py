@@ -7,27 +7,27 @@ from typing import Annotated
 import typer
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.console import Talk
+from devrf.pipelines.cli_options import (
+    DeviceOption,
+    PresetOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    configured,
+    talk_of,
+)
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import BAD_INPUT, FAILED, Run, resolve_device
-from devrf.pipelines.scene_file import load_scene
 from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.ablation import VARIANTS
 
 bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)
 
-SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
-PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
 SeedsOption = Annotated[int, typer.Option(min=1, max=100, help="Trainings per case; they give the spread")]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="Override a key: reconstruct.rays=4096 (repeatable)")
-]
 OutOption = Annotated[
     Path | None, typer.Option(help="Folder for models and pictures; default: beside the run folder")
 ]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
-DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
 
 
 @bench.command()
@@ -82,7 +82,7 @@ def views(
 @bench.command()
 def reference(
     scene: SceneArgument,
-    minutes: Annotated[float, typer.Option(min=0.1, help="No training begins after this time")] = 9.0,
+    minutes: Annotated[float, typer.Option(min=0.1, help="No part of the ablation begins later")] = 9.0,
     overrides: SetOption = None,
     out: OutOption = None,
     json: JsonOption = None,
@@ -110,14 +110,14 @@ def _measure(
     quiet: bool,
 ) -> None:
     """Read the configuration, run a benchmark, turn errors into exit codes."""
-    talk = Talk("quiet" if quiet else "normal")
-    path = scene / "scene.yaml" if scene.is_dir() else scene
-    settings = [*([f"preset={preset}"] if preset else []), *(overrides or [])]
+    talk = talk_of(quiet)
     try:
-        config = load_scene(path, settings)
+        config, scene_dir = configured(scene, preset, overrides)
         if config.kind not in ("dynamic", "dataset"):
-            raise InputError(f"{path}: bench {name} needs a scene in motion, with a sweep and moving cameras")
-        run = Run(config, path.resolve().parent, STAGES, Choice(), talk, resolve_device(device))
+            raise InputError(
+                f"{scene}: bench {name} needs a scene in motion, with a sweep and moving cameras"
+            )
+        run = Run(config, scene_dir, STAGES, Choice(), talk, resolve_device(device))
         measure(run, out or run.run_dir.with_name(f"{run.run_dir.name}-bench"))
     except InputError as error:
         talk.error(str(error))

@@ -7,6 +7,8 @@ from devrf.pipelines.bench.ablation import PAPER_INWARD, SOURCE_INWARD, ablation
 from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows
 from devrf.pipelines.runner import Run
+from devrf.reconstruct.ablation import VARIANTS
+from devrf.reconstruct.options import PRESETS
 
 GOALS = {"psnr": 34.3, "ssim": 0.982, "lpips_vgg": 0.0137}  # the paper's means over its five synthetic scenes
 PAPER_GPU_GB = 4.6
@@ -31,7 +33,10 @@ def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[
     rows.append(_memory(rest.metrics["peak_gpu_gb"], result["train"]["peak_gpu_gb"]))
     rows.append(Row("reference/render_fps", result["render_fps"], "pictures/s"))
     half = Bench.prepare(_halved(run), out / "half")
-    rows += ablation_rows(half, train_variants(half, [run.config.reconstruct.seed], until=until))
+    trained = train_variants(half, [run.config.reconstruct.seed], until=until)
+    rows += ablation_rows(half, trained)
+    why = f"not begun within {minutes:g} minutes"
+    rows += [Row(f"ablation/{n}/test/psnr", None, "dB", why=why) for n in VARIANTS if n not in trained]
     print_rows(run.talk, f"Reference recipe on {run.config.name}", rows)
     write_rows(json_path, rows, benchmark="reference", **about(full, [run.config.reconstruct.seed]))
     run.talk.say(f"  rows: {json_path}")
@@ -54,8 +59,6 @@ def _memory(*peaks: float | None) -> Row:
 def _halved(run: Run) -> Run:
     """The same scene at half the size in every respect."""
     config = run.config
-    from devrf.reconstruct.options import PRESETS
-
     preset, given = PRESETS[config.preset], config.reconstruct
     shrink = (given.canonical_iterations or preset.canonical.iterations) / preset.canonical.iterations
     motion = given.motion_iterations or sum(preset.motion.iterations)

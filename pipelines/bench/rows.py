@@ -10,6 +10,8 @@ from rich.table import Table
 
 from devrf.pipelines.console import Talk
 
+TABLE_WIDTH = 110  # characters
+
 
 @dataclass(frozen=True)
 class Row:
@@ -64,7 +66,7 @@ def print_rows(talk: Talk, title: str, rows: Sequence[Row]) -> None:
         table.add_row(
             row.name, value, _number(row.spread), row.unit, _number(row.anchor), _number(row.goal), verdict
         )
-    talk.out.print(table)
+    talk.out.print(table, width=max(talk.out.width, TABLE_WIDTH))  # a pipe's 80 columns would cut it
     for source in dict.fromkeys(row.source for row in rows if row.source):
         talk.say(f"others: {source}")
     for why in dict.fromkeys(f"{row.name}: {row.why}" for row in rows if row.why):

@@ -2,17 +2,21 @@
 
 import hashlib
 import json
+import os
+import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import typer
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
-from devrf.capture.formats import read_scene
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.rows import Row
@@ -20,11 +24,11 @@ from devrf.pipelines.code_version import code_version
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import DONE, Run, execute
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stages.evaluate import lpips_nets
+from devrf.pipelines.stages.evaluate import lpips_nets, versions
 from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.evaluate import METRICS, evaluate
+from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_rest, save_rest
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
@@ -65,6 +69,11 @@ class Bench:
                 "(capture.test_cameras, or the data set's test split)"
             )
         return Bench(ready, out, scene, read_flows(ready.run_dir / "flow"))
+
+    @cached_property
+    def lpips(self) -> LpipsNets:
+        """The networks that scene.yaml names."""
+        return lpips_nets(self.run.config, self.run.scene_dir, self.run.device)
 
     def options(self, seed: int) -> Options:
         """Of the preset, with what scene.yaml overrides, for a seed."""
@@ -116,11 +125,9 @@ class Bench:
             def render(camera: Camera, time: float | None) -> np.ndarray:
                 return render_view(model, camera, time)
 
-            still = tuple(
-                f for f in scene.static if f.split == "train"
-            )  # the moving views are what is compared
-            lpips = lpips_nets(self.run.config, self.run.scene_dir, self.run.device)
-            scores = evaluate(replace(scene, static=still), render, lpips, folder)
+            # Without the held-out pictures at rest: the moving views are what is compared.
+            moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
+            scores = evaluate(moving_only, render, self.lpips, folder)
         result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
         result |= {"train": {k: v for k, v in train.items() if k != "curve"}, "of": of}
         _write(folder / "metrics.json", result)
@@ -155,13 +162,8 @@ def score_rows(
                     why=why,
                 )
             )
-    rows.append(seconds_row(name, [r["train"]["seconds"] for r in results]))
-    return rows
-
-
-def seconds_row(name: str, seconds: Sequence[float]) -> Row:
-    """How long the training took."""
-    return Row(f"{name}/seconds", float(np.mean(seconds)), "s", spread(seconds))
+    seconds = [r["train"]["seconds"] for r in results]
+    return [*rows, Row(f"{name}/seconds", float(np.mean(seconds)), "s", spread(seconds))]
 
 
 def spread(values: Sequence[float]) -> float | None:
@@ -171,8 +173,6 @@ def spread(values: Sequence[float]) -> float | None:
 
 def about(bench: Bench, seeds: Sequence[int]) -> dict[str, Any]:
     """What a JSON of results has to say beside its rows."""
-    from devrf.pipelines.stages.evaluate import versions
-
     config, scene = bench.run.config, bench.scene
     camera = scene.dynamic[0].camera.scaled(scene.image_scale)
     return {
@@ -194,11 +194,6 @@ def about(bench: Bench, seeds: Sequence[int]) -> dict[str, Any]:
 
 def device_name(device: str) -> str:
     """The device in words."""
-    import os
-    import platform
-
-    import torch
-
     if device == "cuda":
         return torch.cuda.get_device_name()
     return f"CPU ({platform.machine()}, {len(os.sched_getaffinity(0))} cores)"

@@ -11,8 +11,8 @@ import pytest
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset, write_dataset
+from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Scene
-from devrf.capture.undistort import read_rgba
 
 TRAIN = "dynamic_2views/transforms_train.json"
 
@@ -159,7 +159,7 @@ def test_pictures(folders, name: Any, kind, says):
 @pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
 def test_grey_pictures_are_read_and_said(folders, name: Any):
     victim = sorted(p for p in folders[name].rglob("*.png") if "test" not in p.parts)[-1]
-    cv2.imwrite(str(victim), np.ascontiguousarray(read_rgba(victim)[..., 0]))
+    cv2.imwrite(str(victim), np.ascontiguousarray(read_pixels(victim)[..., 0]))
     notes: list[str] = []
     read_dataset(name, folders[name], notes=notes)
     assert any("1 grey pictures, read as RGB" in note for note in notes)

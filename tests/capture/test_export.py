@@ -12,8 +12,8 @@ from devrf.capture.camera import Camera, undistort
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
 from devrf.capture.formats.flow_files import read_flow_file
+from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.capture.undistort import read_rgba
 
 LARGEST_MISS_PX = 0.2
 SEEDED = np.random.default_rng(0).uniform(-0.6, 0.6, (200, 3))
@@ -82,7 +82,7 @@ def test_written_pictures_show_what_their_cameras_say(odd_scene: Scene, tmp_path
         cv2.imwrite(str(frame.path), picture.clip(0, 255).astype(np.uint8))
     write_dataset("devrf", replace(odd_scene, background=background), tmp_path / "out")
     for frame in read_dataset("devrf", tmp_path / "out").frames:
-        rgba = read_rgba(frame.path)
+        rgba = read_pixels(frame.path)
         assert rgba.shape[:2] == (frame.camera.height, frame.camera.width)
         assert (rgba[..., 3] == 255).all() == (background == "shell")  # cut to what all see, or nothing cut
         for u, v in frame.camera.project(spots):

@@ -18,7 +18,8 @@ from devrf.capture.frames import (
     window_of,
 )
 from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_sounds
-from devrf.capture.pictures import list_pictures, natural_key, probe_picture, read_picture, write_picture
+from devrf.capture.picture_files import natural_key
+from devrf.capture.pictures import list_pictures, probe_picture, read_picture, write_picture
 from devrf.capture.session import CaptureSession, FrameTimes
 
 

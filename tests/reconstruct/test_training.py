@@ -143,9 +143,7 @@ def test_one_camera_in_each_step(ball, rest: RestModel) -> None:
 
 def test_box_by_a_coarse_model(ball) -> None:
     """The published search finds the ball as the silhouettes do, and draws only rays that meet it."""
-    options = replace(
-        REST, iterations=40, box_search="coarse", hitting_rays=True, coarse_iterations=350, coarse_rays=512
-    )
+    options = replace(REST, iterations=40, box_search="coarse", coarse_iterations=350, coarse_rays=512)
     model = train_canonical(ball.scene, options)
     box = model.canonical.aabb
     assert (box[1] > 0.8 * ball.radius).all() and (box[0] < -0.8 * ball.radius).all()

@@ -1,0 +1,39 @@
+"""Arguments and options that several commands share, and the configuration they name."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from devrf.pipelines.console import Loudness, Talk
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.scene_file import load_scene
+
+SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
+PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Override a key: reconstruct.rays=4096 (repeatable)")
+]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", help="Every health row, and why nothing runs")]
+
+
+def configured(
+    scene: Path, preset: str | None, overrides: Sequence[str] | None, *, check_files: bool = True
+) -> tuple[SceneConfig, Path]:
+    """The configuration that a command names, and the folder its paths are relative to.
+
+    Raises:
+        InputError: With every mistake in it.
+    """
+    path = scene / "scene.yaml" if scene.is_dir() else scene
+    settings = [*([f"preset={preset}"] if preset else []), *(overrides or [])]
+    return load_scene(path, settings, check_files=check_files), path.resolve().parent
+
+
+def talk_of(quiet: bool, verbose: bool = False) -> Talk:
+    """Where a command speaks."""
+    loudness: Loudness = "quiet" if quiet else "verbose" if verbose else "normal"
+    return Talk(loudness)
