@@ -4,7 +4,10 @@ Only Pillow is needed, so that training runs where no video or vision library is
 not applied: the cameras of a scene belong to the pixels as they are stored (`pictures.py` turns photos upright).
 """
 
+import os
 import re
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +52,20 @@ def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
         raise CaptureError(
             f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
         ) from error
+
+
+def damaged_pictures(paths: Iterable[Path]) -> list[str]:
+    """What is wrong with picture files that cannot be read to the end, one text per file."""
+
+    def problem(path: Path) -> str | None:
+        try:
+            read_pixels(path)
+        except CaptureError as error:
+            return str(error)
+        return None
+
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:  # decoding lets other threads run
+        return [text for text in pool.map(problem, dict.fromkeys(paths)) if text is not None]
 
 
 def write_png(path: Path, picture: UInt8[np.ndarray, "height width channels"]) -> None:

@@ -21,7 +21,8 @@ def load_mitsuba() -> Any:
     except ImportError as error:
         raise InputError(
             "simulate needs the renderer mitsuba, which is not installed; "
-            "install it with: pip install devrf[simulate]"
+            "install it with: python -m pip install 'devrf[simulate]' (in a clone: python -m pip install "
+            "-c constraints.txt -e '.[simulate]')"
         ) from error
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)

@@ -10,6 +10,7 @@ import typer
 
 import devrf
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.writable import check_folder
 from devrf.pipelines.bench.cli import bench
 from devrf.pipelines.cli_options import (
     DeviceOption,
@@ -72,8 +73,8 @@ def run(
     choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
     job = _prepare(talk, scene, preset, overrides, choice)
     if dry:
-        _check_device(talk, device)
-        raise typer.Exit(dry_run(job))
+        dry_run(job)
+        raise typer.Exit(_check(job, device))
     raise typer.Exit(_start(job, device))
 
 
@@ -264,23 +265,31 @@ def _prepare(
 
 def _start(job: Run, device: str) -> int:
     """Check what can be checked before anything starts, then run."""
+    code = _check(job, device)
+    if code == DONE:
+        code = execute(job)
+    if code == DONE:
+        _where_to_look(job)
+    return code
+
+
+def _check(job: Run, device: str) -> int:
+    """Look at the device, the run folder and the raw files, where a stage is to run; the exit code."""
     to_do = {
         now.stage.name
         for now in standings(STAGES, job.config, job.scene_dir, job.run_dir, job.choice)
         if now.state in ("stale", "missing")
     }
     try:
-        if to_do & {"ingest", "scene"}:
-            _check_raw_files(job)
         if to_do:
             job.device = resolve_device(device)
+            check_folder(job.run_dir, "output:")
+        if to_do & {"ingest", "scene"}:
+            _check_raw_files(job)
     except InputError as error:
         job.talk.error(str(error))
         return BAD_INPUT
-    code = execute(job)
-    if code == DONE:
-        _where_to_look(job)
-    return code
+    return DONE
 
 
 def _check_raw_files(job: Run) -> None:
@@ -292,14 +301,6 @@ def _check_raw_files(job: Run) -> None:
     problems = check(job.config, job.scene_dir)
     if problems:
         raise InputError("\n".join(problems))
-
-
-def _check_device(talk: Talk, device: str) -> None:
-    try:
-        resolve_device(device)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
 
 
 def _only(

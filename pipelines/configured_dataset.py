@@ -4,17 +4,18 @@ from pathlib import Path
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats import read_dataset
+from devrf.capture.picture_files import damaged_pictures
 from devrf.capture.scene import Scene, background_of
 from devrf.pipelines.scene_config import SceneConfig
 
 
 def check_dataset(config: SceneConfig, scene_dir: Path) -> list[str]:
-    """What is wrong with the data set, found by reading it; empty when all is well."""
+    """What is wrong with the data set, found by reading it, every picture included; empty when all is well."""
     try:
-        configured_dataset(config, scene_dir)
+        scene = configured_dataset(config, scene_dir)
     except DevrfError as error:
         return [f"dataset: {error}"]
-    return []
+    return [f"dataset: {text}" for text in damaged_pictures(f.path for f in scene.frames)]
 
 
 def configured_dataset(config: SceneConfig, scene_dir: Path, notes: list[str] | None = None) -> Scene:

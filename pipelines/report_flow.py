@@ -23,7 +23,7 @@ MAX_CAMERAS = 6
 FULL_SCALE_PERCENTILE = 99.0  # of valid lengths in the pictures shown; the rest is shown saturated
 LEAD = (
     "Where each pixel was in the camera's previous frame. Hue is direction, strength is length, grey is "
-    "where following the flow there and back does not return: it is not trained on."
+    "where the flow is not trained on: it does not lead there and back, or the data set's own mask says so."
 )
 
 
@@ -74,7 +74,7 @@ def _pictures(run: RunFolder) -> str:
 def _pair(flow: CameraFlow, n: int, path: Path | None, scale: float) -> str:
     picture = flow_picture(flow.flow[n].astype(np.float32), flow.valid[n], scale)
     index = int(flow.index[n])
-    caption = f"flow to the frame before, {100 * flow.valid[n].mean():.0f} % valid"
+    caption = f"flow to the frame before, valid on {100 * flow.valid[n].mean():.0f} % of this picture"
     parts = figure(picture_uri(picture, PICTURE_WIDTH), caption, f"flow of {flow.camera}, frame {index}")
     frame = read_picture(path) if path is not None else None
     if frame is not None:

@@ -56,12 +56,12 @@ def space_data(scene: Scene, points: Float[np.ndarray, "n 3"], colours: Float[np
     """What report.js draws: groups of frusta, box corners, points, and how to look at them at first."""
     world_from_box = np.linalg.inv(scene.box_from_world)
     centres = np.stack([f.camera.centre for f in scene.frames])
-    target = world_from_box[:3, 3]
+    target = world_from_box[:3, :3] @ scene.aabb.mean(axis=0) + world_from_box[:3, 3]
     radius = float(np.percentile(np.linalg.norm(centres - target, axis=1), 90)) or 1.0
     fixed = {split: _unique(f for f in scene.dynamic if f.split == split) for split in ("train", "test")}
     sweep = [f for f in scene.static if f.split == "train"]
     held_out = [f for f in scene.static if f.split == "test"]
-    in_order = bool(sweep) and sweep[0].camera_name == "static" and _is_path(sweep, radius)
+    in_order = bool(sweep) and sweep[0].camera_name == "static" and _is_path(sweep)
     groups = [
         _group("sweep", "sweep", "--s0", sweep, FRUSTUM_SWEEP * radius, path=in_order),
         _group("heldout", "held-out sweep", "--s3", held_out, FRUSTUM_SWEEP * radius),
@@ -77,7 +77,7 @@ def space_data(scene: Scene, points: Float[np.ndarray, "n 3"], colours: Float[np
         "up": _rounded(_up(scene)),
         "from": _rounded(centres.mean(0) - target),
         "groups": [group for group in groups if group["cameras"]],
-        "box": _rounded(corners @ world_from_box[:3, :3].T + target),
+        "box": _rounded(corners @ world_from_box[:3, :3].T + world_from_box[:3, 3]),
         "points": _rounded(points[near].ravel()),
         "colours": colours[near].astype(int).ravel().tolist(),
     }
@@ -155,10 +155,12 @@ def _unique(frames: Iterable[PosedFrame]) -> list[PosedFrame]:
     return list({(f.camera_name, f.camera.cam_from_world.tobytes()): f for f in frames}.values())
 
 
-def _is_path(frames: Sequence[PosedFrame], radius: float) -> bool:
-    """Whether consecutive pictures are neighbours (a walk), not views strewn over a dome."""
-    steps = np.linalg.norm(np.diff([f.camera.centre for f in frames], axis=0), axis=1)
-    return len(steps) > 1 and float(np.median(steps)) < 0.4 * radius
+def _is_path(frames: Sequence[PosedFrame]) -> bool:
+    """Whether consecutive pictures are neighbours (a walk), not views strewn over a dome or a window."""
+    centres = np.stack([f.camera.centre for f in frames])
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    extent = float(np.percentile(np.linalg.norm(centres - centres.mean(axis=0), axis=1), 90))
+    return len(steps) > 1 and float(np.median(steps)) < 0.4 * extent
 
 
 def _up(scene: Scene) -> Float[np.ndarray, "3"]:

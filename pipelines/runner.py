@@ -104,7 +104,7 @@ def check_choice(config: SceneConfig, stages: Sequence[Stage], choice: Choice) -
         raise InputError("\n".join(mistakes))
 
 
-def dry_run(run: Run) -> int:
+def dry_run(run: Run) -> None:
     """Say what `execute` would do, and touch nothing."""
     for now in standings(run.stages, run.config, run.scene_dir, run.run_dir, run.choice):
         name = now.stage.name
@@ -114,7 +114,6 @@ def dry_run(run: Run) -> int:
             run.talk.say(_skip_line(now))
         else:
             run.talk.say(f"{name}: would run: {'; '.join(now.why)}")
-    return DONE
 
 
 def execute(run: Run) -> int:

@@ -100,7 +100,7 @@ def _read_yaml(path: Path) -> dict:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ConfigError([f"{path}: no such file{_near_file(path)}"]) from None
+        raise ConfigError([f"{path}: no such file{near_file(path)}"]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError([f"{path}: cannot be read ({error}); expected a YAML text file"]) from None
     try:
@@ -189,7 +189,9 @@ def _message(item: Any, location: tuple, data: dict) -> str:
     if isinstance(data, list) and kind != "value_error":
         return f"{_shorten(data)}; expected {_expectation(field)}"
     if kind == "extra_forbidden":
-        return f"unknown key{_suggestion(str(location[-1]), _keys(location[:-1]))}"
+        keys = _keys(location[:-1])
+        hint = _suggestion(str(location[-1]), keys) or f"; expected one of {', '.join(keys)}"
+        return f"unknown key{hint}"
     if kind == "missing":
         return f"is missing; expected {_expectation(field)}"
     if kind == "value_error":
@@ -426,14 +428,15 @@ def _check_files(config: SceneConfig, scene_dir: Path, say: Any) -> None:
         if not text.strip():
             say(key, "is empty; expected a path")
         elif not path.exists():
-            say(key, f"{text!r}: no such file or folder ({path}){_near_file(path)}")
+            say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}")
         elif key in folders and not path.is_dir():
             say(key, f"{text!r} is a file; expected a folder")
         elif key not in folders | files_or_folders and not key.startswith(clips) and path.is_dir():
             say(key, f"{text!r} is a folder; expected a file")
 
 
-def _near_file(path: Path) -> str:
+def near_file(path: Path) -> str:
+    """A file of nearly the same name beside it, as the end of a message; empty where there is none."""
     try:
         names = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
     except OSError:

@@ -8,11 +8,12 @@ the code, and the size of every file it left. Times are for people; they decide 
 import hashlib
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from devrf.pipelines.code_version import code_version
+from devrf.pipelines.console import LOG_FILE
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.scene_file import input_paths
 from devrf.pipelines.stage import Stage
@@ -39,10 +40,13 @@ class Digests:
         self._new: dict[str, list] = {}
 
     def of(self, path: Path) -> str:
-        """Digest of a file's content, or of the names and contents of all files in a folder."""
+        """Digest of a file's content, or of the names and contents of all files in a folder.
+
+        Run folders inside it are left out: a run that lies in its own data set must not make itself stale.
+        """
         if path.is_dir():
             digest = hashlib.blake2b(digest_size=16)
-            for file in sorted(p for p in path.rglob("*") if p.is_file()):
+            for file in sorted(_raw_files(path)):
                 digest.update(f"{file.relative_to(path).as_posix()}\0{self._of_file(file)}\0".encode())
             return digest.hexdigest()
         return self._of_file(path)
@@ -65,6 +69,14 @@ class Digests:
                 write_json(self._path, self._known | self._new)
             except OSError:
                 pass
+
+
+def _raw_files(folder: Path) -> Iterator[Path]:
+    """All files below a folder but those of run folders, which are known by their log."""
+    for root, folders, files in os.walk(folder):
+        here = Path(root)
+        folders[:] = [name for name in folders if not (here / name / LOG_FILE).is_file()]
+        yield from (file for name in files if (file := here / name).is_file())
 
 
 def _file_digest(file: Any) -> str:

@@ -14,7 +14,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-EVERY_S = 120.0  # a checkpoint of the largest fields takes some seconds to write
+FIRST_S = 5.0  # of training before the first checkpoint
+SHARE = 0.05  # of the time that writing may take: the largest fields take many seconds, small ones none
 
 
 class Checkpoint:
@@ -23,24 +24,28 @@ class Checkpoint:
     Args:
         path: The file.
         fingerprint: Of everything the training depends on.
-        every_s: Seconds between two writings; 0 writes whenever asked.
+        every_s: Seconds between two writings; 0 writes whenever asked; None: as often as costs little.
     """
 
-    def __init__(self, path: Path, fingerprint: str, every_s: float = EVERY_S) -> None:
-        self.path, self.fingerprint, self.every_s = path, fingerprint, every_s
+    def __init__(self, path: Path, fingerprint: str, every_s: float | None = None) -> None:
+        self.path, self.fingerprint = path, fingerprint
+        self._fixed, self._every_s = every_s is not None, FIRST_S if every_s is None else every_s
         self._written = time.monotonic()
 
     def due(self) -> bool:
         """Whether it is time to write."""
-        return time.monotonic() - self._written >= self.every_s
+        return time.monotonic() - self._written >= self._every_s
 
     def write(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
         """Replace the file, whole or not at all."""
+        start = time.monotonic()
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
         ready = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
         save_file(ready, str(new), metadata={"devrf": json.dumps(numbers | {"of": self.fingerprint})})
         os.replace(new, self.path)
         self._written = time.monotonic()
+        if not self._fixed:
+            self._every_s = max(FIRST_S, (self._written - start) / SHARE)
 
     def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """What was written last; None where nothing was, for something else, or what cannot be read."""

@@ -70,6 +70,18 @@ def write_dataset(
     return write_export(scene, dataset_format, WRITERS[dataset_format], folder, find_flow, progress)
 
 
+def guess_format(folder: Path) -> DatasetFormat | None:
+    """Which data set a folder looks like, by the names of its files; None: like none."""
+    signs: dict[DatasetFormat, tuple[str, ...]] = {
+        "devrf": ("dynamic_*views",),
+        "nerfstudio": ("transforms.json",),
+        "blender": ("transforms_train.json",),
+        "llff": ("poses_bounds.npy",),
+        "colmap": ("sparse", "cameras.bin", "cameras.txt"),
+    }
+    return next((name for name, marks in signs.items() if any(any(folder.glob(m)) for m in marks)), None)
+
+
 def read_dataset(
     dataset_format: DatasetFormat,
     folder: Path,

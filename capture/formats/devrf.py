@@ -48,14 +48,14 @@ def write_devrf(export: Export) -> None:
         raise CaptureError(
             f"devrf holds a scene at rest and in motion, this scene has no {missing}; export to nerfstudio"
         )
-    write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static), export)
+    write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static, "static"), export)
     cameras = list(dict.fromkeys(f.camera_name for f in scene.dynamic))
     counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
     views = [count for count in counts if count]
     if not views:
         raise CaptureError("devrf needs training cameras of the moving scene, this scene has none")
     folder = export.folder / f"dynamic_{len(views)}views"
-    pinholes = Pinholes(export, scene.dynamic)
+    pinholes = Pinholes(export, scene.dynamic, folder.name)
     train = write_splits(folder, _in_order_of_time(scene.dynamic, cameras), pinholes, export)
     if len(set(views)) > 1:
         export.notes.append(

@@ -141,11 +141,12 @@ def static_of(export: Export, what: str) -> tuple[PosedFrame, ...]:
 class Pinholes:
     """Pictures of several cameras as one pinhole camera sees them."""
 
-    def __init__(self, export: Export, frames: tuple[PosedFrame, ...]) -> None:
-        """Where the background is plain nothing is cut; where surroundings are seen no pixel stays empty."""
-        from devrf.capture.undistort import (
-            common_pinhole,
-        )  # by OpenCV, which reading a data set does not need
+    def __init__(self, export: Export, frames: tuple[PosedFrame, ...], part: str = "") -> None:
+        """Of `frames`, to be written into folder `part` of the export.
+
+        Where the background is plain nothing is cut; where surroundings are seen no pixel stays empty.
+        """
+        from devrf.capture.undistort import common_pinhole  # by OpenCV, which reading does not need
 
         self.export = export
         self.whole = plain_colour(export.scene.background) is not None
@@ -159,7 +160,8 @@ class Pinholes:
                 else "cut to what all see"
             )
             size = f"{self.pinhole.width}x{self.pinhole.height}"
-            export.notes.append(f"pictures are undistorted to one pinhole camera of {size} ({how})")
+            which = f"pictures in {part}/" if part else "pictures"
+            export.notes.append(f"{which} are undistorted to one pinhole camera of {size} ({how})")
 
     def camera(self, frame: PosedFrame) -> Camera:
         """The pinhole camera where a frame's camera is."""

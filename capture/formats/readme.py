@@ -43,4 +43,8 @@ def readme(scene: Scene, dataset_format: str, notes: list[str]) -> str:
             "picture has its own exact time; cameras need not be triggered together."
         )
     paragraphs += [f"Note: {text}." for text in notes]
+    paragraphs.append(
+        "Read again by devrf with a scene.yaml elsewhere that holds name: NAME and dataset: "
+        f"{{format: {dataset_format}, path: THIS FOLDER}}."
+    )
     return "\n\n".join(textwrap.fill(text, 100) for text in paragraphs) + "\n"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from devrf.pipelines.bench.charts import bars
+from devrf.pipelines.bench.charts import cases
 from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
 from devrf.reconstruct.ablation import VARIANTS, ablated
@@ -47,12 +47,12 @@ def run_ablation(
     print_rows(bench.run.talk, f"Ablation of {bench.run.config.name}", rows)
     write_rows(json_path, rows, benchmark="ablation", **about(bench, seeds))
     paper, _ = _paper(bench)
-    chart = bars(
+    chart = cases(
         json_path.with_suffix(".png"),
         {_label(name): [r["test"]["psnr"] for r in found] for name, found in results.items()},
         {_label(name): paper[name]["psnr"] for name in results},
         "PSNR of test views, dB",
-        f"{bench.run.config.name}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}; line: the paper, other data",
+        f"{bench.run.config.name}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}",
     )
     bench.run.talk.say(f"  rows: {json_path}")
     bench.run.talk.say(f"  chart: {chart}")

@@ -1,4 +1,4 @@
-"""Charts of benchmarks as PNG files: bars and lines over seeds, each seed a dot."""
+"""Charts of benchmarks as PNG files: cases and lines over seeds, each seed a dot."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,19 +9,21 @@ import numpy as np
 SIZE_INCHES, DPI = (7.0, 4.2), 130
 
 
-def bars(
+def cases(
     path: Path, values: Mapping[str, Sequence[float]], anchors: Mapping[str, float], y_label: str, title: str
 ) -> Path:
-    """Means as bars, seeds as dots, what others report as a dashed line."""
+    """Means and single seeds, what others report as diamonds beside them."""
     figure, axes = _figure(y_label, title)
     x = np.arange(len(values))
-    axes.bar(x, [np.mean(v) for v in values.values()], color="#7aa6d6", width=0.6, label="ours")
-    for n, v in enumerate(values.values()):
-        axes.plot([n] * len(v), v, ".", color="#1f3d66")
-    axes.plot(x, [anchors[name] for name in values], "--o", color="#c2662d", label="the paper (other data)")
+    means = [float(np.mean(v)) for v in values.values()]
+    axes.plot(x, means, "_", markersize=28, markeredgewidth=3, color="#2f6fb3", label="ours, mean")
+    for n, (mean, v) in enumerate(zip(means, values.values(), strict=True)):
+        axes.plot([n] * len(v), v, ".", color="#1f3d66", label="ours, one seed" if n == 0 else None)
+        axes.annotate(f"{mean:.1f}", (n - 0.18, mean), ha="right", va="center", fontsize=9)
+    paper = [anchors[name] for name in values]
+    axes.plot(x + 0.2, paper, "D", markersize=5, color="#c2662d", label="the paper (other data)")
     axes.set_xticks(x, list(values))
-    lowest = min(min(min(v) for v in values.values()), min(anchors.values()))
-    axes.set_ylim(bottom=max(0.0, np.floor(lowest - 3)))
+    axes.set_xlim(-0.6, len(values) - 0.4)
     return _saved(figure, axes, path)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines.cli_options import (
     DeviceOption,
     PresetOption,
@@ -54,7 +55,7 @@ def ablation(
             raise InputError(f"--only {', '.join(unknown)}: unknown, expected {', '.join(VARIANTS)}")
         run_ablation(Bench.prepare(run, folder), range(seeds), json or folder / "ablation.json", chosen)
 
-    _measure("ablation", measure, scene, preset, overrides, out, device, quiet)
+    _measure("ablation", measure, scene, preset, overrides, out, json, device, quiet)
 
 
 @bench.command()
@@ -76,7 +77,7 @@ def views(
 
         run_views(Bench.prepare(run, folder), range(seeds), json or folder / "views.json")
 
-    _measure("views", measure, scene, preset, overrides, out, device, quiet)
+    _measure("views", measure, scene, preset, overrides, out, json, device, quiet)
 
 
 @bench.command()
@@ -96,7 +97,7 @@ def reference(
 
         run_reference(run, folder, json or folder / "reference.json", minutes)
 
-    _measure("reference", measure, scene, "reference", overrides, out, device, quiet)
+    _measure("reference", measure, scene, "reference", overrides, out, json, device, quiet)
 
 
 def _measure(
@@ -106,6 +107,7 @@ def _measure(
     preset: str | None,
     overrides: Sequence[str] | None,
     out: Path | None,
+    json: Path | None,
     device: str,
     quiet: bool,
 ) -> None:
@@ -118,7 +120,11 @@ def _measure(
                 f"{scene}: bench {name} needs a scene in motion, with a sweep and moving cameras"
             )
         run = Run(config, scene_dir, STAGES, Choice(), talk, resolve_device(device))
-        measure(run, out or run.run_dir.with_name(f"{run.run_dir.name}-bench"))
+        folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
+        check_folder(folder, "--out")
+        if json is not None:
+            check_file(json, "--json")
+        measure(run, folder)
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None

@@ -19,7 +19,7 @@ ABLATION_CANONICAL, ABLATION_MOTION = 5000, 100  # iterations: of the scene at r
 def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[Row]:
     """Train in full, then what of the ablation time allows; print and write both."""
     until = time.monotonic() + 60 * minutes
-    full = Bench.prepare(run, out / "full")
+    full = Bench.prepare(run, out)
     options = full.options(run.config.reconstruct.seed)
     rest = full.rest(options.canonical)
     result = full.motion("motion", rest, options.motion)

@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
 
 from devrf.pipelines.console import Talk
 
-TABLE_WIDTH = 110  # characters
+PIPE_WIDTH = 110  # characters, where no terminal says how wide it is
 
 
 @dataclass(frozen=True)
@@ -57,18 +59,20 @@ def print_rows(talk: Talk, title: str, rows: Sequence[Row]) -> None:
     """The rows as a table."""
     if talk.loudness == "quiet":
         return
-    table = Table(title=title, title_justify="left")
-    for heading in ("", "value", "±", "unit", "others", "goal", ""):
-        table.add_column(heading, justify="left" if heading in ("", "unit") else "right", no_wrap=True)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for heading in ("", "value", "±", "unit", "published", "goal", "met?"):
+        left = heading in ("", "unit", "met?")
+        table.add_column(heading, justify="left" if left else "right", overflow="fold")
     for row in rows:
-        verdict = "" if row.met is None else "met" if row.met else "missed"
+        verdict = "" if row.met is None else "yes" if row.met else "no"
         value = "not measured" if row.value is None else _number(row.value)
         table.add_row(
             row.name, value, _number(row.spread), row.unit, _number(row.anchor), _number(row.goal), verdict
         )
-    talk.out.print(table, width=max(talk.out.width, TABLE_WIDTH))  # a pipe's 80 columns would cut it
+    width = None if talk.out.is_terminal else PIPE_WIDTH
+    Console(file=talk.out.file, width=width, highlight=False).print(table)
     for source in dict.fromkeys(row.source for row in rows if row.source):
-        talk.say(f"others: {source}")
+        talk.say(f"published: {source}")
     for why in dict.fromkeys(f"{row.name}: {row.why}" for row in rows if row.why):
         talk.say(why)
 

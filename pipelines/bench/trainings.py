@@ -43,8 +43,8 @@ class Bench:
     """A scene that is ready to be trained on.
 
     Attributes:
-        run: The run that made it ready; its folder is `out / "run"`.
-        out: Where the benchmark writes.
+        run: The run that made it ready.
+        out: Where the benchmark writes: a run folder with models of every seed beside the stages.
         scene: Calibrated.
         flows: Backward flow by camera.
     """
@@ -57,7 +57,7 @@ class Bench:
     @staticmethod
     def prepare(run: Run, out: Path) -> "Bench":
         """Run the stages up to flow, in a folder of the benchmark's own; ends the program where they fail."""
-        config = run.config.model_copy(update={"output": str((out / "run").resolve())})
+        config = run.config.model_copy(update={"output": str(out.resolve())})
         ready = Run(config, run.scene_dir, STAGES, Choice(last="flow"), run.talk, run.device)
         code = execute(ready)
         if code != DONE:

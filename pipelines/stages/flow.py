@@ -118,7 +118,9 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
             "",
             warn=0.05,
             low_is_bad=False,
-            remedy="The subject moves too far between frames for this flow: raise the frame rate.",
+            remedy="The subject moves too far between frames for this flow: raise the frame rate."
+            if not given
+            else "The subject moves far between the data set's times: more times would help the motion.",
         )
     )
     gaps = {name: check.gaps for name, check in checks.items() if check.gaps}

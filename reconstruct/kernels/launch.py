@@ -7,9 +7,12 @@ Either way sums keep one order, whatever the number of cores (bit-equal from run
 used (no compiler backend, an unknown processor) the plain PyTorch references take over; that is logged once.
 """
 
+import contextlib
 import functools
 import logging
 import os
+import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, no_type_check
 
@@ -95,7 +98,8 @@ def _ready(device_type: str) -> bool:
             wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
         else:  # Warp before 1.13 or so
             setattr(wp.config, "quiet", True)  # noqa: B010, unknown to this version's types
-        wp.init()
+        with contextlib.nullcontext() if torch.cuda.is_available() else _native_silence():
+            wp.init()
         if device_type == "cuda" and not wp.is_cuda_available():
             raise RuntimeError("Warp sees no CUDA device")
         probe = torch.zeros(1, device=device_type)
@@ -108,6 +112,21 @@ def _ready(device_type: str) -> bool:
             "Warp kernels do not run on %s (%s): using the slower PyTorch references", device_type, error
         )
         return False
+
+
+@contextlib.contextmanager
+def _native_silence() -> Iterator[None]:
+    """Without stderr, Python's and C's: Warp's native part warns there of a missing GPU, which is no fault."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 @functools.cache

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.picture_files import damaged_pictures, read_pixels, write_png
 
 
 def noise(*shape: int, top: int = 256, dtype: type = np.uint8) -> np.ndarray:
@@ -95,3 +95,13 @@ def test_damaged_and_missing_files_are_named(tmp_path):
     Image.fromarray(np.zeros((4, 4), np.float32)).save(tmp_path / "c.tif")
     with pytest.raises(CaptureError, match=r"c\.tif.*real numbers"):
         read_pixels(tmp_path / "c.tif")
+
+
+def test_pictures_that_end_early_are_found(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("good.png", "short.png", "short.jpg")]
+    for path in paths:
+        Image.fromarray(noise(64, 64, 3)).save(path)
+    for path in paths[1:]:
+        path.write_bytes(path.read_bytes()[:-700])
+    found = damaged_pictures(paths)
+    assert len(found) == 2 and all(str(path) in text for path, text in zip(paths[1:], found, strict=True))

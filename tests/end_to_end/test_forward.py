@@ -18,10 +18,14 @@ def run_dir(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulate_forward(
         folder / "set", "flower", size=(96, 54), options=ForwardOptions(static_views=24, times=6, spp=8)
     )
-    out = folder / "run"
-    done = devrf("run", folder / "set", "--preset", "tiny", "--set", f"output={out}", "--until", "render")
+    done = devrf("run", folder / "set", "--preset", "tiny", "--until", "render")
     assert done.code == 0, done.said[-3000:]
-    return out
+    return folder / "set" / "runs" / "flower"
+
+
+def test_a_run_inside_its_data_set_does_not_make_itself_stale(devrf: Any, run_dir: Path) -> None:
+    again = devrf("run", run_dir.parents[1], "--preset", "tiny", "--until", "render")
+    assert again.code == 0 and "nothing changed" in again.said, again.said
 
 
 def test_motion_beats_standing_still(run_dir: Path) -> None:

@@ -84,6 +84,24 @@ def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], datase
     assert before == {file: file.stat().st_mtime_ns for file in files}
 
 
+def test_rows_that_cannot_be_written_are_refused_before_training(
+    devrf: Any, dataset: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path, tmp_path / "file" / "rows.json"):
+        said = _bench(devrf, "views", dataset, "--out", str(tmp_path / "o"), "--json", str(path), code=2)
+        assert f"--json {path}" in said or f"--json {path.parent}" in said
+    said = _bench(devrf, "views", dataset, "--out", str(tmp_path / "file"), code=2)
+    assert "--out" in said and "choose another folder" in said
+    assert not (tmp_path / "o").exists()
+
+
+def test_the_table_is_whole_in_a_pipe(ablation: tuple[Path, str]) -> None:
+    _, said = ablation
+    assert "…" not in said
+    assert "ablation/cycle/test_moving/psnr" in said and "not measured" in said
+
+
 def test_some_variants_only(devrf: Any, dataset: Path, ablation: tuple[Path, str], tmp_path: Path) -> None:
     out, _ = ablation
     _bench(

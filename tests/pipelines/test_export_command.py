@@ -85,6 +85,30 @@ def test_a_damaged_data_set_is_seen_before_anything_starts(
     assert not (tmp_path / "run" / "scene").exists()
 
 
+def test_a_picture_that_ends_early_is_seen_before_anything_starts(
+    devrf: Callable, odd_scene: Scene, tmp_path: Path
+) -> None:
+    write_dataset("nerfstudio", odd_scene, tmp_path / "data")
+    picture = next((tmp_path / "data" / "images" / "witness").iterdir())  # a test picture, read last of all
+    picture.write_bytes(picture.read_bytes()[:-200])
+    scene = written(tmp_path, "nerfstudio", tmp_path / "data", "run")
+    for choice in ((), ("--dry-run",)):
+        result = devrf("run", scene, *choice)
+        assert result.code == 2, result.said
+        assert str(picture) in result.err and "cannot be read" in result.err and "make it again" in result.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_data_set_without_scene_yaml_says_what_to_write(
+    devrf: Callable, odd_scene: Scene, tmp_path: Path
+) -> None:
+    for name in ("nerfstudio", "devrf", "llff", "blender", "colmap"):
+        write_dataset(name, odd_scene, tmp_path / name, _flow_of_nothing)
+        result = devrf("status", tmp_path / name)
+        assert result.code == 2 and f"format: {name}, path: {tmp_path / name}" in result.err
+    assert "no such folder" in devrf("status", tmp_path / "nowhere" / "scene.yaml").err
+
+
 def _flow_of_nothing(frame):
     import numpy as np
 

@@ -66,3 +66,21 @@ def test_wrong_words_are_named(
     with pytest.raises(InputError, match=message):
         simulate_command.simulate(Talk(), tmp_path / "x", None, protocol, None, 0, size, settings)
     assert not (tmp_path / "x").exists()
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for protocol in simulate_command.PROTOCOLS:
+        with pytest.raises(InputError, match="cannot be written.*is a file.*another folder"):
+            simulate_command.simulate(Talk(), tmp_path / "file" / "x", None, protocol, None, 0, None, [])
+
+
+def test_every_option_is_documented() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    rows = page.split("### Options of simulate")[1].split("\n## ")[0].splitlines()
+    for protocol in simulate_command.PROTOCOLS.values():
+        for name, field in protocol.options.model_fields.items():
+            default = str(field.default).lower().replace("(", "[").replace(")", "]")
+            assert any(row.startswith(f"| `{name}`") and default in row for row in rows), (
+                f"{name} = {default}"
+            )

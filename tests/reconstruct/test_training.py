@@ -120,6 +120,24 @@ def test_checkpoint_of_another_training_is_not_taken_up(ball, rest: RestModel, t
     assert Checkpoint(tmp_path / "state", "one").read() is None
 
 
+def test_checkpoints_are_as_frequent_as_they_are_quick(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("devrf.reconstruct.checkpoint.save_file", lambda *_, **__: _slow_disk(now, tmp_path))
+    checkpoint = Checkpoint(tmp_path / "state", "large fields")
+    now[0] = 6.0
+    assert checkpoint.due()
+    checkpoint.write({}, {})  # takes 10 seconds, so the next is due after 20 times as many
+    for later, due in ((190.0, False), (20.0, True)):
+        now[0] += later
+        assert checkpoint.due() == due
+
+
+def _slow_disk(now: list[float], folder) -> None:
+    (folder / ".state.tmp").touch()
+    now[0] += 10.0
+
+
 class Killed(Checkpoint):
     """A checkpoint after which the process dies, every second time."""
 

@@ -1,0 +1,36 @@
+"""Whether something can be written, asked before the work is done that would be lost."""
+
+import os
+from pathlib import Path
+
+from devrf.capture.errors import InputError
+
+
+def check_folder(folder: Path, what: str) -> None:
+    """Refuse a folder that cannot be made or written into; nothing is made yet.
+
+    Args:
+        folder: It may be missing, with the folders above it.
+        what: Names it in the message: `--out`, `output`.
+    Raises:
+        InputError: A file stands in its way, or this user may not write there.
+    """
+    there = next(place for place in (folder, *folder.absolute().parents) if os.path.lexists(place))
+    if not there.is_dir():
+        reason = f"{there} is a file"
+    elif not os.access(there, os.W_OK | os.X_OK):
+        reason = f"{there} may not be written"
+    else:
+        return
+    raise InputError(f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable")
+
+
+def check_file(path: Path, what: str) -> None:
+    """Refuse a file that cannot be written; its folder may be missing.
+
+    Raises:
+        InputError: It is a folder, or its folder cannot be written.
+    """
+    if path.is_dir():
+        raise InputError(f"{what} {path}: is a folder; expected the name of a file")
+    check_folder(path.parent, what)
