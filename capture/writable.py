@@ -22,7 +22,9 @@ def check_folder(folder: Path, what: str) -> None:
         reason = f"{there} may not be written"
     else:
         return
-    raise InputError(f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable")
+    raise InputError(
+        f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable"
+    )
 
 
 def check_file(path: Path, what: str) -> None:
