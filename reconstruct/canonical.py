@@ -228,7 +228,11 @@ class Canonical:
         if within is not None:
             occupied &= within
         self.distance = distance(occupied)
-        return grown(occupied)
+        return self.reachable()
+
+    def reachable(self) -> Bool[Tensor, "X Y Z"]:
+        """Vertices that samples can touch."""
+        return grown(self.distance == 0)
 
     def refine(self, resolution: float | int) -> None:
         """Interpolate both grids onto more vertices; `rebuild_occupancy` has to follow."""

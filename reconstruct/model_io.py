@@ -1,29 +1,44 @@
-"""Models on disk: data only (safetensors), half precision, everything that rendering needs and nothing else.
+"""Models on disk: data only (safetensors), everything that rendering needs and nothing else.
 
 `canonical/model.safetensors` holds the scene at rest and its surroundings, `deformation/model.safetensors` both
-motion fields. Numbers that are not tensors stand in the file's metadata, as JSON under `devrf`.
+motion fields. Only vertices that samples can touch are kept; densities are in half precision, colours and motion
+in bytes (`packing.py`). Numbers that are not tensors stand in the file's metadata, as JSON under `devrf`.
 """
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
-from devrf.reconstruct.canonical import Canonical, ColourNet
+from devrf.reconstruct.canonical import EMPTY, Canonical, ColourNet
+from devrf.reconstruct.grids import grown
+from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import Ndc
+from devrf.reconstruct.packing import (
+    bits_of,
+    field_from_bytes,
+    field_to_bytes,
+    from_bytes,
+    mask_of,
+    to_bytes,
+)
 from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_canonical import RestModel
 
 FILE = "model.safetensors"
-FORMAT = 2
+FORMAT = 3
+BYTES = ("codes", "low", "step")
 CANONICAL_NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")
 
 
@@ -34,14 +49,15 @@ def save_rest(path: Path, model: RestModel) -> None:
         raise ValueError("a coarse model without an MLP is not saved")
     tensors = {
         "canonical.aabb": canonical.aabb,
-        "canonical.density": canonical.density.half(),
-        "canonical.features": canonical.features.half(),
-        "canonical.distance": canonical.distance,
+        **_kept(
+            "canonical", canonical.distance == 0, canonical.reachable(), canonical.density, canonical.features
+        ),
         **{f"net.{name}": value for name, value in net.state_dict().items()},
     }
     meta: dict[str, Any] = {
         "kind": "rest",
         "canonical": {name: getattr(canonical, name) for name in CANONICAL_NUMBERS},
+        "shape": canonical.shape,
         "channels": canonical.features.shape[3],
         "mlp_width": net.hidden.out_features,
         "view_frequencies": net.frequencies,
@@ -51,20 +67,21 @@ def save_rest(path: Path, model: RestModel) -> None:
         "far": model.far,
     }
     if shell is not None:
-        tensors |= {"shell.aabb": shell.aabb, "shell.grid": shell.grid.half()}
-        meta["shell"] = {"final": shell.final, "near": shell.near, "far": shell.far}
+        density, colour = shell.grid[..., :1], shell.grid[..., 1:]
+        tensors["shell.aabb"] = shell.aabb
+        tensors |= _kept("shell", shell.distance == 0, shell.reachable(), density, colour)
+        meta["shell"] = {"size": shell.size, "final": shell.final, "near": shell.near, "far": shell.far}
     _save(path, tensors, meta)
 
 
 def save_motion(path: Path, motion: MotionField) -> None:
     """Write both motion fields."""
-    tensors = {
-        "aabb": motion.aabb,
-        "backward": motion.backward.half(),
-        "forward": motion.forward.half(),
-    }
+    tensors = {"aabb": motion.aabb}
+    for name, field in (("backward", motion.backward), ("forward", motion.forward)):
+        tensors |= {f"{name}.{part}": value for part, value in field_to_bytes(field.cpu()).items()}
     meta = {
         "kind": "motion",
+        "shape": motion.backward.shape[:4],
         "t_first": motion.t_first,
         "t_last": motion.t_last,
         "rest_key": motion.rest_key,
@@ -79,44 +96,23 @@ def load_rest(path: Path, device: str = "cpu") -> RestModel:
         ReconstructError: The file is missing, damaged, or holds something else.
     """
     tensors, meta = _load(path, "rest", device)
-    net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"]).to(device)
-    net.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")})
-    for parameter in net.parameters():
-        parameter.requires_grad_(False)
-    canonical = Canonical(
-        tensors["canonical.aabb"],
-        tensors["canonical.density"].float(),
-        tensors["canonical.features"].float(),
-        net,
-        ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
-        **{name: float(meta["canonical"][name]) for name in CANONICAL_NUMBERS},
-    )
-    canonical.distance = tensors["canonical.distance"]
-    shell = None
-    if "shell" in meta:
-        numbers = meta["shell"]
-        shell = Shell(
-            tensors["shell.aabb"],
-            tensors["shell.grid"].float(),
-            final=int(numbers["final"]),
-            near=float(numbers["near"]),
-            far=float(numbers["far"]),
-        )
-        shell.rebuild_occupancy()
-    return RestModel(canonical, shell, meta["background"], float(meta["near"]), float(meta["far"]), {})
+    with _damage_named(path):
+        return _rest(tensors, meta, device)
 
 
 def load_motion(path: Path, device: str = "cpu") -> MotionField:
     """Read what `save_motion` wrote, for work on `device`; errors as `load_rest`."""
     tensors, meta = _load(path, "motion", "cpu")
-    return MotionField(
-        tensors["aabb"].cpu(),
-        tensors["backward"].float(),
-        tensors["forward"].float(),
-        float(meta["t_first"]),
-        float(meta["t_last"]),
-        meta["rest_key"],
-    ).stored(device)
+    with _damage_named(path):
+        T, X, Y, Z = meta["shape"]
+        return MotionField(
+            tensors["aabb"].cpu(),
+            field_from_bytes(_bytes("backward", tensors), (T, X, Y, Z)),
+            field_from_bytes(_bytes("forward", tensors), (T, X, Y, Z)),
+            float(meta["t_first"]),
+            float(meta["t_last"]),
+            meta["rest_key"],
+        ).stored(device)
 
 
 def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
@@ -126,6 +122,77 @@ def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
         load_rest(run_dir / "canonical" / FILE, device),
         load_motion(motion, device) if motion.is_file() else None,
     )
+
+
+def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> RestModel:
+    net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"]).to(device)
+    net.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")})
+    for parameter in net.parameters():
+        parameter.requires_grad_(False)
+    X, Y, Z = meta["shape"]
+    occupied = mask_of(tensors["canonical.occupied"].cpu(), (X, Y, Z)).to(device)
+    canonical = Canonical(
+        tensors["canonical.aabb"],
+        *_spread("canonical", tensors, grown(occupied)),
+        net,
+        ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
+        **{name: float(meta["canonical"][name]) for name in CANONICAL_NUMBERS},
+    )
+    canonical.distance = distance(occupied)
+    shell = None
+    if "shell" in meta:
+        numbers = meta["shell"]
+        N = int(numbers["size"])
+        occupied = mask_of(tensors["shell.occupied"].cpu(), (N, N, N)).to(device)
+        shell = Shell(
+            tensors["shell.aabb"],
+            torch.empty(N, N, N, 4, device=device),
+            final=int(numbers["final"]),
+            near=float(numbers["near"]),
+            far=float(numbers["far"]),
+        )
+        shell.distance = distance(occupied)
+        shell.grid = torch.cat(_spread("shell", tensors, shell.reachable()), dim=-1)
+    return RestModel(canonical, shell, meta["background"], float(meta["near"]), float(meta["far"]), {})
+
+
+def _kept(
+    name: str,
+    occupied: Bool[Tensor, "X Y Z"],
+    kept: Bool[Tensor, "X Y Z"],
+    density: Float[Tensor, "X Y Z 1"],
+    colour: Float[Tensor, "X Y Z C"],
+) -> dict[str, Tensor]:
+    """Tensors of a grid: which vertices are occupied, and the values that can be touched from there."""
+    parts = {f"{name}.{part}": value for part, value in to_bytes(colour[kept][None]).items()}
+    return parts | {f"{name}.occupied": bits_of(occupied), f"{name}.density": density[kept].half()}
+
+
+def _spread(
+    name: str, tensors: dict[str, Tensor], kept: Bool[Tensor, "X Y Z"]
+) -> tuple[Float[Tensor, "X Y Z 1"], Float[Tensor, "X Y Z C"]]:
+    """Density and colour of a whole grid, empty where nothing was kept."""
+    colour = from_bytes(_bytes(name, tensors))[0]
+    density = torch.full((*kept.shape, 1), EMPTY, device=kept.device)
+    density[kept] = tensors[f"{name}.density"].float()
+    whole = torch.zeros(*kept.shape, colour.shape[-1], device=kept.device)
+    whole[kept] = colour
+    return density, whole
+
+
+def _bytes(name: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {part: tensors[f"{name}.{part}"] for part in BYTES}
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    """Tensors that are missing or do not fit together, as an error that names the file."""
+    try:
+        yield
+    except (KeyError, ValueError, TypeError, RuntimeError, IndexError) as error:
+        raise ReconstructError(
+            f"{path}: its parts do not fit together ({error}); delete it and run its stage again"
+        ) from None
 
 
 def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:

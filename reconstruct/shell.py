@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from devrf.reconstruct.canonical import EMPTY, shift_for
-from devrf.reconstruct.grids import upsample, vertices
+from devrf.reconstruct.grids import grown, upsample, vertices
 from devrf.reconstruct.kernels.background import Surroundings, background, expand
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.occupancy import distance
@@ -130,7 +130,11 @@ class Shell:
         alpha = 1 - torch.exp(-self.interval * F.softplus(self.grid[..., 0] + shift_for(ALPHA_INIT)))
         away = distance(alpha > self.alpha_threshold)
         self.distance = away - (away > 0).to(torch.uint8)  # neighbours count as occupied: samples blend them
-        reachable = away <= 2
+        return self.reachable()
+
+    def reachable(self) -> Bool[Tensor, "N N N"]:
+        """Vertices that samples can touch."""
+        reachable = grown(self.distance == 0)
         for axis in range(3):  # rays that hit nothing end on the cube's faces
             reachable.narrow(axis, 0, 2).fill_(True)
             reachable.narrow(axis, self.size - 2, 2).fill_(True)

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
@@ -87,3 +89,46 @@ def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
     rest.write_bytes(rest.read_bytes()[:1000])
     with pytest.raises(ReconstructError, match="rest.safetensors"):
         load_rest(rest)
+
+
+def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rest.safetensors"
+    save_rest(path, _model().rest)
+    with safe_open(str(path), framework="pt") as file:
+        meta = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    for name in ("canonical.density", "canonical.occupied", "shell.codes"):
+        save_file(tensors | {name: tensors[name][..., :-1].contiguous()}, str(path), metadata=meta)
+        with pytest.raises(ReconstructError, match="do not fit together"):
+            load_rest(path)
+    save_file({k: v for k, v in tensors.items() if k != "shell.low"}, str(path), metadata=meta)
+    with pytest.raises(ReconstructError, match="shell.low"):
+        load_rest(path)
+
+
+def test_empty_space_costs_nothing_and_changes_nothing(tmp_path: Path) -> None:
+    """A small thing in a large box: a hundredth of the dense size, the same picture."""
+    model = _model("white")
+    canonical = model.rest.canonical
+    canonical.density.fill_(-10.0)
+    canonical.density[6:9, 6:9, 6:9] = 9.0
+    canonical.rebuild_occupancy()
+    save_rest(tmp_path / FILE, model.rest)
+    again = load_rest(tmp_path / FILE)
+    assert torch.equal(again.canonical.distance, canonical.distance)
+    assert (tmp_path / FILE).stat().st_size < 0.5 * canonical.features.numel() * 2
+    before, after = (render_view(DynamicModel(rest), _camera(), None) for rest in (model.rest, again))
+    np.testing.assert_allclose(before, after, atol=0.01)
+    assert before.std() > 0.05
+
+
+def test_surroundings_are_the_same_where_rays_end_on_the_cube(tmp_path: Path) -> None:
+    """Where nothing is met, the colour of the cube's face is seen: its vertices are kept, too."""
+    model = _model()
+    assert model.rest.shell is not None
+    model.rest.shell.grid[..., 0] = -10.0
+    model.rest.shell.rebuild_occupancy()
+    save_rest(tmp_path / FILE, model.rest)
+    again = load_rest(tmp_path / FILE)
+    before, after = (render_view(DynamicModel(rest), _camera(), None) for rest in (model.rest, again))
+    np.testing.assert_allclose(before, after, atol=0.02)
