@@ -38,6 +38,7 @@ from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25
 FEWEST_RAYS = 256
@@ -58,10 +59,20 @@ class RestModel:
 
 
 def train_canonical(
-    scene: Scene, options: CanonicalOptions, device: str = "cpu", progress: Progress = no_progress
+    scene: Scene,
+    options: CanonicalOptions,
+    device: str = "cpu",
+    progress: Progress = no_progress,
+    watch: Watch | None = None,
 ) -> RestModel:
     """Train on the sweep's training pictures.
 
+    Args:
+        scene: Its sweep is trained on.
+        options: What can be chosen.
+        device: cpu or cuda.
+        progress: Told how far it is.
+        watch: Shown the model (a `RestModel` without metrics) now and then.
     Raises:
         ReconstructError: No training pictures, nothing in the box, or the loss diverged.
     """
@@ -92,6 +103,8 @@ def train_canonical(
             done = begun + (1 - begun) * iteration / options.iterations
             last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
             progress(done, f"iteration {iteration} of {options.iterations}{last}")
+            if watch is not None:
+                watch(log, lambda: recipe.model({}))
     recipe.finish()
     log.close_row()
     progress(1.0, "scene at rest learned")
@@ -101,7 +114,7 @@ def train_canonical(
         "aabb": recipe.canonical.aabb.tolist(),
         "occupied": float((recipe.canonical.distance == 0).float().mean()),
     }
-    return RestModel(recipe.canonical, recipe.shell, scene.background, scene.near, scene.far, metrics)
+    return recipe.model(metrics)
 
 
 def _box(
@@ -165,7 +178,7 @@ class _Recipe:
         self.scalings = {
             max(1, round(share * options.iterations)): n for n, share in enumerate(options.scale_at, 1)
         }
-        self.near, self.far = scene.near, scene.far
+        self.near, self.far, self.background = scene.near, scene.far, scene.background
         self.canonical = Canonical.new(
             aabb,
             self._share(0) * options.resolution,
@@ -217,6 +230,10 @@ class _Recipe:
             self.restart()
         elif iteration and iteration % self.options.occupancy_every == 0:
             self._find_reachable()
+
+    def model(self, metrics: dict[str, Any]) -> RestModel:
+        """As it is now."""
+        return RestModel(self.canonical, self.shell, self.background, self.near, self.far, metrics)
 
     def step(self, batch: RayBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """One iteration; returns the unweighted losses."""

@@ -45,6 +45,7 @@ from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
 HULL_RESOLUTION, HULL_TIMES, HULL_MARGIN = 40, 12, 1.05  # to find the box that the subject sweeps
@@ -59,6 +60,7 @@ def train_motion(
     device: str = "cpu",
     progress: Progress = no_progress,
     checkpoint: Checkpoint | None = None,
+    watch: Watch | None = None,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
 
@@ -70,6 +72,7 @@ def train_motion(
         device: cpu or cuda.
         progress: Told how far it is.
         checkpoint: Where to keep the state between two key times, and to take it up from.
+        watch: Shown the motion field now and then, between two key times.
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverged.
     """
@@ -95,6 +98,8 @@ def train_motion(
         if checkpoint is not None and checkpoint.due() and n + 1 < len(visits):
             tensors, numbers = recipe.state()
             checkpoint.write(tensors, {"visits": n + 1, "recipe": numbers, "log": log.state()})
+        if watch is not None:
+            watch(log, lambda: recipe.motion)
     log.close_row()
     metrics = log.summary() | {
         "keys": recipe.motion.keys,

@@ -5,6 +5,8 @@ import resource
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -20,6 +22,7 @@ class TrainingLog:
         self.rows: list[dict[str, float]] = []
         self.iteration, self.rays = 0, 0
         self.began = time.perf_counter()
+        self._stopped: float | None = None
         self._sums: dict[str, list[torch.Tensor]] = defaultdict(list)
         if device != "cpu":
             torch.cuda.reset_peak_memory_stats()
@@ -75,11 +78,28 @@ class TrainingLog:
 
     @property
     def seconds(self) -> float:
-        """Since the log was begun."""
-        return time.perf_counter() - self.began
+        """Since the log was begun, pauses left out."""
+        return (self._stopped or time.perf_counter()) - self.began
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """What is done meanwhile does not count as training."""
+        self._finish_queued()
+        self._stopped = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._finish_queued()
+            self.began += time.perf_counter() - self._stopped
+            self._stopped = None
+
+    def _finish_queued(self) -> None:
+        if self.device != "cpu":
+            torch.cuda.synchronize()  # a GPU works behind; what it still has to do is on this side of the line
 
     def summary(self) -> dict[str, Any]:
         """As written to metrics.json."""
+        self._finish_queued()
         seconds = self.seconds
         on_gpu = self.device != "cpu"
         return {

@@ -1,8 +1,9 @@
-"""Charts of benchmarks as PNG files: cases and lines over seeds, each seed a dot."""
+"""Charts of benchmarks as PNG files: cases and lines over seeds, each seed a dot; results against their cost."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -45,6 +46,69 @@ def lines(
     axes.set_xticks(sorted({x for points in series.values() for x in points}))
     axes.set_xlabel(x_label)
     return _saved(figure, axes, path)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points of one name in a chart.
+
+    Attributes:
+        name: In the legend; the same name has the same colour in every panel.
+        points: (x, y).
+        kind: `ours`: a result; `way`: how training got there; `front`: the results that no other beats;
+            `published`: what others report.
+    """
+
+    name: str
+    points: Sequence[tuple[float, float]]
+    kind: Literal["ours", "way", "front", "published"]
+
+
+def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]]], title: str) -> Path:
+    """A row of panels per y label, in it a panel per x label, logarithmic in x."""
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    first = next(iter(panels.values()))
+    figure = Figure(figsize=(4.6 * len(first), 0.8 + 4.2 * len(panels)), layout="constrained")
+    table = figure.subplots(len(panels), len(first), sharey="row", sharex="col", squeeze=False)
+    names = list(dict.fromkeys(c.name for curves in first.values() for c in curves if c.kind == "ours"))
+    colours = {name: colormaps["tab10"](n % 10) for n, name in enumerate(names)}
+    for row, (y_label, columns) in zip(table, panels.items(), strict=True):
+        row[0].set_ylabel(y_label)
+        for axes, (x_label, curves) in zip(row, columns.items(), strict=True):
+            axes.set_xscale("log")
+            axes.set_xlabel(x_label)
+            axes.grid(True, alpha=0.3)
+            for curve in curves:
+                _draw(axes, curve, colours.get(curve.name, "black"))
+    handles, labels = table[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(labels)), fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)
+    return path
+
+
+def _draw(axes: Any, curve: Curve, colour: Any) -> None:
+    if not curve.points:
+        return
+    x, y = zip(*curve.points, strict=True)
+    if curve.kind == "ours":
+        axes.plot(x, y, "o", color=colour, markersize=8, label=curve.name, zorder=3)
+    elif curve.kind == "way":
+        first = not any(line.get_gid() == "way" for line in axes.get_lines())
+        label = "on the way there, a few views" if first else None
+        axes.plot(x, y, "-", color=colour, linewidth=1, alpha=0.7, label=label, gid="way")
+    elif curve.kind == "front":
+        axes.plot(x, y, "--", color="black", linewidth=0.8, label=curve.name, zorder=2)
+    else:
+        first = not any(line.get_marker() == "x" for line in axes.get_lines())
+        label = "published: other data, other device" if first else None
+        axes.plot(x, y, "x", color="0.55", markersize=5, label=label)
+        axes.annotate(
+            curve.name, (x[0], y[0]), xytext=(3, 3), textcoords="offset points", fontsize=5.5, color="0.45"
+        )
 
 
 def _figure(y_label: str, title: str) -> tuple[Any, Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
@@ -21,6 +21,7 @@ from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import BAD_INPUT, FAILED, Run, resolve_device
 from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.ablation import VARIANTS
+from devrf.reconstruct.options import PresetName
 
 bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -81,6 +82,43 @@ def views(
 
 
 @bench.command()
+def speed(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    presets: Annotated[str, typer.Option(help="What is compared")] = ",".join(get_args(PresetName)),
+    efforts: Annotated[
+        str, typer.Option(help="Shares of each preset's iterations, each a training of its own: 0.25,0.5,1")
+    ] = "1",
+    every: Annotated[
+        float, typer.Option(min=0.1, help="Seconds of training between two looks, at first")
+    ] = 5.0,
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """Accuracy against seconds of training, megabytes and pictures per second, of several presets.
+
+    --preset says at which size the pictures are taken, where reconstruct.image_scale does not.
+    """
+    names = [name.strip() for name in presets.split(",")]
+    unknown = [name for name in names if name not in get_args(PresetName)]
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.speed import run_speed
+        from devrf.pipelines.bench.trainings import Bench
+
+        if unknown:
+            expected = ", ".join(get_args(PresetName))
+            raise InputError(f"--presets {', '.join(unknown)}: unknown, expected {expected}")
+        shares = _shares(efforts)
+        run_speed(Bench.prepare(run, folder), names, shares, every, json or folder / "speed.json")
+
+    _measure("speed", measure, scene, preset, overrides, out, json, device, quiet)
+
+
+@bench.command()
 def reference(
     scene: SceneArgument,
     minutes: Annotated[float, typer.Option(min=0.1, help="No part of the ablation begins later")] = 9.0,
@@ -98,6 +136,17 @@ def reference(
         run_reference(run, folder, json or folder / "reference.json", minutes)
 
     _measure("reference", measure, scene, "reference", overrides, out, json, device, quiet)
+
+
+def _shares(text: str) -> list[float]:
+    """Numbers above 0, as `0.25,1` names them."""
+    try:
+        shares = [float(part) for part in text.split(",")]
+    except ValueError:
+        shares = []
+    if not shares or not all(0 < share <= 100 for share in shares):
+        raise InputError(f"--efforts {text}: expected numbers above 0 and up to 100, such as 0.25,1")
+    return shares
 
 
 def _measure(

@@ -17,7 +17,7 @@ import typer
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.scene import Scene
+from devrf.capture.scene import Scene, load_image
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.code_version import code_version
@@ -29,11 +29,14 @@ from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
+from devrf.reconstruct.metrics import Comparison
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.model_io import load_rest, save_rest
+from devrf.reconstruct.model_io import load_motion, load_rest, save_motion, save_rest
+from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.watch import Watch
 
 UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}
 
@@ -80,30 +83,41 @@ class Bench:
         reconstruct = self.run.config.reconstruct.model_copy(update={"seed": seed})
         return training_options(self.run.config.model_copy(update={"reconstruct": reconstruct}), self.scene)
 
-    def rest(self, options: CanonicalOptions) -> RestModel:
-        """The scene at rest, trained or read again."""
+    def rest(self, options: CanonicalOptions, looks: "Looks | None" = None) -> RestModel:
+        """The scene at rest, trained or read again; with `looks`, `metrics["looks"]` says how it got there."""
         folder, of = self.out / f"seed{options.seed}" / "rest", self._fingerprint(options)
         found = _read(folder / "metrics.json")
         if found.get("of") != of:
             with self.run.talk.progress(f"seed {options.seed}: scene at rest") as progress:
-                model = train_canonical(self.scene, options, self.run.device, progress)
+                watch = looks.of_rest() if looks is not None else None
+                model = train_canonical(self.scene, options, self.run.device, progress, watch)
             folder.mkdir(parents=True, exist_ok=True)
-            save_rest(folder / "model.safetensors", model)
-            _write(folder / "metrics.json", model.metrics | {"of": of})
-        # Always as read from the file, in half precision: the same whether it was trained now or before.
-        model = load_rest(folder / "model.safetensors", self.run.device)
+            save_rest(self._rest_file(options.seed), model)
+            seen = {"looks": looks.taken()} if looks is not None else {}
+            _write(folder / "metrics.json", model.metrics | seen | {"of": of})
+        # Always as read from the file: the same whether it was trained now or before.
+        model = load_rest(self._rest_file(options.seed), self.run.device)
         return replace(model, metrics=_read(folder / "metrics.json"))
 
     def motion(
-        self, name: str, rest: RestModel, options: MotionOptions, cameras: Sequence[str] | None = None
+        self,
+        name: str,
+        rest: RestModel,
+        options: MotionOptions,
+        cameras: Sequence[str] | None = None,
+        looks: "Looks | None" = None,
     ) -> dict[str, Any]:
-        """Train one motion field and score it on the test views; returns `evaluate`'s blocks and `train`.
+        """Train one motion field and score it, as it is on disk, on the test views.
+
 
         Args:
             name: Folder of this case, below the seed's.
             rest: The scene at rest.
             options: Of the motion.
             cameras: Names of the training cameras to use; None: all.
+            looks: Takes looks at the model while it is trained.
+        Returns:
+            `evaluate`'s blocks, `train` (what the training measured), `model_mb`, and `looks`.
         """
         scene = self.scene
         if cameras is not None:
@@ -117,10 +131,15 @@ class Bench:
         folder.mkdir(parents=True, exist_ok=True)
         checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
         with self.run.talk.progress(f"seed {options.seed}: {name}") as progress:
+            watch = looks.of_motion(rest) if looks is not None else None
             motion, train = train_motion(
-                scene, rest, self.flows, options, self.run.device, progress, checkpoint
+                scene, rest, self.flows, options, self.run.device, progress, checkpoint, watch
             )
-            model = DynamicModel(rest, motion)
+            file = folder / "model.safetensors"
+            save_motion(file, motion)
+            model_mb = (file.stat().st_size + self._rest_file(options.seed).stat().st_size) / 1e6
+            model = DynamicModel(rest, load_motion(file, self.run.device))
+            file.unlink()  # a gigabyte each at the published size
 
             def render(camera: Camera, time: float | None) -> np.ndarray:
                 return render_view(model, camera, time)
@@ -129,16 +148,67 @@ class Bench:
             moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
             scores = evaluate(moving_only, render, self.lpips, folder)
         result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
-        result |= {"train": {k: v for k, v in train.items() if k != "curve"}, "of": of}
+        result |= {"train": {k: v for k, v in train.items() if k != "curve"}, "model_mb": model_mb, "of": of}
+        if looks is not None:
+            result["looks"] = looks.taken()
         _write(folder / "metrics.json", result)
         checkpoint.remove()
         return result
+
+    def _rest_file(self, seed: int) -> Path:
+        return self.out / f"seed{seed}" / "rest" / "model.safetensors"
 
     def _fingerprint(self, *parts: Any) -> str:
         stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
         code = [code_version(f.__module__) for f in (train_canonical, train_motion, evaluate)]
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
+
+
+class Looks:
+    """PSNR of a few test views while a model is trained, off the clock.
+
+    Args:
+        scene: Its moving test views are looked at.
+        every_s: Seconds of training to the second look; later ones come less often.
+        views: How many test views, spread over time.
+    """
+
+    def __init__(self, scene: Scene, every_s: float, views: int = 6) -> None:
+        scene = scene.in_box_frame()
+        test = sorted((f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.time or 0.0, f.index))
+        chosen = sorted({round(n) for n in np.linspace(0, len(test) - 1, min(views, len(test)))})
+        self._cameras = [(test[n].camera.scaled(scene.image_scale), test[n].time) for n in chosen]
+        self._true = [
+            load_image(test[n], scene.image_scale, scene.background).astype(np.float32) / 255 for n in chosen
+        ]
+        self._every_s = every_s
+        self._seen: list[dict[str, float]] = []
+
+    def of_rest(self) -> Watch:
+        """Of the scene at rest."""
+        return Watch(self._every_s, lambda rest, seconds: self._look(DynamicModel(rest), seconds))
+
+    def of_motion(self, rest: RestModel) -> Watch:
+        """Of the motion of a scene."""
+
+        def look(motion: MotionField, seconds: float) -> None:
+            self._look(DynamicModel(rest, motion), seconds)
+
+        return Watch(self._every_s, look)
+
+    def taken(self) -> list[dict[str, float]]:
+        """Looks since this was last asked for: `seconds` of this training, mean `psnr`, dB."""
+        seen, self._seen = self._seen, []
+        return seen
+
+    def _look(self, model: DynamicModel, seconds: float) -> None:
+        scores = [
+            Comparison(render_view(model, camera, time), true).whole().psnr
+            for (camera, time), true in zip(self._cameras, self._true, strict=True)
+        ]
+        mean = float(np.mean([s for s in scores if s is not None]))
+        self._seen.append({"seconds": round(seconds, 2), "psnr": round(mean, 3)})
 
 
 def score_rows(

@@ -13,6 +13,7 @@ from devrf.capture.simulate_dataset import simulate_dataset
 from devrf.capture.simulate_dataset_options import DatasetOptions
 from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
 from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.bench.speed import Case, Measured, pareto
 from devrf.reconstruct.ablation import VARIANTS, ablated
 from devrf.reconstruct.options import PRESETS
 
@@ -121,6 +122,52 @@ def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Pa
     one, two = (rows[f"views/{n}/test/psnr"]["value"] for n in (1, 2))
     assert one != two
     assert (tmp_path / "views.png").is_file()
+
+
+def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+    choice = ("--presets", "fast,reference", "--efforts", "0.5,1", "--every", "0.3")
+    said = _bench(devrf, "speed", dataset, "--out", str(tmp_path), *choice, *SETTINGS)
+    rows = _rows(tmp_path / "speed.json")
+    for name in ("fast x0.5", "fast", "reference x0.5", "reference"):
+        assert 5 < rows[f"speed/{name}/test/psnr"]["value"] < 60
+        for cost in ("seconds", "megabytes", "render_fps"):
+            assert rows[f"speed/{name}/{cost}"]["value"] > 0
+    share = rows["speed/fast of reference/seconds"]
+    expected = rows["speed/fast/seconds"]["value"] / rows["speed/reference/seconds"]["value"]
+    assert share["value"] == pytest.approx(expected) and share["goal"] == 1 / 8
+    assert share["met"] == (expected <= 1 / 8)
+    content = json.loads((tmp_path / "speed.json").read_text())
+    for name, curve in content["curves"].items():
+        seconds = [look["seconds"] for look in curve]
+        assert len(curve) >= 2 and seconds == sorted(seconds)
+        assert seconds[-1] <= rows[f"speed/{name}/seconds"]["value"] + 0.01  # looks are off the clock
+    assert set(content["front"]) == {"seconds", "megabytes", "fps"} and "not beaten" in said
+    assert all("synthetic" in row["on"] for row in content["published"])
+    assert (tmp_path / "speed.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize("choice", [("--presets", "fats"), ("--efforts", "0"), ("--efforts", "half")])
+def test_speed_names_wrong_words(devrf: Any, dataset: Path, choice: tuple[str, str]) -> None:
+    said = _bench(devrf, "speed", dataset, *choice, *SETTINGS, code=2)
+    assert " ".join(choice)[:-1] in said or choice[1] in said
+    assert "expected" in said
+
+
+def test_a_front_holds_what_no_other_beats() -> None:
+    def measured(name: str, psnr: float, seconds: float, fps: float) -> Measured:
+        result = {"test": {"psnr": psnr}, "model_mb": 1.0, "render_fps": fps}
+        return Measured(Case(name, 1.0), result, [], seconds)
+
+    found = [
+        measured("slow and good", 30.0, 100.0, 1.0),
+        measured("quick", 28.0, 10.0, 2.0),
+        measured("beaten", 27.0, 20.0, 1.5),
+        measured("quickest", 20.0, 5.0, 1.9),
+        measured("as quick, worse", 19.0, 5.0, 1.0),
+    ]
+    assert [one.case.name for one in pareto(found, "seconds")] == ["slow and good", "quick", "quickest"]
+    assert [one.case.name for one in pareto(found, "fps")] == ["slow and good", "quick"]
+    assert [one.case.name for one in pareto(found, "megabytes")] == ["slow and good"]
 
 
 def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path: Path) -> None:

@@ -10,10 +10,12 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import load_image, plain_colour
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.watch import Watch
 
 REST = CanonicalOptions(
     resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
@@ -191,3 +193,28 @@ def test_divergence_is_noticed() -> None:
     log.add(10, {"mse": torch.tensor(0.1)})
     with pytest.raises(ReconstructError, match="diverged"):
         log.add(10, {"mse": torch.tensor(float("nan"))})
+
+
+def test_looks_are_off_the_clock_and_come_less_and_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("devrf.reconstruct.training_log.time.perf_counter", lambda: now[0])
+    log, looked = TrainingLog("cpu", 10), []
+
+    def look(model: str, seconds: float) -> None:
+        looked.append((model, seconds))
+        now[0] += 1000.0  # a look takes long
+
+    watch = Watch(2.0, look, growth=0.5)
+    for _ in range(20):
+        watch(log, lambda: "model")
+        now[0] += 1.0
+    assert log.seconds == 20.0
+    assert [seconds for _, seconds in looked] == [0.0, 2.0, 5.0, 10.0, 17.0]
+
+
+def test_looking_changes_nothing(ball, rest: RestModel) -> None:
+    options = replace(MOTION, iterations=(4, 3), most_keys=3)
+    watched: list[MotionField] = []
+    motion, _ = train_motion(ball.scene, rest, {}, options, watch=Watch(0.0, lambda m, s: watched.append(m)))
+    assert torch.equal(motion.backward, train_motion(ball.scene, rest, {}, options)[0].backward)
+    assert len(watched) == 2 * 2  # levels times keys
