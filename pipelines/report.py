@@ -17,6 +17,7 @@ from devrf.pipelines.report_html import absent, duration, link, number, readable
 from devrf.pipelines.report_pictures import data_uri, picture_uri, read_picture
 from devrf.pipelines.report_run import RunFolder, at
 from devrf.pipelines.report_space import space_section
+from devrf.pipelines.report_speed import speed_section
 from devrf.pipelines.report_training import training_section
 from devrf.pipelines.report_views import views_section
 
@@ -34,6 +35,7 @@ SECTIONS = (
     ("training", "Training", training_section),
     ("views", "Views", views_section),
 )
+OPTIONAL = (("speed", "Speed", speed_section),)  # only where it has been measured
 
 
 def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
@@ -44,12 +46,12 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
         name: Name of the scene, as the user wrote it.
         facts: A few words for the line under the title (preset, device, ...).
     """
-    sections = "".join(_made(run, key, title, make) for key, title, make in SECTIONS)
+    made = [(key, title, _made(run, key, title, make)) for key, title, make in (*SECTIONS, *OPTIONAL)]
+    made = [(key, title, html) for key, title, html in made if html]
+    sections = "".join(html for _, _, html in made)
     facts_line = f'<p class="sub">{text(" · ".join(facts))}</p>'
     numbers = f'<div class="hero">{tiles(run)}{film(run)}</div>{stages_table(run)}'
-    nav = "".join(
-        f'<a href="#{key}">{text(title)}</a>' for key, title, _ in (("top", "Summary", None), *SECTIONS)
-    )
+    nav = "".join(f'<a href="#{key}">{text(title)}</a>' for key, title, _ in (("top", "Summary", ""), *made))
     top = (
         f'<header id="top"><p class="kind">Run report</p><h1>{text(name)}</h1>'
         f"{facts_line}{verdict(run)}{numbers}</header>"  # the verdict last: it also names unreadable files

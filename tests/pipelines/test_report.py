@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -276,6 +277,26 @@ def test_every_section_is_there_and_none_is_empty(full_run):
     assert {key for key, _, _ in SECTIONS} <= page.ids
     for words in ("orbit.mp4", "Hold the camera still.", "not registered", "Metric scale"):
         assert words.lower() in page.text.lower()
+
+
+def test_speed_is_shown_where_it_was_measured(full_run):
+    _, page = _page(full_run)
+    assert "speed" not in page.ids
+    rows = [
+        {"name": "speed/tiny/test/psnr", "value": 31.25, "why": None},
+        {"name": "speed/tiny/test/lpips_vgg", "value": None, "why": "no weights"},
+        {"name": "speed/tiny/seconds", "value": 44.0, "why": None},
+    ]
+    file = full_run.with_name(f"{full_run.name}-bench") / "speed.json"
+    _json(file, {"rows": rows, "curves": {"tiny": []}, "device": f"a device {NASTY}"})
+    try:
+        html, page = _page(full_run)
+    finally:
+        shutil.rmtree(file.parent)
+    assert "speed" in page.ids and "Speed and accuracy" in page.text
+    link = f"../../{full_run.name}-bench/speed.json"
+    assert f'href="{link}"' in html and ">31.25<" in html and "no weights" in html
+    assert NASTY in page.text
 
 
 def test_needs_nothing_from_outside(full_run):
