@@ -119,7 +119,8 @@ def tiles(run: RunFolder) -> str:
 
     out = []
     if at(metrics, "test_moving.psnr") is not None:
-        more = f"as if nothing moved: {of('static_baseline.test_moving.psnr', 'dB', 1)}"
+        still = of("static_baseline.test_moving.psnr", "dB", 1)
+        more = f"as if nothing moved: {still}; where the true picture differs from the scene at rest"
         out.append(("PSNR where it moves", of("test_moving.psnr", "dB", 1), more))
     if metrics.get("test") != metrics.get("test_static"):
         out.append(("PSNR, test views", of("test.psnr", "dB", 1), f"SSIM {of('test.ssim', '', 3)}"))

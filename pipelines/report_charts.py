@@ -148,7 +148,7 @@ def _power_text(exponent: float) -> str:
 def _tick_text(value: float, all_ticks: Sequence[float]) -> str:
     if abs(value) >= 1e5:
         return f"{value:g}"
-    return f"{value:.{_decimals(all_ticks)}f}"
+    return f"{value:.{_decimals(all_ticks)}f}".replace("-", "\u2212")
 
 
 def _decimals(all_ticks: Sequence[float]) -> int:

@@ -74,7 +74,7 @@ def _cost(run: RunFolder) -> str:
     ]
     device = f"<p>On {text(train['device'])}.</p>" if train.get("device") else ""
     return (
-        f"<h3>Cost</h3>{device}{table(('what', ''), rows, source=METRICS, numeric=(1,), narrow=True)}"
+        f"<h3>Cost</h3>{device}{table(('what', 'measured'), rows, source=METRICS, numeric=(1,), narrow=True)}"
         if rows
         else ""
     )
