@@ -71,7 +71,9 @@ def _over_time(views: Sequence[View]) -> str:
     series = [s for s in series if any(y == y for y in s.y)]
     unit = "time, s" if views[0].row.get("time_s") is not None else "time (0 to 1)"
     chart = line_chart(series, unit, "PSNR, dB")
-    return f'<div class="charts one">{chart}</div><p class="source">Source: {link(METRICS)}</p>' if chart else ""
+    return (
+        f'<div class="charts one">{chart}</div><p class="source">Source: {link(METRICS)}</p>' if chart else ""
+    )
 
 
 def _viewer(views: Sequence[View], total: int, folder: Path) -> str:

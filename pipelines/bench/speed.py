@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from devrf.pipelines.bench.charts import Curve, frontier_chart
+from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.published import PUBLISHED
 from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
-from devrf.pipelines.bench.trainings import Bench, Looks, about, device_name, score_rows
+from devrf.pipelines.bench.trainings import Bench, about, device_name, score_rows
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.train_canonical import train_canonical

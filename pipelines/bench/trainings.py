@@ -17,8 +17,9 @@ import typer
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.scene import Scene, load_image
+from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
+from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.code_version import code_version
 from devrf.pipelines.plan import Choice
@@ -29,14 +30,11 @@ from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
-from devrf.reconstruct.metrics import Comparison
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_motion, load_rest, save_motion, save_rest
-from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.watch import Watch
 
 UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}
 
@@ -83,7 +81,7 @@ class Bench:
         reconstruct = self.run.config.reconstruct.model_copy(update={"seed": seed})
         return training_options(self.run.config.model_copy(update={"reconstruct": reconstruct}), self.scene)
 
-    def rest(self, options: CanonicalOptions, looks: "Looks | None" = None) -> RestModel:
+    def rest(self, options: CanonicalOptions, looks: Looks | None = None) -> RestModel:
         """The scene at rest, trained or read again; with `looks`, `metrics["looks"]` says how it got there."""
         folder, of = self.out / f"seed{options.seed}" / "rest", self._fingerprint(options)
         found = _read(folder / "metrics.json")
@@ -105,7 +103,7 @@ class Bench:
         rest: RestModel,
         options: MotionOptions,
         cameras: Sequence[str] | None = None,
-        looks: "Looks | None" = None,
+        looks: Looks | None = None,
     ) -> dict[str, Any]:
         """Train one motion field and score it, as it is on disk, on the test views.
 
@@ -163,52 +161,6 @@ class Bench:
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
         code = [code_version(f.__module__) for f in (train_canonical, train_motion, evaluate)]
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
-
-
-class Looks:
-    """PSNR of a few test views while a model is trained, off the clock.
-
-    Args:
-        scene: Its moving test views are looked at.
-        every_s: Seconds of training to the second look; later ones come less often.
-        views: How many test views, spread over time.
-    """
-
-    def __init__(self, scene: Scene, every_s: float, views: int = 6) -> None:
-        scene = scene.in_box_frame()
-        test = sorted((f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.time or 0.0, f.index))
-        chosen = sorted({round(n) for n in np.linspace(0, len(test) - 1, min(views, len(test)))})
-        self._cameras = [(test[n].camera.scaled(scene.image_scale), test[n].time) for n in chosen]
-        self._true = [
-            load_image(test[n], scene.image_scale, scene.background).astype(np.float32) / 255 for n in chosen
-        ]
-        self._every_s = every_s
-        self._seen: list[dict[str, float]] = []
-
-    def of_rest(self) -> Watch:
-        """Of the scene at rest."""
-        return Watch(self._every_s, lambda rest, seconds: self._look(DynamicModel(rest), seconds))
-
-    def of_motion(self, rest: RestModel) -> Watch:
-        """Of the motion of a scene."""
-
-        def look(motion: MotionField, seconds: float) -> None:
-            self._look(DynamicModel(rest, motion), seconds)
-
-        return Watch(self._every_s, look)
-
-    def taken(self) -> list[dict[str, float]]:
-        """Looks since this was last asked for: `seconds` of this training, mean `psnr`, dB."""
-        seen, self._seen = self._seen, []
-        return seen
-
-    def _look(self, model: DynamicModel, seconds: float) -> None:
-        scores = [
-            Comparison(render_view(model, camera, time), true).whole().psnr
-            for (camera, time), true in zip(self._cameras, self._true, strict=True)
-        ]
-        mean = float(np.mean([s for s in scores if s is not None]))
-        self._seen.append({"seconds": round(seconds, 2), "psnr": round(mean, 3)})
 
 
 def score_rows(
