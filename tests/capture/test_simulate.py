@@ -158,7 +158,7 @@ def test_folder_with_files_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_missing_renderer_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    with pytest.raises(InputError, match=r"pip install devrf\[simulate\]"):
+    with pytest.raises(InputError, match=r"pip install 'devrf\[simulate\]'.*-e '\.\[simulate\]'"):
         simulate_session(tmp_path / "out", "sheet", size=SIZE, options=TINY)
     assert not (tmp_path / "out").exists()
 
