@@ -47,6 +47,7 @@ from devrf.capture.simulate_sensor import (
     board_poses,
     expose,
 )
+from devrf.capture.writable import check_folder
 
 SCENES = {
     "sheet": "a cloth sheet that hangs from a bar and waves",
@@ -136,7 +137,8 @@ def _check(out: Path, scene: str, cameras: int, size: tuple[int, int], options: 
             f"simulate: duration_s {options.duration_s} is not more than twice offset_range_s "
             f"{options.offset_range_s}; the clips would not overlap, raise duration_s"
         )
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    check_folder(out, "simulate")
+    if out.exists() and any(out.iterdir()):
         raise InputError(f"simulate {out}: not an empty folder; give a new one or empty it")
 
 

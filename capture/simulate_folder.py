@@ -15,6 +15,7 @@ from jaxtyping import UInt8
 
 from devrf.capture.errors import InputError
 from devrf.capture.picture_files import write_png
+from devrf.capture.writable import check_folder
 
 MADE_BY = "made_by.json"
 REVISION = 1  # raised when the same arguments give other pictures
@@ -93,8 +94,7 @@ class OutputFolder:
 
     def _check(self) -> bool:
         path = self.path
-        if path.exists() and not path.is_dir():
-            raise InputError(f"simulate {path}: a file, expected a folder; give a new one")
+        check_folder(path, "simulate")
         if not path.exists() or not any(path.iterdir()):
             return False
         try:

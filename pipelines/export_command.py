@@ -8,7 +8,6 @@ from devrf.capture.formats import DATASET_FORMATS, DatasetFormat, read_scene, wr
 from devrf.capture.formats.export import check_target
 from devrf.capture.formats.flow_files import Flow
 from devrf.capture.scene import PosedFrame
-from devrf.capture.writable import check_folder
 from devrf.flow.store import read_flows
 from devrf.pipelines.console import Talk
 from devrf.pipelines.stamp import STAMP
@@ -33,7 +32,6 @@ def export(talk: Talk, run_dir: Path, dataset_format: str, out: Path | None) -> 
             f"{run_dir}: the scene has not been made yet; run with --until scene (or flow) first"
         )
     check_target(folder, chosen)
-    check_folder(folder, "--out")
     scene = read_scene(run_dir / "scene")
     has_flow = chosen == "devrf" and (run_dir / "flow" / STAMP).is_file()
     flows = read_flows(run_dir / "flow") if has_flow else {}

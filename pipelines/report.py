@@ -178,7 +178,7 @@ def stages_table(run: RunFolder) -> str:
     checks = [
         [
             text(stage),
-            text(_check_name(stage, row)),
+            text(row.get("check", "")),
             _health_value(stage, n, row),
             _bound(row.get("warn"), row.get("unit")),
             _bound(row.get("fail"), row.get("unit")),
@@ -215,13 +215,8 @@ def _remedy(stage: str, row: dict[str, Any]) -> str:
         if isinstance(value, (int, float))
         else ("not measured" if value is None else value)
     )
-    found = f"{_check_name(stage, row)}: {shown} {row.get('unit') or ''}".strip()
+    found = f"{row.get('check', '')}: {shown} {row.get('unit') or ''}".strip()
     return f"<li><strong>{text(stage)}</strong>: {text(found)}. {text(row.get('remedy', ''))}</li>"
-
-
-def _check_name(stage: str, row: dict[str, Any]) -> str:
-    """The check without the stage's name in front: the table and the list say it already."""
-    return str(row.get("check", "")).removeprefix(f"{stage}: ")
 
 
 def _health_value(stage: str, n: int, row: dict[str, Any]) -> str:

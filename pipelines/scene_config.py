@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
+from devrf.reconstruct.options import PresetName
+
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
@@ -279,7 +281,7 @@ class SceneConfig(_Section):
     """What the scene is called in reports."""
     output: str | None = Field(default=None, min_length=1)
     """The run folder; default: runs/NAME beside scene.yaml."""
-    preset: Literal["tiny", "fast", "reference"] = "fast"
+    preset: PresetName = "fast"
     """tiny: two CPU cores; fast: default; reference: the published recipe."""
     capture: CaptureConfig | None = None
     """The raw files; or `dataset`."""

@@ -33,23 +33,30 @@ class ConfigError(InputError):
         super().__init__("\n".join(self.mistakes))
 
 
-def load_scene(path: Path, overrides: Sequence[str] = (), *, check_files: bool = True) -> SceneConfig:
+def load_scene(
+    path: Path, overrides: Sequence[str] = (), *, preset: str | None = None, check_files: bool = True
+) -> SceneConfig:
     """Read scene.yaml, apply `a.b=value` overrides and check everything.
 
     Args:
         path: The file.
         overrides: Texts `dotted.key=value`; the value is read as YAML.
+        preset: In place of the file's.
         check_files: Whether the files it names must exist.
     Raises:
         ConfigError: With every mistake, in the form `scene.yaml: key: what is wrong`.
     """
     raw = _read_yaml(path)
+    if preset is not None:
+        raw["preset"] = preset
     mistakes: list[str] = []
     overridden = [key for text in overrides if (key := _override(raw, text, mistakes))]
 
     def say(key: str, text: str) -> None:
         from_command_line = any(key == k or key.startswith(k + ".") for k in overridden)
         where = f"--set {key}" if from_command_line else f"{path.name}: {key}" if key else path.name
+        if key == "preset" and preset is not None and not from_command_line:
+            where = "--preset"
         mistakes.append(f"{where}: {text}")
 
     config = _validate(raw, say)
@@ -100,7 +107,7 @@ def _read_yaml(path: Path) -> dict:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ConfigError([f"{path}: no such file{near_file(path)}"]) from None
+        raise ConfigError([_no_scene(path)]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError([f"{path}: cannot be read ({error}); expected a YAML text file"]) from None
     try:
@@ -428,15 +435,30 @@ def _check_files(config: SceneConfig, scene_dir: Path, say: Any) -> None:
         if not text.strip():
             say(key, "is empty; expected a path")
         elif not path.exists():
-            say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}")
+            say(key, f"{text!r}: no such file or folder ({path}){_near_file(path)}")
         elif key in folders and not path.is_dir():
             say(key, f"{text!r} is a file; expected a folder")
         elif key not in folders | files_or_folders and not key.startswith(clips) and path.is_dir():
             say(key, f"{text!r} is a folder; expected a file")
 
 
-def near_file(path: Path) -> str:
-    """A file of nearly the same name beside it, as the end of a message; empty where there is none."""
+def _no_scene(path: Path) -> str:
+    """What to say where there is no scene.yaml: what the folder holds instead, and what to write."""
+    from devrf.capture.formats.datasets import guess_format
+
+    folder = path.parent
+    if not folder.is_dir():
+        return f"{path}: no such file, and no such folder; expected a scene.yaml or the folder that holds one"
+    found = guess_format(folder)
+    if found is None:
+        return f"{path}: no such file{_near_file(path)}; expected a scene.yaml, see docs/formats.md"
+    return (
+        f"{path}: no such file; the folder looks like a data set ({found}): write a scene.yaml with "
+        f"name: NAME and dataset: {{format: {found}, path: {folder}}}"
+    )
+
+
+def _near_file(path: Path) -> str:
     try:
         names = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
     except OSError:

@@ -16,7 +16,6 @@ from devrf.capture.simulate_dataset import simulate_dataset
 from devrf.capture.simulate_dataset_options import DatasetOptions, ForwardOptions
 from devrf.capture.simulate_forward import simulate_forward
 from devrf.capture.simulate_options import SessionOptions
-from devrf.capture.writable import check_folder
 from devrf.pipelines.console import Talk
 
 Options = TypeVar("Options", bound=BaseModel)
@@ -79,7 +78,6 @@ def simulate(
         mistakes.append(str(error))
     if mistakes or match is None:
         raise InputError("\n".join(mistakes))
-    check_folder(out, "simulate")
     with talk.progress("simulate") as progress:
         made = chosen.render(
             out,

@@ -53,6 +53,4 @@ def print_status(console: Console, config: SceneConfig, run_dir: Path, found: li
     for now in found:
         for row in now.health:
             if row.verdict != "ok":
-                line = describe(row)
-                stage = "" if line.startswith(f"{now.stage.name}:") else f"{now.stage.name}: "
-                console.print(f"[{COLOUR[row.verdict]}]{stage}{escape(line)}[/]")
+                console.print(f"[{COLOUR[row.verdict]}]{now.stage.name}: {escape(describe(row))}[/]")

@@ -28,13 +28,14 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path, fingerprint: str, every_s: float | None = None) -> None:
-        self.path, self.fingerprint = path, fingerprint
-        self._fixed, self._every_s = every_s is not None, FIRST_S if every_s is None else every_s
+        self.path, self.fingerprint, self.every_s = path, fingerprint, every_s
+        self._gap_s = FIRST_S  # where `every_s` leaves it open
         self._written = time.monotonic()
 
     def due(self) -> bool:
         """Whether it is time to write."""
-        return time.monotonic() - self._written >= self._every_s
+        gap_s = self._gap_s if self.every_s is None else self.every_s
+        return time.monotonic() - self._written >= gap_s
 
     def write(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
         """Replace the file, whole or not at all."""
@@ -44,8 +45,7 @@ class Checkpoint:
         save_file(ready, str(new), metadata={"devrf": json.dumps(numbers | {"of": self.fingerprint})})
         os.replace(new, self.path)
         self._written = time.monotonic()
-        if not self._fixed:
-            self._every_s = max(FIRST_S, (self._written - start) / SHARE)
+        self._gap_s = max(FIRST_S, (self._written - start) / SHARE)
 
     def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """What was written last; None where nothing was, for something else, or what cannot be read."""

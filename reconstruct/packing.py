@@ -48,9 +48,7 @@ def from_bytes(packed: dict[str, Tensor]) -> Float[Tensor, "G N C"]:
 
 def field_to_bytes(field: Float[Tensor, "T X Y Z 3"]) -> dict[str, Tensor]:
     """A smooth field in blocks, each with its own range; what is zero throughout stays exactly zero."""
-    keys = [
-        to_bytes(_blocks(key[None])) for key in field
-    ]  # one by one: all at once would need the memory thrice
+    keys = [to_bytes(_blocks(key[None])) for key in field]  # all at once would need the memory thrice
     return {part: torch.cat([key[part] for key in keys]) for part in keys[0]}
 
 

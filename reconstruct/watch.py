@@ -5,21 +5,22 @@ from dataclasses import dataclass
 
 from devrf.reconstruct.training_log import TrainingLog
 
+GROWTH = 1.15  # of the gap between two looks
+
 
 @dataclass
 class Watch:
     """When to look next.
 
     Attributes:
-        every_s: Seconds of training between two looks; each gap is a `growth`th longer than the one before, so that
-            a long training is looked at no more than a dozen or two times.
+        every_s: Seconds of training to the next look; every gap is longer than the one before, so that a long
+            training is looked at no more than a dozen or two times.
         look: Called with the model so far and the seconds that training has taken.
-        growth: Of the gaps.
+        next_s: When, in seconds of training.
     """
 
     every_s: float
     look: Callable[..., None]
-    growth: float = 0.15
     next_s: float = 0.0
 
     def __call__(self, log: TrainingLog, model: Callable[[], object]) -> None:
@@ -29,4 +30,4 @@ class Watch:
         with log.paused():
             self.look(model(), log.seconds)
         self.next_s = log.seconds + self.every_s
-        self.every_s *= 1 + self.growth
+        self.every_s *= GROWTH

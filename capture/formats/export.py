@@ -22,6 +22,7 @@ from devrf.capture.formats.readme import readme
 from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, plain_colour
+from devrf.capture.writable import check_folder
 
 if TYPE_CHECKING:
     from devrf.capture.undistort import Undistorter
@@ -87,10 +88,9 @@ def check_target(folder: Path, dataset_format: str) -> None:
     """A folder to export into is new, empty, or an earlier export of the same format.
 
     Raises:
-        InputError: It is not.
+        InputError: It is not, or cannot be written.
     """
-    if folder.is_file():
-        raise InputError(f"--out {folder}: is a file; expected a folder")
+    check_folder(folder, "--out")
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     marker = folder / MARKER

@@ -67,7 +67,7 @@ def train_variants(
     for seed in seeds:
         if until is not None and time.monotonic() >= until:
             break
-        options = bench.options(seed)
+        options = bench.options(seed=seed)
         rest = bench.rest(options.canonical)
         for name, variant in ablated(options.motion).items():
             if name in only and (until is None or time.monotonic() < until):

@@ -45,15 +45,12 @@ def ablation(
     quiet: QuietOption = False,
 ) -> None:
     """What each part of the motion's training is worth: base, c2f, +tv, +cycle, +flow."""
-    chosen = tuple(VARIANTS if only is None else (name.strip().lstrip("+") for name in only.split(",")))
-    unknown = [name for name in chosen if name not in VARIANTS]
 
     def measure(run: Run, folder: Path) -> None:
         from devrf.pipelines.bench.ablation import run_ablation
         from devrf.pipelines.bench.trainings import Bench
 
-        if unknown:
-            raise InputError(f"--only {', '.join(unknown)}: unknown, expected {', '.join(VARIANTS)}")
+        chosen = VARIANTS if only is None else _names("--only", only.replace("+", ""), VARIANTS)
         run_ablation(Bench.prepare(run, folder), range(seeds), json or folder / "ablation.json", chosen)
 
     _measure("ablation", measure, scene, preset, overrides, out, json, device, quiet)
@@ -102,17 +99,12 @@ def speed(
 
     --preset says at which size the pictures are taken, where reconstruct.image_scale does not.
     """
-    names = [name.strip() for name in presets.split(",")]
-    unknown = [name for name in names if name not in get_args(PresetName)]
 
     def measure(run: Run, folder: Path) -> None:
         from devrf.pipelines.bench.speed import run_speed
         from devrf.pipelines.bench.trainings import Bench
 
-        if unknown:
-            expected = ", ".join(get_args(PresetName))
-            raise InputError(f"--presets {', '.join(unknown)}: unknown, expected {expected}")
-        shares = _shares(efforts)
+        names, shares = _names("--presets", presets, get_args(PresetName)), _shares(efforts)
         run_speed(Bench.prepare(run, folder), names, shares, every, json or folder / "speed.json")
 
     _measure("speed", measure, scene, preset, overrides, out, json, device, quiet)
@@ -136,6 +128,15 @@ def reference(
         run_reference(run, folder, json or folder / "reference.json", minutes)
 
     _measure("reference", measure, scene, "reference", overrides, out, json, device, quiet)
+
+
+def _names(option: str, text: str, known: Sequence[str]) -> list[str]:
+    """Names out of those that are known, as `base,c2f` lists them."""
+    names = [name.strip() for name in text.split(",")]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InputError(f"{option} {', '.join(unknown)}: unknown, expected {', '.join(known)}")
+    return names
 
 
 def _shares(text: str) -> list[float]:

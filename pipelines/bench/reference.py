@@ -20,7 +20,7 @@ def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[
     """Train in full, then what of the ablation time allows; print and write both."""
     until = time.monotonic() + 60 * minutes
     full = Bench.prepare(run, out)
-    options = full.options(run.config.reconstruct.seed)
+    options = full.options()
     rest = full.rest(options.canonical)
     result = full.motion("motion", rest, options.motion)
     rows = []

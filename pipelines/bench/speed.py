@@ -10,7 +10,6 @@ from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.published import PUBLISHED
 from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name, score_rows
-from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
@@ -115,21 +114,19 @@ def pareto(found: Sequence[Measured], axis: str) -> list[Measured]:
 
 def options_of(bench: Bench, case: Case) -> Options:
     """The case's options: what scene.yaml overrides counts for every preset, then the share of the iterations."""
-    config = bench.run.config.model_copy(update={"preset": case.preset})
-    options = training_options(config, bench.scene)
-    if case.effort == 1:
+    options = bench.options(case.preset)
+    if case.effort == 1.0:
         return options
-    wanted = {
-        "canonical_iterations": max(1, round(case.effort * options.canonical.iterations)),
-        "motion_iterations": max(1, round(case.effort * sum(options.motion.iterations))),
-    }
-    reconstruct = config.reconstruct.model_copy(update=wanted)
-    return training_options(config.model_copy(update={"reconstruct": reconstruct}), bench.scene)
+    return bench.options(
+        case.preset,
+        canonical_iterations=max(1, round(case.effort * options.canonical.iterations)),
+        motion_iterations=max(1, round(case.effort * sum(options.motion.iterations))),
+    )
 
 
 def _load_kernels(bench: Bench) -> None:
     """Train for an instant, so that the first case does not pay for what is compiled at first use."""
-    options = options_of(bench, Case("tiny", 1e-9))
+    options = bench.options("tiny", canonical_iterations=1)
     canonical = replace(options.canonical, resolution=16, shell_resolution=16, coarse_size=16, scale_at=())
     rest = train_canonical(bench.scene, canonical, bench.run.device)
     motion = replace(options.motion, levels=(4,), iterations=(1,))

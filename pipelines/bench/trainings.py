@@ -76,10 +76,12 @@ class Bench:
         """The networks that scene.yaml names."""
         return lpips_nets(self.run.config, self.run.scene_dir, self.run.device)
 
-    def options(self, seed: int) -> Options:
-        """Of the preset, with what scene.yaml overrides, for a seed."""
-        reconstruct = self.run.config.reconstruct.model_copy(update={"seed": seed})
-        return training_options(self.run.config.model_copy(update={"reconstruct": reconstruct}), self.scene)
+    def options(self, preset: str | None = None, **changes: Any) -> Options:
+        """Of a preset (None: the configured one), with what scene.yaml overrides, and `reconstruct` keys changed."""
+        config = self.run.config
+        reconstruct = config.reconstruct.model_copy(update=changes)
+        update = {"preset": preset or config.preset, "reconstruct": reconstruct}
+        return training_options(config.model_copy(update=update), self.scene)
 
     def rest(self, options: CanonicalOptions, looks: Looks | None = None) -> RestModel:
         """The scene at rest, trained or read again; with `looks`, `metrics["looks"]` says how it got there."""
@@ -106,7 +108,6 @@ class Bench:
         looks: Looks | None = None,
     ) -> dict[str, Any]:
         """Train one motion field and score it, as it is on disk, on the test views.
-
 
         Args:
             name: Folder of this case, below the seed's.

@@ -42,5 +42,5 @@ def run_views(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
 
 
 def _trained(bench: Bench, seed: int, cameras: Sequence[str]) -> dict:
-    options = bench.options(seed)
+    options = bench.options(seed=seed)
     return bench.motion(f"views{len(cameras)}", bench.rest(options.canonical), options.motion, cameras)

@@ -24,7 +24,7 @@ def run(context: StageContext) -> None:
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
         row(
-            "canonical: PSNR of training pictures",
+            "PSNR of training pictures",
             metrics["train_psnr"],
             "dB",
             warn=DOUBTFUL_PSNR_DB,

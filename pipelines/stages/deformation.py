@@ -36,7 +36,7 @@ def run(context: StageContext) -> None:
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
         row(
-            "deformation: samples whose motion leads out of the box",
+            "samples whose motion leads out of the box",
             100 * metrics["left_box_share"],
             "%",
             warn=100 * OFTEN_LEFT,

@@ -103,7 +103,7 @@ def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
     if any(frame.split == "test" for frame in scene.static):
         rows.append(
             row(
-                "evaluate: PSNR of held-out sweep pictures",
+                "PSNR of held-out sweep pictures",
                 metrics["test_static"]["psnr"],
                 "dB",
                 warn=18.0,
@@ -116,7 +116,7 @@ def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
         moving, still = metrics["test_moving"]["psnr"], metrics["static_baseline"]["test_moving"]["psnr"]
         rows.append(
             row(
-                "evaluate: PSNR of test views",
+                "PSNR of test views",
                 metrics["test"]["psnr"],
                 "dB",
                 warn=18.0,
@@ -126,7 +126,7 @@ def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
         )
         rows.append(
             row(
-                "evaluate: what motion gains over the scene at rest, where it moves",
+                "what motion gains over the scene at rest, where it moves",
                 None if moving is None or still is None else moving - still,
                 "dB",
                 warn=LEAST_GAIN_DB,
@@ -139,7 +139,7 @@ def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
         if metrics["truth"][name] is not None:
             rows.append(
                 row(
-                    f"evaluate: largest error against the truth, {name}",
+                    f"largest error against the truth, {name}",
                     metrics["truth"][name],
                     unit,
                     warn=limit,

@@ -85,11 +85,11 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
     rows = [] if given else [_consistent(checks)]
     moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
     if not moving:
-        return [*rows, note("flow: motion", "nothing moves by more than half a pixel between frames")]
+        return [*rows, note("motion", "nothing moves by more than half a pixel between frames")]
     camera = min(moving, key=lambda name: moving[name].moving_valid or 0.0)
     rows.append(
         row(
-            f"flow: consistent share of what moves, worst camera ({camera})",
+            f"consistent share of what moves, worst camera ({camera})",
             moving[camera].moving_valid,
             "",
             warn=0.5,
@@ -100,7 +100,7 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
     camera = max(moving, key=lambda name: moving[name].warp_ratio or 0.0)
     rows.append(
         row(
-            f"flow: what warping leaves of the difference between frames, worst camera ({camera})",
+            f"what warping leaves of the difference between frames, worst camera ({camera})",
             moving[camera].warp_ratio,
             "",
             warn=0.8,
@@ -113,7 +113,7 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
     camera = max(moving, key=lambda name: moving[name].large)
     rows.append(
         row(
-            f"flow: share of moving pixels beyond 1/8 of the width, worst camera ({camera})",
+            f"share of moving pixels beyond 1/8 of the width, worst camera ({camera})",
             moving[camera].large,
             "",
             warn=0.05,
@@ -129,7 +129,7 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
         text = ", ".join(f"{name}: {count}" for name, count in gaps.items())
         rows.append(
             note(
-                "flow: gaps in the clips",
+                "gaps in the clips",
                 f"{text} (of {total} pairs); no flow across them",
                 verdict="warn",
                 remedy="Frames were dropped while filming: use faster cards, or a lower resolution.",
@@ -141,7 +141,7 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
 def _consistent(checks: dict[str, FlowChecks]) -> HealthRow:
     camera = min(checks, key=lambda name: checks[name].valid or 0.0)
     return row(
-        f"flow: consistent share of what can be followed, worst camera ({camera})",
+        f"consistent share of what can be followed, worst camera ({camera})",
         checks[camera].valid,
         "",
         warn=0.7,

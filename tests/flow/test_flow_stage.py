@@ -74,7 +74,7 @@ def test_the_gap_is_found_and_told(context: StageContext):
     assert cam1.index.tolist() == [11, 12, 14]
     assert cam1.valid[:2].any(axis=(1, 2)).all() and not cam1.valid[2].any()
     by_check = {row.check: row for row in context.health}
-    gaps = by_check["flow: gaps in the clips"]
+    gaps = by_check["gaps in the clips"]
     assert gaps.verdict == "warn" and "cam1: 1" in str(gaps.value)
     assert all(row.verdict == "ok" for row in context.health if row is not gaps)
 

@@ -204,12 +204,13 @@ def test_looks_are_off_the_clock_and_come_less_and_less_often(monkeypatch: pytes
         looked.append((model, seconds))
         now[0] += 1000.0  # a look takes long
 
-    watch = Watch(2.0, look, growth=0.5)
+    watch = Watch(2.0, look)
     for _ in range(20):
         watch(log, lambda: "model")
         now[0] += 1.0
     assert log.seconds == 20.0
-    assert [seconds for _, seconds in looked] == [0.0, 2.0, 5.0, 10.0, 17.0]
+    # gaps of 2, 2.3, 2.6, 3.0 and 3.5 seconds, looked at every full second
+    assert [int(seconds) for _, seconds in looked] == [0, 2, 5, 8, 12, 16]
 
 
 def test_looking_changes_nothing(ball, rest: RestModel) -> None:
