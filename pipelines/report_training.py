@@ -35,9 +35,20 @@ def training_section(run: RunFolder) -> str:
     for stage, title in (("canonical", "Canonical field"), ("deformation", "Motion field")):
         charts = _charts(run, stage)
         note = f'<p class="source">Source: {link(f"{stage}/metrics.json")}</p>'
-        body = f'<div class="charts">{charts}</div>{note}' if charts else absent(run.why_absent(stage))
+        decided = _decisions(run, stage)
+        body = (
+            f'<div class="charts">{charts}</div>{decided}{note}' if charts else absent(run.why_absent(stage))
+        )
         parts.append(f"<h3>{title}</h3>{body}")
     return section("training", "Training", LEAD, "".join(parts) + _cost(run))
+
+
+def _decisions(run: RunFolder, stage: str) -> str:
+    """What the scene needed less of than the preset offers, and why."""
+    lines = run.object(f"{stage}/metrics.json").get("decisions")
+    if not isinstance(lines, list) or not lines:
+        return ""
+    return f"<p>By the scene:</p><ul>{''.join(f'<li>{text(line)}</li>' for line in lines)}</ul>"
 
 
 def _charts(run: RunFolder, stage: str) -> str:

@@ -227,6 +227,7 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
                 out=folder,
                 progress=_sane(progress),
                 device=run.device,
+                say=run.talk.say,
             )
             stage.run(context)
         _finish(folder, stage, context.health, made_from, time.monotonic() - start)

@@ -246,6 +246,10 @@ class ReconstructConfig(_Section):
     """Iterations of the canonical fine stage; the others in proportion."""
     motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
     """Iterations per frame of the motion field, over all levels."""
+    key_times: int | None = Field(default=None, ge=2, le=10_000)
+    """Number of key times of the motion."""
+    adapt: bool | None = None
+    """Decide by the scene how many voxels, key times and levels it needs, where not given here."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of every random draw."""
 

@@ -24,6 +24,7 @@ class StageContext:
         progress: To be called with (fraction done, short text).
         device: "cpu" or "cuda".
         health: Rows the stage adds about its own result.
+        say: Tells the user one line that stays, such as what was decided and why.
     """
 
     config: "SceneConfig"
@@ -33,6 +34,7 @@ class StageContext:
     progress: Progress
     device: str
     health: list[HealthRow] = field(default_factory=list)
+    say: Callable[[str], None] = lambda text: None
 
 
 @dataclass(frozen=True)

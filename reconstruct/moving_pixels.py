@@ -56,19 +56,33 @@ def changing_pixels(rays: RaySet) -> ChangingPixels:
     return ChangingPixels(of_frame)
 
 
+def same(rays: RaySet, a: int, b: int) -> bool:
+    """Whether two pictures of a camera show the same; not where it has moved, nor of one picture twice."""
+    if a == b or rays.cameras[a].cam_from_world.tobytes() != rays.cameras[b].cam_from_world.tobytes():
+        return False
+    one, other = (_smooth(_picture(rays, n)).astype(np.float32) / 255 for n in (a, b))
+    return not _as_a_whole(np.abs(one - other).max(axis=2)).any()
+
+
 def _changes(rays: RaySet, members: list[int]) -> np.ndarray:
-    """True where the pictures of one camera change [H, W]."""
+    """True where the pictures of one camera change [H, W], and a little around."""
     camera = rays.cameras[members[0]]
-    size = (camera.height, camera.width, 3)
-    first = rays.first.tolist()
-    pictures = np.stack([rays.pixels[first[n] : first[n + 1]].cpu().numpy().reshape(size) for n in members])
-    smooth = np.stack([_smooth(p) for p in pictures]).astype(np.float32) / 255
-    apart = np.abs(smooth - np.median(smooth, axis=0)).max(axis=(0, 3))
-    noise = np.median(apart)
-    mask = apart > max(LEAST_CHANGE, NOISE_FACTOR * noise)
-    blocks = minimum_filter(mask, size=2, mode="constant", cval=1)  # 2 x 2 pixels that change as a whole
+    smooth = np.stack([_smooth(_picture(rays, n)) for n in members]).astype(np.float32) / 255
+    blocks = _as_a_whole(np.abs(smooth - np.median(smooth, axis=0)).max(axis=(0, 3)))
     radius = max(1, round(GROW * camera.width))
     return maximum_filter(blocks, size=2 * radius + 2, mode="constant")
+
+
+def _as_a_whole(apart: np.ndarray) -> np.ndarray:
+    """Where 2 x 2 pixels differ as a whole, by more than their noise [H, W]."""
+    mask = apart > max(LEAST_CHANGE, NOISE_FACTOR * float(np.median(apart)))
+    return minimum_filter(mask, size=2, mode="constant", cval=1)
+
+
+def _picture(rays: RaySet, n: int) -> np.ndarray:
+    """A picture of the set [H, W, 3]."""
+    camera, (begin, end) = rays.cameras[n], rays.first[n : n + 2].tolist()
+    return rays.pixels[begin:end].cpu().numpy().reshape(camera.height, camera.width, 3)
 
 
 def _smooth(picture: np.ndarray) -> np.ndarray:

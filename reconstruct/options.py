@@ -41,6 +41,7 @@ class CanonicalOptions:
         hull_resolution: Vertices along the longest side of the grid of silhouettes.
         box_margin: The tight box is enlarged by this factor about its centre.
         occupancy_every: Iterations between rebuilds of the occupancy.
+        adapt: Take fewer voxels where the pictures show no more (`sizing.py`).
         seed: Of every random draw.
     """
 
@@ -70,6 +71,7 @@ class CanonicalOptions:
     hull_resolution: int = 64
     box_margin: float = 1.2
     occupancy_every: int = 500
+    adapt: bool = False
     seed: int = 0
 
 
@@ -80,8 +82,12 @@ class MotionOptions:
     Attributes:
         levels: Resolution of each level of the pyramid, as `resolution` of stage 1.
         iterations: Steps per key time at each level.
+        resolution: R of the scene at rest for which the levels are meant.
         rays: Rays per iteration.
         most_keys: Most key times; a scene with fewer distinct times has fewer.
+        keys: Number of key times where it is given.
+        adapt: Take fewer key times and levels where the scene needs no more, and none of its time where nothing
+            moves (`sizing.py`).
         lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
         one_camera: Each step draws from one camera, the cameras in turn, as published.
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
@@ -95,7 +101,10 @@ class MotionOptions:
     levels: tuple[int, ...]
     iterations: tuple[int, ...]
     rays: int
+    resolution: int = 160
     most_keys: int = 50
+    keys: int | None = None
+    adapt: bool = False
     lr: float = 1e-3
     one_camera: bool = False
     importance: float = 0.0
@@ -149,6 +158,7 @@ PRESETS: dict[str, Options] = {
             levels=(7, 14, 28),
             iterations=(50, 30, 20),
             rays=1536,
+            resolution=112,
             most_keys=25,
             lr=8e-3,
             flow=0.02,
@@ -159,9 +169,33 @@ PRESETS: dict[str, Options] = {
         ),
     ),
     "fast": Options(
-        CanonicalOptions(resolution=160, iterations=6000, rays=8192),
+        CanonicalOptions(
+            resolution=160,
+            iterations=2000,
+            rays=8192,
+            scale_at=(0.15, 0.3, 0.45, 0.6),
+            lr_grid=0.3,
+            opacity=0.1,
+            samples=1 << 18,
+            mlp_width=64,
+            alpha_threshold=1e-3,
+            weight_threshold=1e-3,
+            coarse_iterations=400,
+            occupancy_every=50,
+            adapt=True,
+        ),
         MotionOptions(
-            levels=(10, 20, 40, 80), iterations=(120, 60, 60, 30), rays=8192, most_keys=50, importance=0.5
+            levels=(10, 20, 40, 80),
+            iterations=(100, 60, 40, 20),
+            rays=4096,
+            most_keys=100,
+            adapt=True,
+            lr=8e-3,
+            flow=0.02,
+            importance=0.8,
+            stepsize=1.0,
+            alpha_threshold=5e-3,
+            weight_threshold=1e-2,
         ),
     ),
     "reference": Options(
@@ -205,6 +239,8 @@ def preset(
     rays: int | None = None,
     canonical_iterations: int | None = None,
     motion_iterations: int | None = None,
+    key_times: int | None = None,
+    adapt: bool | None = None,
     seed: int = 0,
 ) -> Options:
     """A preset with single numbers replaced.
@@ -216,6 +252,8 @@ def preset(
         rays: Rays per iteration, both stages.
         canonical_iterations: Of stage 1's fine model; the coarse model's keep their proportion to it.
         motion_iterations: Of stage 2, per key time, over all levels.
+        key_times: How many, where it is not to be decided by the scene.
+        adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
     """
     if name not in PRESETS:
@@ -226,7 +264,8 @@ def preset(
         canonical = replace(canonical, **(PUBLISHED_FORWARD | FORWARD[name]))
     if resolution is not None:
         ratio = resolution / inward
-        motion = replace(motion, levels=tuple(max(4, round(level * ratio)) for level in motion.levels))
+        levels = tuple(max(4, round(level * ratio)) for level in motion.levels)
+        motion = replace(motion, levels=levels, resolution=resolution)
         canonical = replace(
             canonical,
             resolution=round(ratio * canonical.resolution),
@@ -255,4 +294,8 @@ def preset(
     if motion_iterations is not None:
         ratio = motion_iterations / sum(motion.iterations)
         motion = replace(motion, iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations))
-    return Options(replace(canonical, seed=seed), replace(motion, seed=seed))
+    if adapt is not None:
+        canonical, motion = replace(canonical, adapt=adapt), replace(motion, adapt=adapt)
+    if resolution is not None:
+        canonical = replace(canonical, adapt=False)
+    return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))

@@ -11,8 +11,10 @@ instead of one picture per key; what is empty is skipped; a motion out of the bo
 fog; the first key is not trained twice (the program's slot 0 falls to it).
 """
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -20,11 +22,11 @@ from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.grids import BETAS, EPS, grid_shape
-from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.grids import BETAS, EPS
+from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.losses import (
@@ -38,17 +40,20 @@ from devrf.reconstruct.losses import (
 )
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.motion_box import motion_box
 from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
+from devrf.reconstruct.sizing import Decision, fewer_keys, fitted
+from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
-HULL_RESOLUTION, HULL_TIMES, HULL_MARGIN = 40, 12, 1.05  # to find the box that the subject sweeps
+LEAST_GAIN_DB = 0.1  # of held-back rays, by a level; where it gains less, finer ones are skipped
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 
 
@@ -85,10 +90,16 @@ def train_motion(
     recipe = _Recipe(scene, rest, rays, flows, options, device)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
     begin = _take_up(recipe, log, checkpoint)
-    total = sum(options.iterations) * len(recipe.order)
+    total = sum(options.iterations) * (len(recipe.order) - len(recipe.still))
     for n, (level, key) in enumerate(visits[begin:], begin):
         if level != recipe.level:
+            recipe.leave_level()
+            if not recipe.worth_refining():
+                break
             recipe.enter_level(level)
+        if key in recipe.still:
+            recipe.follow(key)
+            continue
         recipe.enter_key(key)
         for _ in range(options.iterations[level]):
             log.add(options.rays, recipe.step(), level=float(level), key=float(key))
@@ -100,6 +111,7 @@ def train_motion(
             checkpoint.write(tensors, {"visits": n + 1, "recipe": numbers, "log": log.state()})
         if watch is not None:
             watch(log, lambda: recipe.motion)
+    recipe.leave_level()
     log.close_row()
     metrics = log.summary() | {
         "keys": recipe.motion.keys,
@@ -108,6 +120,8 @@ def train_motion(
         "left_box_share": recipe.left_box / max(1, recipe.seen),
         "largest_motion": max(float(key.norm(dim=-1).max()) for key in recipe.motion.forward),
         "flow_pictures": recipe.flow.pictures,
+        "level_gains_db": [round(gain, 3) for gain in recipe.gains],
+        "decisions": [str(decision) for decision in recipe.decisions],
     }
     return recipe.motion, metrics
 
@@ -121,30 +135,6 @@ def _take_up(recipe: "_Recipe", log: TrainingLog, checkpoint: Checkpoint | None)
     recipe.take_up(tensors, numbers["recipe"])
     log.take_up(numbers["log"])
     return int(numbers["visits"])
-
-
-def _motion_box(
-    scene: Scene, rest: RestModel, frames: tuple[PosedFrame, ...], keys: int
-) -> Float[Tensor, "2 3"]:
-    """The box that the subject sweeps: before a plain background the union of its hulls over time."""
-    if scene.background == "shell" or rest.canonical.ndc is not None:
-        return rest.canonical.aabb
-    cameras: dict[str, list[PosedFrame]] = {}
-    for frame in frames:
-        cameras.setdefault(frame.camera_name, []).append(frame)
-    whole = torch.tensor(scene.aabb, dtype=torch.float32)
-    shape = grid_shape(whole, HULL_RESOLUTION)
-    swept = torch.zeros(shape, dtype=torch.bool)
-    for key in range(0, keys, max(1, keys // HULL_TIMES)):
-        time = key / (keys - 1)
-        nearest = [min(clip, key=lambda f, t=time: abs((f.time or 0.0) - t)) for clip in cameras.values()]
-        swept |= visual_hull(nearest, whole, shape, scene.background, least_seen=1.0)
-    box = box_of(swept, whole, HULL_MARGIN)
-    if box is None or len(cameras) < 2:
-        return rest.canonical.aabb
-    return torch.stack(
-        [torch.minimum(box[0], rest.canonical.aabb[0]), torch.maximum(box[1], rest.canonical.aabb[1])]
-    )
 
 
 @dataclass
@@ -175,17 +165,21 @@ class _Recipe:
         looked_at = rest.canonical.seen_with(
             options.stepsize, options.alpha_threshold, options.weight_threshold
         )
-        self.rest, self.rays, self.options = replace(rest, canonical=looked_at), rays, options
+        self.rest, self.rays = replace(rest, canonical=looked_at), rays
+        self.decisions: list[Decision] = []
+        self.options = options = fitted(options, rest.canonical) if options.adapt else options
         self.generator = torch.Generator().manual_seed(options.seed)
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows)
         self.changing = changing_pixels(rays) if options.importance > 0 else None
         times = sorted({f.time for f in rays.frames if f.time is not None})
         clips = Counter(f.camera_name for f in rays.frames)
-        keys = max(2, min(options.most_keys, len(times), max(clips.values())))
+        keys = max(2, min(options.keys or options.most_keys, len(times), max(clips.values())))
+        if options.adapt and options.keys is None:
+            keys = self._decided(*fewer_keys(flows, keys))
         at_start = scene.rest_time is not None and scene.rest_time <= times[0]
         at_end = scene.rest_time is not None and scene.rest_time >= times[-1] and not at_start
-        box = _motion_box(scene, rest, rays.frames, keys)
+        box = motion_box(scene, rest, rays.frames, keys)
         self.motion = MotionField.still(
             box,
             keys,
@@ -205,6 +199,18 @@ class _Recipe:
         self.left_box = self.seen = 0
         self.level, self.key, self.step_of_key = 0, 0, 0
         self.device = device
+        self.held_back = HeldBack(rays, self.changing) if options.adapt else None
+        self.errors = [0.0, 0.0]  # of held-back rays before and after this level
+        self.gains: list[float] = []  # of the levels so far, dB
+        self.still: set[int] = set()
+        if options.adapt:
+            self.still = self._decided(*still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key))
+
+    def _decided(self, choice: Any, decision: Decision | None) -> Any:
+        """A choice, its decision noted where it differs from what was offered."""
+        if decision is not None:
+            self.decisions.append(decision)
+        return choice
 
     @property
     def lr(self) -> float:
@@ -212,21 +218,45 @@ class _Recipe:
         levels = len(self.options.levels)
         return self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, int]]:
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything that the next key depends on."""
         tensors = {
             "backward": self.motion.backward,
             "forward": self.motion.forward,
             "generator": self.generator.get_state(),
         }
-        return tensors, {"level": self.level, "left_box": self.left_box, "seen": self.seen}
+        names = ("level", "left_box", "seen", "errors", "gains")
+        return tensors, {name: getattr(self, name) for name in names}
 
-    def take_up(self, tensors: dict[str, Tensor], numbers: dict[str, int]) -> None:
+    def take_up(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
         """Go on from a `state`."""
-        self.level, self.left_box, self.seen = numbers["level"], numbers["left_box"], numbers["seen"]
+        for name, value in numbers.items():
+            setattr(self, name, value)
         fields = {name: tensors[name] for name in ("backward", "forward")}
         self.motion = replace(self.motion, **fields).stored(self.device)
         self.generator.set_state(tensors["generator"])
+
+    def leave_level(self) -> None:
+        """Note what it gained on rays held back; of the first nothing can be said."""
+        before, after = self.errors
+        if before > 0 and after > 0:
+            self.gains.append(10 * math.log10(before / after))
+        self.errors = [0.0, 0.0]
+
+    def worth_refining(self) -> bool:
+        """Whether the level that has been finished gained enough for a finer one to be worth its time."""
+        if not self.gains or self.gains[-1] >= LEAST_GAIN_DB:
+            return True
+        levels = self.options.levels
+        self.decisions.append(
+            Decision(
+                "levels of the motion",
+                f"up to {levels[self.level]} voxels",
+                f"{levels[-1]}",
+                f"this level gained {self.gains[-1]:+.2f} dB on rays held back, less than {LEAST_GAIN_DB}",
+            )
+        )
+        return False
 
     def enter_level(self, level: int) -> None:
         """Refine the field; the rate follows the level."""
@@ -249,9 +279,18 @@ class _Recipe:
         self.key = key - self.first
         self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
         self.live: Tensor | None = None
+        if self.level and self.held_back is not None:
+            self.errors[0] += self._held_error()
+
+    def follow(self, key: int) -> None:
+        """A key at which nothing has changed: its motion is that of the key before."""
+        for field in (self.motion.backward, self.motion.forward):
+            field[key] = field[key - self.direction]
 
     def leave_key(self) -> None:
-        """Keep what has been learned, where the window is a copy."""
+        """Look at what it gained, and keep what has been learned, where the window is a copy."""
+        if self.level and self.held_back is not None:
+            self.errors[1] += self._held_error()
         for whole, part in (
             (self.motion.backward, self.window.backward),
             (self.motion.forward, self.window.forward),
@@ -337,7 +376,22 @@ class _Recipe:
             if len(frame):
                 rest = self.rays.draw(n - len(frame), self.generator, self.pictures)
                 batch = self.rays.at(torch.cat([frame, rest.frame]), torch.cat([pixel, rest.pixel]))
-        return batch if batch is not None else self.rays.draw(n, self.generator, self.pictures)
+        if batch is None:
+            batch = self.rays.draw(n, self.generator, self.pictures)
+        return batch if self.held_back is None else self.held_back.without(batch)
+
+    @torch.no_grad()
+    def _held_error(self) -> float:
+        """Sum of squared errors of this key's rays that are held back."""
+        batch = self.held_back.rays_of(self.pictures) if self.held_back is not None else None
+        if batch is None:
+            return 0.0
+        tau = self._tau(batch.frame)
+        live = live_distance(self.rest, self.window, tau.unique(), 1)
+        middle = torch.full_like(tau, 0.5)
+        seen = render_moved(self.rest, self.window, live, batch.rays_o, batch.rays_d, tau, middle)
+        rgb = self.around.at(batch.frame, batch.pixel).compose(seen.rgb, seen.left)
+        return float(((rgb - batch.rgb) ** 2).sum())
 
     def _flow_loss(self, batch: RayBatch, ray_id: Tensor, x0: Tensor, weights: Tensor) -> Tensor:
         if self.options.flow == 0 or not self.flow.pictures:

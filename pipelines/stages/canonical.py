@@ -20,6 +20,8 @@ def run(context: StageContext) -> None:
     options = training_options(context.config, scene).canonical
     model = train_canonical(scene, options, context.device, context.progress)
     save_rest(context.out / FILE, model)
+    for line in model.metrics["decisions"]:
+        context.say(f"  {line}")
     metrics: dict[str, Any] = model.metrics | {"options": asdict(options)}
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(

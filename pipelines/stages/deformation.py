@@ -31,6 +31,8 @@ def run(context: StageContext) -> None:
     checkpoint = Checkpoint(context.run_dir / CHECKPOINT, _fingerprint(context.run_dir, options))
     motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress, checkpoint)
     save_motion(context.out / FILE, motion)
+    for line in metrics["decisions"]:
+        context.say(f"  {line}")
     checkpoint.remove()
     metrics |= {"options": asdict(options)}
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")

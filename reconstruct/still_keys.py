@@ -1,0 +1,46 @@
+"""Key times at which nothing has changed since the one before: they take its motion and need no training."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Float
+from torch import Tensor
+
+from devrf.reconstruct.moving_pixels import same
+from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.sizing import Decision
+
+
+def still_keys(
+    rays: RaySet, tau: Float[Tensor, " F"], order: Sequence[int], rest_key: int | None
+) -> tuple[set[int], Decision | None]:
+    """Those of `order` at which every camera sees what it saw at the last key time that is trained.
+
+    Args:
+        rays: The training pictures.
+        tau: Their times, in key spacings.
+        order: Key times as they are visited.
+        rest_key: The one that is known to be at rest, visited before all.
+    """
+    still: set[int] = set()
+    before = None if rest_key is None else _nearest(rays, tau, rest_key)
+    for key in order:
+        now = _nearest(rays, tau, key)
+        if before is not None and all(same(rays, before[name], now[name]) for name in now):
+            still.add(key)
+        else:
+            before = now
+    if not still:
+        return still, None
+    trained = f"{len(order) - len(still)}"
+    reason = "at the others no camera sees a change"
+    return still, Decision("key times to train", trained, f"{len(order)}", reason)
+
+
+def _nearest(rays: RaySet, tau: Tensor, key: int) -> dict[str, int]:
+    """Each camera's picture nearest to a key time."""
+    away = (tau - key).abs().tolist()
+    nearest: dict[str, int] = {}
+    for n, frame in enumerate(rays.frames):
+        if frame.camera_name not in nearest or away[n] < away[nearest[frame.camera_name]]:
+            nearest[frame.camera_name] = n
+    return nearest

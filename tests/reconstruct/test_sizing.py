@@ -1,0 +1,233 @@
+"""No more model than a scene needs: voxels, key times, levels; pixels held back to tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import load_image
+from devrf.flow.store import CameraFlow
+from devrf.reconstruct import train_motion as motion_training
+from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
+from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
+from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.sizing import BENT_PX, FARTHEST, fewer_keys, needed_resolution, needed_spacing
+from devrf.reconstruct.still_keys import still_keys
+from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.train_motion import train_motion
+
+REST = CanonicalOptions(
+    resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
+    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
+    occupancy_every=20, hull_resolution=40,
+)  # fmt: skip
+MOTION = MotionOptions(
+    levels=(4, 6, 8), iterations=(90, 30, 20), rays=400, resolution=40, importance=0.7, lr=6e-3,
+    weight_threshold=1e-3, adapt=True,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rest(ball) -> RestModel:
+    return train_canonical(ball.scene, REST)
+
+
+def _clip(steps: np.ndarray, width: int = 48, name: str = "cam0") -> CameraFlow:
+    """Flow of a camera whose whole picture moves by `steps` [N, 2] pixels from frame to frame."""
+    flow = np.broadcast_to(steps[:, None, None], (len(steps), 24, width, 2)).astype(np.float16)
+    return CameraFlow(name, np.arange(1, len(steps) + 1), flow, np.ones(flow.shape[:3], bool))
+
+
+def _straight(n: int, step: float) -> np.ndarray:
+    return np.tile([[-step, 0.0]], (n, 1))
+
+
+def test_voxels_are_as_large_as_pixels() -> None:
+    pose = np.column_stack([np.eye(3), [0.0, 0.0, 4.0]])
+    cameras = [Camera(320, 240, np.diag([f, f, 1.0]), pose) for f in (100.0, 200.0, 400.0)]
+    box = torch.tensor([[-1.0, -1.0, -0.5], [1.0, 1.0, 0.5]])
+    resolution, pixel = needed_resolution(cameras, box)
+    assert pixel == pytest.approx(4.0 / 200)  # of the middle camera
+    assert resolution == np.ceil(4 ** (1 / 3) / 0.02)  # the cube root of the box's volume
+
+
+@pytest.mark.parametrize("acceleration", [0.1, 0.5, 2.0])
+def test_key_times_follow_how_much_ways_bend(acceleration: float) -> None:
+    steps = np.stack([-1.0 - acceleration * np.arange(6), np.zeros(6)], axis=1)
+    found = needed_spacing({"cam0": _clip(steps, width=3200)})
+    assert found is not None and found[0] == pytest.approx(np.sqrt(8 * BENT_PX / acceleration), rel=0.02)
+
+
+def test_a_short_straight_way_needs_two_key_times() -> None:
+    keys, decision = fewer_keys({"cam0": _clip(_straight(19, 1.5), width=600)}, 20)
+    assert keys == 2 and str(decision).startswith("key times: 2 instead of 20 (")
+
+
+def test_a_long_straight_way_is_followed_in_steps() -> None:
+    keys, decision = fewer_keys({"cam0": _clip(_straight(20, 1.5), width=100)}, 20)
+    assert keys == 20 * 1.5 / (FARTHEST * 100) + 1
+    assert "goes 6% of the picture's width in 4.0 pictures" in str(decision)
+
+
+@pytest.mark.parametrize(
+    "flows", [{}, {"cam0": _clip(_straight(9, 0.1))}, {"cam0": _clip(_straight(1, 3.0))}]
+)
+def test_without_flow_of_what_moves_key_times_are_not_decided(flows: dict[str, CameraFlow]) -> None:
+    assert fewer_keys(flows, 10) == (10, None)
+
+
+def test_flow_that_cannot_be_trusted_is_not_asked() -> None:
+    steps = _straight(8, 1.0)
+    flow = _clip(steps)
+    flow.flow[4, :12] += 7.0  # half the picture is wrong, and known to be
+    flow.valid[4, :12] = False
+    assert needed_spacing({"cam0": flow}) == needed_spacing({"cam0": _clip(steps)})
+
+
+def test_held_back_pixels_are_never_trained_on(ball) -> None:
+    rays = RaySet(tuple(f for f in ball.scene.dynamic if f.split == "train"), 1.0, "white")
+    back, generator = HeldBack(rays, None), torch.Generator().manual_seed(0)
+    batch = rays.draw(20_000, generator)
+    kept = back.without(batch)
+    assert not held(kept.frame, kept.pixel).any()
+    assert len(kept.rgb) == pytest.approx(20_000 * (1 - 1 / ONE_IN), rel=0.01)
+    asked = back.rays_of(torch.tensor([0, 3]))
+    assert asked is not None and held(asked.frame, asked.pixel).all()
+    assert set(asked.frame.tolist()) == {0, 3} and len(asked.rgb) > 2 * 48 * 40 / ONE_IN / 2
+
+
+def _paused(ball):
+    """The ball stands still from its second to its fourth time."""
+    first = {f.camera_name: f for f in ball.scene.dynamic if f.index == 1}
+    dynamic = tuple(
+        replace(f, path=first[f.camera_name].path) if f.index in (2, 3) else f for f in ball.scene.dynamic
+    )
+    return replace(ball.scene, dynamic=dynamic)
+
+
+def test_key_times_without_change_take_the_motion_before(ball, rest: RestModel) -> None:
+    scene = _paused(ball)
+    motion, metrics = train_motion(scene, rest, {}, replace(MOTION, iterations=(3, 2, 1)))
+    assert motion.keys == 5
+    assert torch.equal(motion.backward[2], motion.backward[1]) and torch.equal(
+        motion.forward[3], motion.forward[1]
+    )
+    assert not torch.equal(motion.backward[4], motion.backward[1])
+    assert any(line.startswith("key times to train: 2 instead of 4") for line in metrics["decisions"])
+
+
+def test_slow_change_adds_up(ball) -> None:
+    """Each picture is compared with the last that is trained on, not with its neighbour."""
+    frames = tuple(f for f in ball.scene.dynamic if f.camera_name == "cam0")
+    rays = RaySet(frames, 1.0, "white")
+    for n in range(1, len(rays)):  # its upper rows are darker from each to the next by less than what counts
+        begin, end = rays.first[n : n + 2].tolist()
+        rays.pixels[begin:end] = rays.pixels[: end - begin]
+        rays.pixels[begin : begin + 10 * 48] -= 4 * n
+    still, _ = still_keys(rays, torch.arange(5.0), [1, 2, 3, 4], 0)
+    assert still == {1, 2, 4}  # the third is 12 of 255 from the first; the fourth is like the third
+
+
+def test_levels_end_where_they_gain_no_more(ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = replace(MOTION, iterations=(6, 3, 3))
+    monkeypatch.setattr(motion_training, "LEAST_GAIN_DB", 50.0)
+    short, metrics = train_motion(ball.scene, rest, {}, options)
+    monkeypatch.setattr(motion_training, "LEAST_GAIN_DB", -50.0)
+    full, all_metrics = train_motion(ball.scene, rest, {}, options)
+    assert short.backward[0].numel() < full.backward[0].numel()
+    assert len(metrics["level_gains_db"]) == 1 and len(all_metrics["level_gains_db"]) == 2
+    assert metrics["decisions"][-1].startswith("levels of the motion: up to 6 voxels instead of 8 (")
+    assert not all_metrics["decisions"]
+    assert metrics["iterations"] == 4 * 9 and all_metrics["iterations"] == 4 * 12
+
+
+def test_adapted_training_resumes_bit_by_bit(
+    ball, rest: RestModel, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed in the middle of a level: what it had gained until then still counts."""
+    options = replace(MOTION, iterations=(5, 3, 2))
+    monkeypatch.setattr(motion_training, "LEAST_GAIN_DB", -50.0)
+    undisturbed, log = train_motion(_paused(ball), rest, {}, options)
+    for _ in range(6):
+        try:
+            motion, metrics = train_motion(
+                _paused(ball), rest, {}, options, checkpoint=_Killed(tmp_path / "state", "it", every_s=0.0)
+            )
+            break
+        except KeyboardInterrupt:
+            continue
+    else:
+        pytest.fail("never finished")
+    assert torch.equal(motion.backward, undisturbed.backward)
+    assert metrics["level_gains_db"] == log["level_gains_db"] and len(log["level_gains_db"]) == 2
+
+
+class _Killed(Checkpoint):
+    """A checkpoint after which the process dies, unless it is the first after a level began."""
+
+    written = 0
+
+    def write(self, tensors, numbers) -> None:
+        super().write(tensors, numbers)
+        self.written += 1
+        if self.written == 2:
+            raise KeyboardInterrupt
+
+
+def test_an_easy_scene_ends_up_smaller_and_faster(ball, rest: RestModel) -> None:
+    """The ball's straight way, told by flow: three key times instead of five, in half the iterations."""
+    step = _straight(4, 1.4)
+    flows = {name: _clip(step, name=name) for name in ("cam0", "cam1", "cam2")}
+    all_keys, slow = train_motion(ball.scene, rest, {}, replace(MOTION, adapt=False))
+    motion, fast = train_motion(ball.scene, rest, flows, replace(MOTION, flow=0.0))
+    assert motion.keys == 3 and all_keys.keys == 5
+    assert fast["iterations"] <= slow["iterations"] / 2
+    quality = [_test_psnr(ball, DynamicModel(rest, m)) for m in (all_keys, motion)]
+    assert quality[1] > quality[0] - 2.0
+    assert quality[1] > _test_psnr(ball, DynamicModel(rest)) + 3
+
+
+def _test_psnr(ball, model: DynamicModel) -> float:
+    errors = [
+        (
+            (render_view(model, f.camera, f.time) - load_image(f, 1.0, "white").astype(np.float64) / 255) ** 2
+        ).mean()
+        for f in ball.scene.dynamic
+        if f.split == "test" and (f.time or 0) > 0.2
+    ]
+    return float(-10 * np.log10(np.mean(errors)))
+
+
+def test_voxels_are_fewer_before_coarse_pictures(ball) -> None:
+    scene = replace(ball.scene, image_scale=0.5)
+    options = replace(REST, resolution=64, iterations=6, adapt=True)
+    model = train_canonical(scene, options)
+    assert model.metrics["decisions"][0].startswith("resolution at rest: ")
+    assert "instead of 64" in model.metrics["decisions"][0]
+    full = train_canonical(scene, replace(options, adapt=False))
+    assert model.canonical.density.numel() < 0.5 * full.canonical.density.numel()
+    motion, _ = train_motion(
+        scene, model, {}, replace(MOTION, resolution=64, levels=(8, 32), iterations=(1, 1))
+    )
+    unscaled, _ = train_motion(
+        scene, full, {}, replace(MOTION, resolution=64, levels=(8, 32), iterations=(1, 1))
+    )
+    assert motion.backward.numel() < 0.5 * unscaled.backward.numel()  # levels follow the voxels at rest
+
+
+def test_what_is_given_is_not_decided() -> None:
+    assert preset("fast").canonical.adapt and preset("fast").motion.adapt
+    assert not preset("fast", resolution=64).canonical.adapt
+    assert preset("fast", key_times=7).motion.keys == 7
+    assert not preset("fast", adapt=False).motion.adapt and preset("tiny", adapt=True).canonical.adapt
+    assert not preset("reference").motion.adapt
+
+
+def test_given_key_times_are_kept(ball, rest: RestModel) -> None:
+    flows = {"cam0": _clip(_straight(4, 2.0))}
+    motion, metrics = train_motion(ball.scene, rest, flows, replace(MOTION, keys=4, iterations=(1, 1, 1)))
+    assert motion.keys == 4 and not any(line.startswith("key times:") for line in metrics["decisions"])
