@@ -169,11 +169,16 @@ class Canonical:
         return x, y, z
 
     @property
+    def voxel(self) -> float:
+        """Side of a voxel, in the units of the box: the geometric mean over the axes."""
+        return voxel_size(self.aabb, self.shape)
+
+    @property
     def step(self) -> float:
         """Step along rays, in the units of the box; along z where planes are stepped through."""
         if self.ndc is not None:
             return self.stepsize * float(self.aabb[1, 2] - self.aabb[0, 2]) / (self.shape[2] - 1)
-        return self.stepsize * voxel_size(self.aabb, self.shape)
+        return self.stepsize * self.voxel
 
     @property
     def interval(self) -> float:

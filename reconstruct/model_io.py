@@ -1,8 +1,9 @@
 """Models on disk: data only (safetensors), everything that rendering needs and nothing else.
 
 `canonical/model.safetensors` holds the scene at rest and its surroundings, `deformation/model.safetensors` both
-motion fields. Only vertices that samples can touch are kept; densities are in half precision, colours and motion
-in bytes (`packing.py`). Numbers that are not tensors stand in the file's metadata, as JSON under `devrf`.
+motion fields. Only vertices that samples can touch are kept; densities are in half precision, colours in bytes,
+motion is true to a fortieth of a voxel at rest (`packing.py`). Numbers that are not tensors stand in the file's
+metadata, as JSON under `devrf`.
 """
 
 import json
@@ -27,8 +28,8 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.packing import (
     bits_of,
-    field_from_bytes,
-    field_to_bytes,
+    field_from_stream,
+    field_to_stream,
     from_bytes,
     mask_of,
     to_bytes,
@@ -37,8 +38,9 @@ from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_canonical import RestModel
 
 FILE = "model.safetensors"
-FORMAT = 3
-BYTES = ("codes", "low", "step")
+FORMAT = 4
+BYTES, STREAM = ("codes", "low", "step"), ("stream", "ends")
+MOTION_STEP = 0.05  # voxels of the scene at rest
 CANONICAL_NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")
 
 
@@ -74,14 +76,15 @@ def save_rest(path: Path, model: RestModel) -> None:
     _save(path, tensors, meta)
 
 
-def save_motion(path: Path, motion: MotionField) -> None:
-    """Write both motion fields."""
-    tensors = {"aabb": motion.aabb}
+def save_motion(path: Path, motion: MotionField, voxel: float) -> None:
+    """Write both motion fields, to a fortieth of a `voxel` of the scene at rest."""
+    tensors, step = {"aabb": motion.aabb}, MOTION_STEP * voxel
     for name, field in (("backward", motion.backward), ("forward", motion.forward)):
-        tensors |= {f"{name}.{part}": value for part, value in field_to_bytes(field.cpu()).items()}
+        tensors |= {f"{name}.{part}": value for part, value in field_to_stream(field, step).items()}
     meta = {
         "kind": "motion",
         "shape": motion.backward.shape[:4],
+        "step": step,
         "t_first": motion.t_first,
         "t_last": motion.t_last,
         "rest_key": motion.rest_key,
@@ -104,11 +107,11 @@ def load_motion(path: Path, device: str = "cpu") -> MotionField:
     """Read what `save_motion` wrote, for work on `device`; errors as `load_rest`."""
     tensors, meta = _load(path, "motion", "cpu")
     with _damage_named(path):
-        T, X, Y, Z = meta["shape"]
+        (T, X, Y, Z), step = meta["shape"], float(meta["step"])
         return MotionField(
             tensors["aabb"].cpu(),
-            field_from_bytes(_bytes("backward", tensors), (T, X, Y, Z)),
-            field_from_bytes(_bytes("forward", tensors), (T, X, Y, Z)),
+            field_from_stream(_parts("backward", tensors, STREAM), (T, X, Y, Z), step),
+            field_from_stream(_parts("forward", tensors, STREAM), (T, X, Y, Z), step),
             float(meta["t_first"]),
             float(meta["t_last"]),
             meta["rest_key"],
@@ -164,7 +167,7 @@ def _kept(
     colour: Float[Tensor, "X Y Z C"],
 ) -> dict[str, Tensor]:
     """Tensors of a grid: which vertices are occupied, and the values that can be touched from there."""
-    parts = {f"{name}.{part}": value for part, value in to_bytes(colour[kept][None]).items()}
+    parts = {f"{name}.{part}": value for part, value in to_bytes(colour[kept]).items()}
     return parts | {f"{name}.occupied": bits_of(occupied), f"{name}.density": density[kept].half()}
 
 
@@ -172,7 +175,7 @@ def _spread(
     name: str, tensors: dict[str, Tensor], kept: Bool[Tensor, "X Y Z"]
 ) -> tuple[Float[Tensor, "X Y Z 1"], Float[Tensor, "X Y Z C"]]:
     """Density and colour of a whole grid, empty where nothing was kept."""
-    colour = from_bytes(_bytes(name, tensors))[0]
+    colour = from_bytes(_parts(name, tensors, BYTES))
     density = torch.full((*kept.shape, 1), EMPTY, device=kept.device)
     density[kept] = tensors[f"{name}.density"].float()
     whole = torch.zeros(*kept.shape, colour.shape[-1], device=kept.device)
@@ -180,8 +183,8 @@ def _spread(
     return density, whole
 
 
-def _bytes(name: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {part: tensors[f"{name}.{part}"] for part in BYTES}
+def _parts(name: str, tensors: dict[str, Tensor], parts: tuple[str, ...]) -> dict[str, Tensor]:
+    return {part: tensors[f"{name}.{part}"] for part in parts}
 
 
 @contextmanager

@@ -1,8 +1,13 @@
-"""Grids packed for the disk: only vertices that samples can touch, and one byte per number where that is enough.
+"""Grids packed for the disk, to half a step.
 
-A byte counts steps between the smallest and the largest value of its group: a channel of all kept vertices, or
-a channel of a block of 8^3 vertices of a smooth field, whose values differ little. The error is at most half a step.
+Of a grid at rest only vertices that samples can touch are kept, a byte per number: steps between the smallest and
+the largest value of its channel. A motion field is smooth: in steps of a set length, what remains of each vertex
+after its neighbours have foretold it (the Lorenzo predictor: differences along all three axes, one after the other)
+is mostly 0, and deflates well; where nothing moves, to nothing.
 """
+
+import math
+import zlib
 
 import numpy as np
 import torch
@@ -10,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 STEPS = 255
-BLOCK = 8  # vertices along each axis of a block of a motion field
+LEVEL = 6  # of deflate; more takes long and gains little
 
 
 def bits_of(mask: Bool[Tensor, "X Y Z"]) -> UInt8[Tensor, " B"]:
@@ -30,51 +35,70 @@ def mask_of(bits: UInt8[Tensor, " B"], shape: tuple[int, int, int]) -> Bool[Tens
     return torch.from_numpy(np.unpackbits(bits.numpy(), count=count).astype(bool).reshape(shape))
 
 
-def to_bytes(values: Float[Tensor, "G N C"]) -> dict[str, Tensor]:
-    """Values as `codes` [G, N, C], and `low` and `step` [G, 1, C] of each group's channels."""
-    if not values.shape[1]:
-        nothing = values.new_zeros(values.shape[0], 1, values.shape[2])
+def to_bytes(values: Float[Tensor, "N C"]) -> dict[str, Tensor]:
+    """Values as `codes` [N, C], and `low` and `step` [C] of the channels."""
+    if not len(values):
+        nothing = values.new_zeros(values.shape[1])
         return {"codes": values.to(torch.uint8), "low": nothing, "step": nothing.clone()}
-    low, high = values.amin(1, keepdim=True), values.amax(1, keepdim=True)
+    low, high = values.amin(0), values.amax(0)
     step = (high - low) / STEPS
     codes = ((values - low) / step.clamp_min(torch.finfo(step.dtype).tiny)).round().clamp(0, STEPS)
     return {"codes": codes.to(torch.uint8), "low": low, "step": step}
 
 
-def from_bytes(packed: dict[str, Tensor]) -> Float[Tensor, "G N C"]:
+def from_bytes(packed: dict[str, Tensor]) -> Float[Tensor, "N C"]:
     """What `to_bytes` packed, to half a step."""
     return packed["low"] + packed["codes"].float() * packed["step"]
 
 
-def field_to_bytes(field: Float[Tensor, "T X Y Z 3"]) -> dict[str, Tensor]:
-    """A smooth field in blocks, each with its own range; what is zero throughout stays exactly zero."""
-    keys = [to_bytes(_blocks(key[None])) for key in field]  # all at once would need the memory thrice
-    return {part: torch.cat([key[part] for key in keys]) for part in keys[0]}
+def field_to_stream(field: Float[Tensor, "T X Y Z 3"], step: float) -> dict[str, Tensor]:
+    """A field as `stream` (deflated, key by key) and `ends` [T] of its keys' parts."""
+    parts = [_deflated(key.cpu().numpy(), step) for key in field]  # one by one: all at once would be large
+    ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
+    stream = np.frombuffer(b"".join(parts), np.uint8).copy()
+    return {"stream": torch.from_numpy(stream), "ends": torch.from_numpy(ends)}
 
 
-def field_from_bytes(
-    packed: dict[str, Tensor], shape: tuple[int, int, int, int]
+def field_from_stream(
+    packed: dict[str, Tensor], shape: tuple[int, int, int, int], step: float
 ) -> Float[Tensor, "T X Y Z 3"]:
-    """What `field_to_bytes` packed; `shape` is T, X, Y, Z."""
+    """What `field_to_stream` packed, to half a step; `shape` is T, X, Y, Z.
+
+    Raises:
+        ValueError: The stream does not hold a field of this shape.
+    """
     T, *size = shape
-    counts = [-(-n // BLOCK) for n in size]
-    field = torch.empty(*shape, 3)
-    per_key = counts[0] * counts[1] * counts[2]
-    for t in range(T):
-        part = {name: value[t * per_key : (t + 1) * per_key] for name, value in packed.items()}
-        blocks = from_bytes(part).reshape(*counts, BLOCK, BLOCK, BLOCK, 3)
-        whole = blocks.permute(0, 3, 1, 4, 2, 5, 6).reshape(*(n * BLOCK for n in counts), 3)
-        field[t] = whole[: size[0], : size[1], : size[2]]
+    if len(packed["ends"]) != T:
+        raise ValueError(f"{len(packed['ends'])} parts for {T} key times")
+    stream, begin, field = packed["stream"].numpy().tobytes(), 0, torch.empty(*shape, 3)
+    for key, end in enumerate(packed["ends"].tolist()):
+        field[key] = torch.from_numpy(_inflated(stream[begin:end], (3, *size), step))
+        begin = end
     return field
 
 
-def _blocks(field: Float[Tensor, "T X Y Z 3"]) -> Float[Tensor, "G N 3"]:
-    """Blocks of 8^3 vertices; those at the far sides are filled up with their last vertices."""
-    T = field.shape[0]
+def _deflated(key: Float[np.ndarray, "X Y Z 3"], step: float) -> bytes:
+    codes = np.moveaxis(np.rint(key / step).astype(np.int32), -1, 0)
     for axis in (1, 2, 3):
-        last = field.narrow(axis, field.shape[axis] - 1, 1)
-        missing = -field.shape[axis] % BLOCK
-        field = torch.cat([field, last.repeat_interleave(missing, dim=axis)], dim=axis)
-    counts = [n // BLOCK for n in field.shape[1:4]]
-    parts = field.reshape(T, counts[0], BLOCK, counts[1], BLOCK, counts[2], BLOCK, 3)
-    return parts.permute(0, 1, 3, 5, 2, 4, 6, 7).reshape(-1, BLOCK**3, 3)
+        codes = np.diff(codes, axis=axis, prepend=0)
+    positive = (codes << 1) ^ (codes >> 31)  # 0, -1, 1, -2, ... as 0, 1, 2, 3, ...
+    planes = positive.astype("<u4").reshape(-1, 1).view(np.uint8).T  # lowest bytes first; the high ones are 0
+    return zlib.compress(np.ascontiguousarray(planes).tobytes(), LEVEL)
+
+
+def _inflated(part: bytes, shape: tuple[int, ...], step: float) -> Float[np.ndarray, "X Y Z 3"]:
+    count = 4 * math.prod(shape)
+    inflate = zlib.decompressobj()
+    try:
+        planes = inflate.decompress(part, count)  # never more than that, whatever the file says
+    except zlib.error as error:
+        raise ValueError(f"damaged: {error}") from None
+    if len(planes) != count or not inflate.eof:
+        raise ValueError(f"a key time of {len(planes)} bytes where {count} were expected")
+    positive = (
+        np.ascontiguousarray(np.frombuffer(planes, np.uint8).reshape(4, -1).T).view("<u4").reshape(shape)
+    )
+    codes = (positive >> 1).astype(np.int32) ^ -(positive & 1).astype(np.int32)
+    for axis in (1, 2, 3):
+        codes = np.cumsum(codes, axis=axis, dtype=np.int32)
+    return np.moveaxis(codes, 0, -1).astype(np.float32) * np.float32(step)

@@ -135,7 +135,7 @@ class Bench:
                 scene, rest, self.flows, options, self.run.device, progress, checkpoint, watch
             )
             file = folder / "model.safetensors"
-            save_motion(file, motion)
+            save_motion(file, motion, rest.canonical.voxel)
             model_mb = (file.stat().st_size + self._rest_file(options.seed).stat().st_size) / 1e6
             model = DynamicModel(rest, load_motion(file, self.run.device))
             file.unlink()  # a gigabyte each at the published size

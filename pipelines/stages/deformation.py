@@ -30,7 +30,7 @@ def run(context: StageContext) -> None:
     flows = read_flows(context.run_dir / "flow")
     checkpoint = Checkpoint(context.run_dir / CHECKPOINT, _fingerprint(context.run_dir, options))
     motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress, checkpoint)
-    save_motion(context.out / FILE, motion)
+    save_motion(context.out / FILE, motion, rest.canonical.voxel)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
     checkpoint.remove()

@@ -1,5 +1,6 @@
 """Models survive the disk, and what is not a model is refused by name."""
 
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def test_loaded_model_renders_the_same(background: str, tmp_path: Path) -> None:
     save_rest(tmp_path / "canonical" / FILE, model.rest)
     assert load_model(tmp_path).motion is None
     assert model.motion is not None
-    save_motion(tmp_path / "deformation" / FILE, model.motion)
+    save_motion(tmp_path / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
     again = load_model(tmp_path)
     for time in (None, 0.0, 0.3, 1.0):
         before, after = render_view(model, _camera(), time), render_view(again, _camera(), time)
@@ -82,7 +83,7 @@ def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
     rest, motion = tmp_path / "rest.safetensors", tmp_path / "motion.safetensors"
     save_rest(rest, model.rest)
     assert model.motion is not None
-    save_motion(motion, model.motion)
+    save_motion(motion, model.motion, 0.01)
     for load, wrong in ((load_rest, motion), (load_motion, rest), (load_rest, tmp_path / "none.safetensors")):
         with pytest.raises(ReconstructError, match=wrong.name):
             load(wrong)
@@ -104,6 +105,30 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     save_file({k: v for k, v in tensors.items() if k != "shell.low"}, str(path), metadata=meta)
     with pytest.raises(ReconstructError, match="shell.low"):
         load_rest(path)
+
+
+def test_damaged_motion_is_refused(tmp_path: Path) -> None:
+    path, model = tmp_path / "motion.safetensors", _model()
+    assert model.motion is not None
+    save_motion(path, model.motion, 0.01)
+    with safe_open(str(path), framework="pt") as file:
+        meta = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    stream = tensors["forward.stream"]
+    bomb = torch.frombuffer(bytearray(zlib.compress(bytes(10**7))), dtype=torch.uint8)
+    damaged = {
+        "cut": {"forward.stream": stream[:-9].contiguous()},
+        "other bytes": {"forward.stream": 255 - stream},
+        "more than the field holds": {
+            "forward.stream": bomb,
+            "forward.ends": torch.tensor([len(bomb)] * len(tensors["forward.ends"])),
+        },
+        "too few parts": {"forward.ends": tensors["forward.ends"][:-1].contiguous()},
+    }
+    for parts in damaged.values():
+        save_file(tensors | parts, str(path), metadata=meta)
+        with pytest.raises(ReconstructError, match="do not fit together"):
+            load_motion(path)
 
 
 def test_empty_space_costs_nothing_and_changes_nothing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What is packed comes back, to half a step."""
+"""What is packed comes back, to half a step, and no larger than it needs to be."""
 
 import pytest
 import torch
@@ -6,8 +6,8 @@ import torch
 from devrf.reconstruct.packing import (
     STEPS,
     bits_of,
-    field_from_bytes,
-    field_to_bytes,
+    field_from_stream,
+    field_to_stream,
     from_bytes,
     mask_of,
     to_bytes,
@@ -23,24 +23,35 @@ def test_masks(shape: tuple[int, int, int]) -> None:
 
 
 def test_bytes_are_within_half_a_step_of_each_channel() -> None:
-    values = torch.randn(2, 50, 3, generator=torch.Generator().manual_seed(1)) * torch.tensor(
-        [1.0, 100.0, 0.0]
-    )
+    values = torch.randn(50, 3, generator=torch.Generator().manual_seed(1)) * torch.tensor([1.0, 100.0, 0.0])
     packed = to_bytes(values)
     assert packed["codes"].dtype == torch.uint8
-    steps = (values.amax(1) - values.amin(1)) / STEPS
-    assert ((from_bytes(packed) - values).abs().amax(1) <= 0.501 * steps + 1e-7).all()
-    assert from_bytes(to_bytes(torch.zeros(1, 0, 3))).shape == (1, 0, 3)
+    steps = (values.amax(0) - values.amin(0)) / STEPS
+    assert ((from_bytes(packed) - values).abs().amax(0) <= 0.501 * steps + 1e-7).all()
+    assert from_bytes(to_bytes(torch.zeros(0, 3))).shape == (0, 3)
 
 
-@pytest.mark.parametrize("size", [(4, 5, 6), (8, 16, 8), (9, 17, 3)])
-def test_smooth_fields_keep_small_differences(size: tuple[int, int, int]) -> None:
-    """A shift of one unit across the box: each block's own range makes the error far smaller than 1 / 255."""
-    axes = [torch.linspace(0, 1, n) for n in size]
+@pytest.mark.parametrize("size", [(4, 5, 6), (8, 16, 8), (9, 17, 3), (1, 1, 1)])
+@pytest.mark.parametrize("largest", [0.0, 0.3, 40.0])
+def test_fields_are_within_half_a_step(size: tuple[int, int, int], largest: float) -> None:
+    """Of either sign, of any length, in any order."""
+    field = largest * torch.randn(3, *size, 3, generator=torch.Generator().manual_seed(2))
+    back = field_from_stream(field_to_stream(field, 1e-3), (3, *size), 1e-3)
+    assert back.shape == field.shape and (back - field).abs().max() <= 0.501e-3 + 1e-6 * largest
+
+
+def test_what_is_smooth_is_small_and_what_does_not_move_nothing() -> None:
+    axes = [torch.linspace(0, 1, 40)] * 3
     x, y, z = torch.meshgrid(*axes, indexing="ij")
-    field = torch.stack([torch.stack([x, x * y, 1e-3 * z], dim=-1), torch.zeros(*size, 3)])
-    back = field_from_bytes(field_to_bytes(field), (2, *size))
-    assert back.shape == field.shape and torch.equal(back[1], field[1])
-    block = torch.tensor([min(1.0, 7 / max(1, n - 1)) for n in size])
-    assert (back - field).abs()[0, ..., 0].max() <= 0.51 / STEPS * block[0] + 1e-7
-    assert (back - field).abs()[0, ..., 2].max() <= 0.51e-3 / STEPS + 1e-7
+    smooth = 0.3 * torch.stack([x, x * y, torch.sin(3 * z)], dim=-1)[None]
+    bytes_of = {}
+    for name, field in {
+        "still": torch.zeros_like(smooth),
+        "smooth": smooth,
+        "one corner": torch.where((x < 0.2)[..., None], smooth, 0.0),
+        "rough": 0.3 * torch.rand(smooth.shape, generator=torch.Generator().manual_seed(3)),
+    }.items():
+        bytes_of[name] = len(field_to_stream(field, 1e-3)["stream"]) / smooth.numel()
+    assert bytes_of["still"] < 0.5 * bytes_of["smooth"]
+    assert bytes_of["smooth"] < 0.1 < 0.8 < bytes_of["rough"]
+    assert bytes_of["one corner"] < bytes_of["smooth"]
