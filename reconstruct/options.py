@@ -84,6 +84,7 @@ class MotionOptions:
         iterations: Steps per key time at each level.
         resolution: R of the scene at rest for which the levels are meant.
         rays: Rays per iteration.
+        rays_given: They stay as they are at other resolutions, too.
         most_keys: Most key times; a scene with fewer distinct times has fewer.
         keys: Number of key times where it is given.
         adapt: Take fewer key times and levels where the scene needs no more, and none of its time where nothing
@@ -101,6 +102,7 @@ class MotionOptions:
     levels: tuple[int, ...]
     iterations: tuple[int, ...]
     rays: int
+    rays_given: bool = False
     resolution: int = 160
     most_keys: int = 50
     keys: int | None = None
@@ -132,6 +134,7 @@ class Options:
     motion: MotionOptions
 
 
+FEWEST_RAYS, FEWEST_SAMPLES = 512, 1 << 14  # per iteration: fewer make it noisy, not quicker
 FEWEST_COARSE = 400  # iterations in which a coarse voxel can get from transparent to opaque, at its rate
 
 PRESETS: dict[str, Options] = {
@@ -171,8 +174,8 @@ PRESETS: dict[str, Options] = {
     "fast": Options(
         CanonicalOptions(
             resolution=160,
-            iterations=2000,
-            rays=8192,
+            iterations=800,
+            rays=1 << 15,
             scale_at=(0.15, 0.3, 0.45, 0.6),
             lr_grid=0.3,
             opacity=0.1,
@@ -187,7 +190,7 @@ PRESETS: dict[str, Options] = {
         MotionOptions(
             levels=(10, 20, 40, 80),
             iterations=(100, 60, 40, 20),
-            rays=4096,
+            rays=8192,
             most_keys=100,
             adapt=True,
             lr=8e-3,
@@ -231,6 +234,24 @@ PUBLISHED_FORWARD: dict[str, Any] = {
 }
 
 
+def resized(canonical: CanonicalOptions, ratio: float) -> CanonicalOptions:
+    """The tight box at another resolution; where training adapts, with the samples that its surfaces then need."""
+    samples = canonical.samples
+    if canonical.adapt:
+        samples = max(FEWEST_SAMPLES, round(ratio**2 * samples))
+    resolution, planes = round(ratio * canonical.resolution), max(8, round(ratio * canonical.planes))
+    return replace(canonical, resolution=resolution, planes=planes, samples=samples)
+
+
+def resized_motion(motion: MotionOptions, ratio: float) -> MotionOptions:
+    """Levels for another resolution at rest; where training adapts, with the rays that its pictures then need."""
+    rays = motion.rays
+    if motion.adapt and not motion.rays_given:
+        rays = max(FEWEST_RAYS, round(ratio**2 * rays))
+    levels = tuple(max(4, round(level * ratio)) for level in motion.levels)
+    return replace(motion, levels=levels, resolution=round(ratio * motion.resolution), rays=rays)
+
+
 def preset(
     name: str,
     *,
@@ -262,16 +283,16 @@ def preset(
     inward = canonical.resolution
     if forward:
         canonical = replace(canonical, **(PUBLISHED_FORWARD | FORWARD[name]))
+    if adapt is not None:
+        canonical, motion = replace(canonical, adapt=adapt), replace(motion, adapt=adapt)
     if resolution is not None:
         ratio = resolution / inward
-        levels = tuple(max(4, round(level * ratio)) for level in motion.levels)
-        motion = replace(motion, levels=levels, resolution=resolution)
+        motion = resized_motion(motion, ratio)
         canonical = replace(
-            canonical,
-            resolution=round(ratio * canonical.resolution),
-            planes=max(8, round(ratio * canonical.planes)),
+            resized(canonical, ratio),
             coarse_size=max(16, round(ratio * canonical.coarse_size)),
             shell_resolution=max(16, round(ratio * canonical.shell_resolution)),
+            adapt=False,
         )
     if rays is not None:
         canonical, motion = (
@@ -280,7 +301,7 @@ def preset(
                 rays=rays,
                 coarse_rays=max(64, round(rays * canonical.coarse_rays / canonical.rays)),
             ),
-            replace(motion, rays=rays),
+            replace(motion, rays=rays, rays_given=True),
         )
     if canonical_iterations is not None:
         ratio = canonical_iterations / PRESETS[name].canonical.iterations
@@ -294,8 +315,4 @@ def preset(
     if motion_iterations is not None:
         ratio = motion_iterations / sum(motion.iterations)
         motion = replace(motion, iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations))
-    if adapt is not None:
-        canonical, motion = replace(canonical, adapt=adapt), replace(motion, adapt=adapt)
-    if resolution is not None:
-        canonical = replace(canonical, adapt=False)
     return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +11,7 @@ from torch import Tensor
 from devrf.capture.camera import Camera
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.options import MotionOptions, resized_motion
 
 FINEST_VOXEL = 1.0  # pixels, where the scene is: finer voxels hold nothing that the pictures show
 FEWEST = 16  # voxels
@@ -63,7 +63,7 @@ def fitted(options: MotionOptions, canonical: Canonical) -> MotionOptions:
     ratio = side / canonical.base_voxel / options.resolution
     if ratio > NEARLY_ALL:
         return options
-    return replace(options, levels=tuple(max(4, round(level * ratio)) for level in options.levels))
+    return resized_motion(options, ratio)
 
 
 def fewer_keys(flows: dict[str, CameraFlow], most: int) -> tuple[int, Decision | None]:

@@ -6,7 +6,7 @@ comes from a coarse model, as published, or from silhouettes. A forward-facing s
 normalised device coordinates, without a box to find.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -32,7 +32,7 @@ from devrf.reconstruct.losses import (
     variation_weight,
 )
 from devrf.reconstruct.ndc import CUBE, Ndc
-from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.options import CanonicalOptions, resized
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.shell import Shell
@@ -165,7 +165,7 @@ def _fitted(
     side = float(aabb[1].sub(aabb[0]).max())
     reason = f"a pixel sees 1/{side / pixel:.0f} of the box"
     decision = Decision("resolution at rest", str(needed), str(options.resolution), reason)
-    return replace(options, resolution=needed), [decision]
+    return resized(options, needed / options.resolution), [decision]
 
 
 def _hull_in_planes(

@@ -90,6 +90,12 @@ def speed(
         float, typer.Option(min=0.1, help="Seconds of training between two looks, at first")
     ] = 5.0,
     overrides: SetOption = None,
+    set_for: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set-for", help="As --set, for one preset: reference:reconstruct.rays=2048 (repeatable)"
+        ),
+    ] = None,
     out: OutOption = None,
     json: JsonOption = None,
     device: DeviceOption = "auto",
@@ -105,7 +111,19 @@ def speed(
         from devrf.pipelines.bench.trainings import Bench
 
         names, shares = _names("--presets", presets, get_args(PresetName)), _shares(efforts)
-        run_speed(Bench.prepare(run, folder), names, shares, every, json or folder / "speed.json")
+        own: dict[str, list[str]] = {name: [] for name in names}
+        for setting in set_for or []:
+            name, _, text = setting.partition(":")
+            if name not in own or not text.startswith("reconstruct."):
+                raise InputError(
+                    f"--set-for {setting}: expected PRESET:reconstruct.KEY=VALUE, with one of {', '.join(own)}"
+                )
+            own[name].append(text)
+        chosen = {
+            name: configured(scene, name, [*(overrides or []), *settings])[0].reconstruct
+            for name, settings in own.items()
+        }
+        run_speed(Bench.prepare(run, folder), chosen, shares, every, json or folder / "speed.json")
 
     _measure("speed", measure, scene, preset, overrides, out, json, device, quiet)
 

@@ -10,6 +10,7 @@ from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.published import PUBLISHED
 from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name, score_rows
+from devrf.pipelines.scene_config import ReconstructConfig
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
@@ -25,10 +26,11 @@ REFERENCE, FAST = "reference", "fast"
 
 @dataclass(frozen=True)
 class Case:
-    """One way to train: a preset, with all of its iterations or a share of them."""
+    """One way to train: a preset, with all of its iterations or a share of them, and what is set for it."""
 
     preset: str
     effort: float
+    chosen: ReconstructConfig
 
     @property
     def name(self) -> str:
@@ -61,19 +63,23 @@ class Measured:
 
 
 def run_speed(
-    bench: Bench, presets: Sequence[str], efforts: Sequence[float], every_s: float, json_path: Path
+    bench: Bench,
+    presets: dict[str, ReconstructConfig],
+    efforts: Sequence[float],
+    every_s: float,
+    json_path: Path,
 ) -> list[Row]:
     """Train each preset with each share of its iterations; print, draw and write what came of it.
 
     Args:
         bench: The scene; all presets train on the same pictures, at its size.
-        presets: Names of presets.
+        presets: What scene.yaml and the command line say about training, by name of preset.
         efforts: Shares of a preset's iterations; each is a training of its own, with its own schedule.
         every_s: Seconds of training to the second look at the test views, which is off the clock.
         json_path: Where the rows go; the chart is drawn beside it.
     """
     _load_kernels(bench)
-    cases = [Case(preset, effort) for preset in presets for effort in sorted(efforts)]
+    cases = [Case(preset, effort, chosen) for preset, chosen in presets.items() for effort in sorted(efforts)]
     found = [_measure(bench, case, every_s) for case in cases]
     rows = [row for one in found for row in _rows(one)] + _against_reference(bench, found)
     print_rows(bench.run.talk, f"Speed and accuracy, {bench.run.config.name}", rows)
@@ -85,6 +91,7 @@ def run_speed(
         rows,
         benchmark="speed",
         front=front,
+        set={name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
         curves={one.case.name: one.looks for one in found},
         published=[vars(row) for row in PUBLISHED],
         **about(bench, [bench.run.config.reconstruct.seed]),
@@ -114,14 +121,15 @@ def pareto(found: Sequence[Measured], axis: str) -> list[Measured]:
 
 def options_of(bench: Bench, case: Case) -> Options:
     """The case's options: what scene.yaml overrides counts for every preset, then the share of the iterations."""
-    options = bench.options(case.preset)
+    chosen = dict(case.chosen)
+    options = bench.options(case.preset, **chosen)
     if case.effort == 1.0:
         return options
-    return bench.options(
-        case.preset,
-        canonical_iterations=max(1, round(case.effort * options.canonical.iterations)),
-        motion_iterations=max(1, round(case.effort * sum(options.motion.iterations))),
-    )
+    shares = {
+        "canonical_iterations": max(1, round(case.effort * options.canonical.iterations)),
+        "motion_iterations": max(1, round(case.effort * sum(options.motion.iterations))),
+    }
+    return bench.options(case.preset, **(chosen | shares))
 
 
 def _load_kernels(bench: Bench) -> None:

@@ -14,6 +14,7 @@ from devrf.capture.simulate_dataset_options import DatasetOptions
 from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.bench.speed import Case, Measured, pareto
+from devrf.pipelines.scene_config import ReconstructConfig
 from devrf.reconstruct.ablation import VARIANTS, ablated
 from devrf.reconstruct.options import PRESETS
 
@@ -126,6 +127,7 @@ def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Pa
 
 def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: Path) -> None:
     choice = ("--presets", "fast,reference", "--efforts", "0.5,1", "--every", "0.3")
+    choice += ("--set-for", "reference:reconstruct.key_times=2")
     said = _bench(devrf, "speed", dataset, "--out", str(tmp_path), *choice, *SETTINGS)
     rows = _rows(tmp_path / "speed.json")
     for name in ("fast x0.5", "fast", "reference x0.5", "reference"):
@@ -137,6 +139,7 @@ def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: 
     assert share["value"] == pytest.approx(expected) and share["goal"] == 1 / 8
     assert share["met"] == (expected <= 1 / 8)
     content = json.loads((tmp_path / "speed.json").read_text())
+    assert content["set"]["reference"]["key_times"] == 2 and "key_times" not in content["set"]["fast"]
     for name, curve in content["curves"].items():
         seconds = [look["seconds"] for look in curve]
         assert len(curve) >= 2 and seconds == sorted(seconds)
@@ -146,17 +149,27 @@ def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: 
     assert (tmp_path / "speed.png").stat().st_size > 20_000
 
 
-@pytest.mark.parametrize("choice", [("--presets", "fats"), ("--efforts", "0"), ("--efforts", "half")])
+@pytest.mark.parametrize(
+    "choice",
+    [
+        ("--presets", "fats"),
+        ("--efforts", "0"),
+        ("--efforts", "half"),
+        ("--set-for", "fast:rays=3"),
+        ("--set-for", "slow:reconstruct.rays=3"),
+        ("--set-for", "fast:reconstruct.rays=many"),
+    ],
+)
 def test_speed_names_wrong_words(devrf: Any, dataset: Path, choice: tuple[str, str]) -> None:
     said = _bench(devrf, "speed", dataset, *choice, *SETTINGS, code=2)
-    assert " ".join(choice)[:-1] in said or choice[1] in said
+    assert choice[1] in said or choice[1].partition(":")[2].split("=")[0] in said
     assert "expected" in said
 
 
 def test_a_front_holds_what_no_other_beats() -> None:
     def measured(name: str, psnr: float, seconds: float, fps: float) -> Measured:
         result = {"test": {"psnr": psnr}, "model_mb": 1.0, "render_fps": fps}
-        return Measured(Case(name, 1.0), result, [], seconds)
+        return Measured(Case(name, 1.0, ReconstructConfig()), result, [], seconds)
 
     found = [
         measured("slow and good", 30.0, 100.0, 1.0),
