@@ -22,6 +22,7 @@ class CanonicalOptions:
         resolution: R; the grid has the volume of R^3 voxels, in proportion to the box.
         iterations: Steps of the optimiser.
         rays: Most rays per iteration.
+        rays_given: They stay as they are at other resolutions, too.
         samples: Samples per iteration to aim at: fewer rays are drawn while space is still translucent.
         channels: Colour features per voxel.
         mlp_width: Width of the two hidden layers behind them.
@@ -48,6 +49,7 @@ class CanonicalOptions:
     resolution: int
     iterations: int
     rays: int
+    rays_given: bool = False
     samples: int = 1 << 20
     channels: int = 12
     mlp_width: int = 128
@@ -174,12 +176,12 @@ PRESETS: dict[str, Options] = {
     "fast": Options(
         CanonicalOptions(
             resolution=160,
-            iterations=800,
-            rays=1 << 15,
+            iterations=700,
+            rays=24_000,
             scale_at=(0.15, 0.3, 0.45, 0.6),
             lr_grid=0.3,
             opacity=0.1,
-            samples=1 << 18,
+            samples=200_000,
             mlp_width=64,
             alpha_threshold=1e-3,
             weight_threshold=1e-3,
@@ -235,12 +237,13 @@ PUBLISHED_FORWARD: dict[str, Any] = {
 
 
 def resized(canonical: CanonicalOptions, ratio: float) -> CanonicalOptions:
-    """The tight box at another resolution; where training adapts, with the samples that its surfaces then need."""
-    samples = canonical.samples
+    """The tight box at another resolution; where training adapts, with the rays that its surfaces then need."""
+    rays, samples = canonical.rays, canonical.samples
     if canonical.adapt:
         samples = max(FEWEST_SAMPLES, round(ratio**2 * samples))
+        rays = rays if canonical.rays_given else max(FEWEST_RAYS, round(ratio**2 * rays))
     resolution, planes = round(ratio * canonical.resolution), max(8, round(ratio * canonical.planes))
-    return replace(canonical, resolution=resolution, planes=planes, samples=samples)
+    return replace(canonical, resolution=resolution, planes=planes, rays=rays, samples=samples)
 
 
 def resized_motion(motion: MotionOptions, ratio: float) -> MotionOptions:
@@ -299,6 +302,7 @@ def preset(
             replace(
                 canonical,
                 rays=rays,
+                rays_given=True,
                 coarse_rays=max(64, round(rays * canonical.coarse_rays / canonical.rays)),
             ),
             replace(motion, rays=rays, rays_given=True),
