@@ -131,7 +131,7 @@ def speed(
 @bench.command()
 def reference(
     scene: SceneArgument,
-    minutes: Annotated[float, typer.Option(min=0.1, help="No part of the ablation begins later")] = 9.0,
+    minutes: Annotated[float, typer.Option(min=0, help="No part of the ablation begins later")] = 9.0,
     overrides: SetOption = None,
     out: OutOption = None,
     json: JsonOption = None,

@@ -1,6 +1,7 @@
 """`bench reference`: the published recipe in full, and the ablation at half size, within a time (benchmarks/gpu.sh)."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from devrf.pipelines.bench.ablation import PAPER_INWARD, SOURCE_INWARD, ablation_rows, train_variants
@@ -20,6 +21,7 @@ def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[
     """Train in full, then what of the ablation time allows; print and write both."""
     until = time.monotonic() + 60 * minutes
     full = Bench.prepare(run, out)
+    full = replace(full, out=out / "reference")  # where `bench speed` looks for the preset's models
     options = full.options()
     rest = full.rest(options.canonical)
     result = full.motion("motion", rest, options.motion)

@@ -148,9 +148,9 @@ def _measure(bench: Bench, case: Case, every_s: float) -> Measured:
     rest = one.rest(options.canonical, looks)
     result = one.motion("motion", rest, options.motion, looks=looks)
     before = rest.metrics["seconds"]
-    later = [look | {"seconds": round(before + look["seconds"], 2)} for look in result["looks"]]
+    later = [look | {"seconds": round(before + look["seconds"], 2)} for look in result.get("looks", [])]
     seconds = before + result["train"]["seconds"]
-    return Measured(case, result, [*rest.metrics["looks"], *later], seconds)
+    return Measured(case, result, [*rest.metrics.get("looks", []), *later], seconds)
 
 
 def _rows(one: Measured) -> list[Row]:

@@ -206,6 +206,9 @@ def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path
     assert rows["reference/canonical/seconds"]["value"] > 0
     assert rows["reference/peak_gpu_gb"]["value"] is None and "CPU" in rows["reference/peak_gpu_gb"]["why"]
     assert rows["ablation/flow/test/psnr"]["value"] > 5
+    speed = _rows(tmp_path / "results" / "speed-arm.json")
+    assert speed["speed/reference/test/psnr"]["value"] == rows["reference/test/psnr"]["value"]  # trained once
+    assert 0 < speed["speed/fast of reference/seconds"]["value"]
     table = (tmp_path / "results" / "reference.md").read_text()
     assert "| arm | CPU" in table and "not measured" in table
 
