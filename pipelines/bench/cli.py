@@ -110,7 +110,10 @@ def speed(
         from devrf.pipelines.bench.speed import run_speed
         from devrf.pipelines.bench.trainings import Bench
 
-        names, shares = _names("--presets", presets, get_args(PresetName)), _shares(efforts)
+        names, shares = (
+            _names("--presets", presets, get_args(PresetName)),
+            _numbers("--efforts", efforts, 0.001, 100),
+        )
         own: dict[str, list[str]] = {name: [] for name in names}
         for setting in set_for or []:
             name, _, text = setting.partition(":")
@@ -126,6 +129,29 @@ def speed(
         run_speed(Bench.prepare(run, folder), chosen, shares, every, json or folder / "speed.json")
 
     _measure("speed", measure, scene, preset, overrides, out, json, device, quiet)
+
+
+@bench.command()
+def growth(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    strides: Annotated[str, typer.Option(help="Every n-th time of a data set")] = "4,2,1",
+    shares: Annotated[str, typer.Option(help="Of the resolution at rest")] = "0.5,0.7,1",
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """How seconds and bytes grow with the number of pictures and with the resolution."""
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.growth import run_growth
+
+        every = [int(n) for n in _numbers("--strides", strides, 1, 1000)]
+        run_growth(run, folder, every, _numbers("--shares", shares, 0.01, 1), json or folder / "growth.json")
+
+    _measure("growth", measure, scene, preset, overrides, out, json, device, quiet)
 
 
 @bench.command()
@@ -157,15 +183,15 @@ def _names(option: str, text: str, known: Sequence[str]) -> list[str]:
     return names
 
 
-def _shares(text: str) -> list[float]:
-    """Numbers above 0, as `0.25,1` names them."""
+def _numbers(option: str, text: str, least: float, most: float) -> list[float]:
+    """Numbers within bounds, as `0.25,1` names them."""
     try:
-        shares = [float(part) for part in text.split(",")]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        shares = []
-    if not shares or not all(0 < share <= 100 for share in shares):
-        raise InputError(f"--efforts {text}: expected numbers above 0 and up to 100, such as 0.25,1")
-    return shares
+        numbers = []
+    if not numbers or not all(least <= number <= most for number in numbers):
+        raise InputError(f"{option} {text}: expected numbers from {least:g} to {most:g}, such as {least:g},1")
+    return numbers
 
 
 def _measure(

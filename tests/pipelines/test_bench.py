@@ -1,4 +1,4 @@
-"""`bench ablation`, `views` and `reference` through the command line, on a data set of 32 x 32 pictures."""
+"""The benchmarks through the command line, on a data set of 32 x 32 pictures."""
 
 import json
 import shutil
@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from devrf.capture.simulate_dataset import simulate_dataset
@@ -181,6 +182,25 @@ def test_a_front_holds_what_no_other_beats() -> None:
     assert [one.case.name for one in pareto(found, "seconds")] == ["slow and good", "quick", "quickest"]
     assert [one.case.name for one in pareto(found, "fps")] == ["slow and good", "quick"]
     assert [one.case.name for one in pareto(found, "megabytes")] == ["slow and good"]
+
+
+def test_growth_is_measured_along_both_axes(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+    choice = ("--preset", "fast", "--strides", "2,1", "--shares", "0.7,1")
+    _bench(devrf, "growth", dataset, "--out", str(tmp_path), *choice, *SETTINGS)
+    rows = _rows(tmp_path / "growth.json")
+    pictures = sorted(
+        float(name.split("/")[2]) for name in rows if "/pictures/" in name and name.endswith("/psnr")
+    )
+    assert pictures == [2, 3]  # of three times: every one, every second
+    fine, coarse = (
+        rows["growth/resolution/16/megabytes"]["value"],
+        rows["growth/resolution/11/megabytes"]["value"],
+    )
+    slope = rows["growth/resolution/exponent of megabytes"]["value"]
+    assert slope == pytest.approx(np.log(fine / coarse) / np.log(16 / 11)) and fine > coarse
+    assert (tmp_path / "growth.png").stat().st_size > 10_000
+    wrong = _bench(devrf, "growth", dataset, "--strides", "0", *SETTINGS, code=2)
+    assert "--strides 0" in wrong and "expected" in wrong
 
 
 def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path: Path) -> None:

@@ -1,0 +1,114 @@
+"""`bench growth`: how seconds and bytes grow with the number of pictures and with the resolution."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from devrf.capture.errors import InputError
+from devrf.pipelines.bench.charts import Curve, frontier_chart
+from devrf.pipelines.bench.rows import Row, print_rows, write_rows
+from devrf.pipelines.bench.trainings import Bench, about, device_name
+from devrf.pipelines.runner import Run
+
+AXES = {"pictures": "pictures per camera", "resolution": "resolution R at rest"}
+COSTS = {"seconds": ("seconds of training", "s"), "megabytes": ("megabytes on disk", "MB")}
+
+
+@dataclass(frozen=True)
+class Grown:
+    """One training: along which axis, where on it, and what it came to."""
+
+    axis: str
+    at: float
+    seconds: float
+    megabytes: float
+    psnr: float
+    keys: int
+
+
+def run_growth(
+    run: Run, out: Path, strides: Sequence[int], shares: Sequence[float], json_path: Path
+) -> list[Row]:
+    """Train with every so many pictures, then at shares of the resolution; print, draw and write what it cost.
+
+    Args:
+        run: The scene: a data set, whose times can be left out.
+        out: Folder for models.
+        strides: Every n-th time of those that the configuration takes.
+        shares: Of the preset's resolution (or the one that is given).
+        json_path: Where the rows go; the chart is drawn beside it.
+    """
+    if run.config.dataset is None:
+        raise InputError("bench growth leaves out times of a data set; export the capture as one first")
+    found = [_trained(_every(run, out, n), None, "pictures") for n in sorted(strides, reverse=True)]
+    bench = _every(run, out, 1)
+    whole = run.config.reconstruct.resolution or bench.options().canonical.resolution
+    found += [
+        _trained(replace(bench, out=out / f"R{share * whole:.0f}"), round(share * whole), "resolution")
+        for share in sorted(shares)
+    ]
+    rows = [row for one in found for row in _rows(one)]
+    rows += [_exponent(found, axis, cost) for axis in AXES for cost in COSTS]
+    print_rows(run.talk, f"Growth, {run.config.name}", rows)
+    write_rows(json_path, rows, benchmark="growth", **about(bench, [run.config.reconstruct.seed]))
+    panels = {
+        label: {AXES[axis]: _curves(found, axis, cost) for axis in AXES} for cost, (label, _) in COSTS.items()
+    }
+    title = f"{run.config.name}, {run.config.preset}, {device_name(run.device)}"
+    chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
+    run.talk.say(f"  rows: {json_path}")
+    run.talk.say(f"  chart: {chart}")
+    return rows
+
+
+def _every(run: Run, out: Path, stride: int) -> Bench:
+    """The scene with every n-th of its times."""
+    dataset = run.config.dataset
+    assert dataset is not None  # checked by the caller
+    fewer = dataset.model_copy(update={"frame_stride": stride * dataset.frame_stride})
+    config = run.config.model_copy(update={"dataset": fewer})
+    less = Run(config, run.scene_dir, run.stages, run.choice, run.talk, run.device)
+    return Bench.prepare(less, out / f"every{stride}")
+
+
+def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
+    options = bench.options() if resolution is None else bench.options(resolution=resolution)
+    rest = bench.rest(options.canonical)
+    result = bench.motion("motion", rest, options.motion)
+    clips = [f.camera_name for f in bench.scene.dynamic if f.split == "train"]
+    pictures = max(clips.count(name) for name in set(clips))
+    return Grown(
+        axis,
+        pictures if axis == "pictures" else options.canonical.resolution,
+        rest.metrics["seconds"] + result["train"]["seconds"],
+        result["model_mb"],
+        result["test"]["psnr"],
+        result["train"]["keys"],
+    )
+
+
+def _rows(one: Grown) -> list[Row]:
+    name = f"growth/{one.axis}/{one.at:g}"
+    return [
+        Row(f"{name}/seconds", one.seconds, "s"),
+        Row(f"{name}/megabytes", one.megabytes, "MB"),
+        Row(f"{name}/psnr", one.psnr, "dB"),
+        Row(f"{name}/keys", float(one.keys), ""),
+    ]
+
+
+def _exponent(found: Sequence[Grown], axis: str, cost: str) -> Row:
+    """By which power of the axis a cost grows: the slope of a straight line through the logarithms."""
+    points = [(one.at, getattr(one, cost)) for one in found if one.axis == axis]
+    name = f"growth/{axis}/exponent of {cost}"
+    if len({at for at, _ in points}) < 2:
+        return Row(name, None, "", why="needs two different places on the axis")
+    x, y = np.log(np.array(points)).T
+    return Row(name, float(np.polyfit(x, y, 1)[0]), "")
+
+
+def _curves(found: Sequence[Grown], axis: str, cost: str) -> list[Curve]:
+    points = [(one.at, getattr(one, cost)) for one in found if one.axis == axis]
+    return [Curve("measured", points, "ours"), Curve("joined", points, "front")]
