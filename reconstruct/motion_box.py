@@ -13,7 +13,7 @@ HULL_RESOLUTION, HULL_TIMES, HULL_MARGIN = 40, 12, 1.05
 
 
 def motion_box(
-    scene: Scene, rest: RestModel, frames: tuple[PosedFrame, ...], keys: int
+    scene: Scene, rest: RestModel, frames: tuple[PosedFrame, ...], times: int
 ) -> Float[Tensor, "2 3"]:
     """The box that the subject sweeps: before a plain background the union of its hulls over time."""
     if scene.background == "shell" or rest.canonical.ndc is not None:
@@ -24,8 +24,8 @@ def motion_box(
     whole = torch.tensor(scene.aabb, dtype=torch.float32)
     shape = grid_shape(whole, HULL_RESOLUTION)
     swept = torch.zeros(shape, dtype=torch.bool)
-    for key in range(0, keys, max(1, keys // HULL_TIMES)):
-        time = key / (keys - 1)
+    for n in range(0, times, max(1, times // HULL_TIMES)):
+        time = n / max(1, times - 1)
         nearest = [min(clip, key=lambda f, t=time: abs((f.time or 0.0) - t)) for clip in cameras.values()]
         swept |= visual_hull(nearest, whole, shape, scene.background, least_seen=1.0)
     box = box_of(swept, whole, HULL_MARGIN)

@@ -102,7 +102,7 @@ def train_motion(
             continue
         recipe.enter_key(key)
         for _ in range(options.iterations[level]):
-            log.add(options.rays, recipe.step(), level=float(level), key=float(key))
+            log.add(recipe.options.rays, recipe.step(), level=float(level), key=float(key))
         recipe.leave_key()
         last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
         progress(0.05 + 0.95 * log.iteration / total, f"level {level + 1}, key {key}{last}")
@@ -176,10 +176,11 @@ class _Recipe:
         clips = Counter(f.camera_name for f in rays.frames)
         keys = max(2, min(options.keys or options.most_keys, len(times), max(clips.values())))
         if options.adapt and options.keys is None:
-            keys = self._decided(*fewer_keys(flows, keys))
+            keys, decision = fewer_keys(flows, keys)
+            self._note(decision)
         at_start = scene.rest_time is not None and scene.rest_time <= times[0]
         at_end = scene.rest_time is not None and scene.rest_time >= times[-1] and not at_start
-        box = motion_box(scene, rest, rays.frames, keys)
+        box = motion_box(scene, rest, rays.frames, len(times))
         self.motion = MotionField.still(
             box,
             keys,
@@ -204,13 +205,13 @@ class _Recipe:
         self.gains: list[float] = []  # of the levels so far, dB
         self.still: set[int] = set()
         if options.adapt:
-            self.still = self._decided(*still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key))
+            self.still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
+            self._note(decision)
 
-    def _decided(self, choice: Any, decision: Decision | None) -> Any:
-        """A choice, its decision noted where it differs from what was offered."""
+    def _note(self, decision: Decision | None) -> None:
+        """Keep a decision, where what the preset offers was not taken."""
         if decision is not None:
             self.decisions.append(decision)
-        return choice
 
     @property
     def lr(self) -> float:
@@ -248,14 +249,8 @@ class _Recipe:
         if not self.gains or self.gains[-1] >= LEAST_GAIN_DB:
             return True
         levels = self.options.levels
-        self.decisions.append(
-            Decision(
-                "levels of the motion",
-                f"up to {levels[self.level]} voxels",
-                f"{levels[-1]}",
-                f"this level gained {self.gains[-1]:+.2f} dB on rays held back, less than {LEAST_GAIN_DB}",
-            )
-        )
+        reason = f"it gained {self.gains[-1]:+.2f} dB on pixels held back, less than {LEAST_GAIN_DB}"
+        self._note(Decision("finest level of the motion", f"{levels[self.level]}", f"{levels[-1]}", reason))
         return False
 
     def enter_level(self, level: int) -> None:

@@ -140,7 +140,7 @@ def test_levels_end_where_they_gain_no_more(ball, rest: RestModel, monkeypatch: 
     full, all_metrics = train_motion(ball.scene, rest, {}, options)
     assert short.backward[0].numel() < full.backward[0].numel()
     assert len(metrics["level_gains_db"]) == 1 and len(all_metrics["level_gains_db"]) == 2
-    assert metrics["decisions"][-1].startswith("levels of the motion: up to 6 voxels instead of 8 (")
+    assert metrics["decisions"][-1].startswith("finest level of the motion: 6 instead of 8 (")
     assert not all_metrics["decisions"]
     assert metrics["iterations"] == 4 * 9 and all_metrics["iterations"] == 4 * 12
 
