@@ -45,10 +45,7 @@ def run_growth(
     found = [_trained(_every(run, out, n), None, "pictures") for n in sorted(strides, reverse=True)]
     bench = _every(run, out, 1)
     whole = run.config.reconstruct.resolution or bench.options().canonical.resolution
-    found += [
-        _trained(replace(bench, out=out / f"R{share * whole:.0f}"), round(share * whole), "resolution")
-        for share in sorted(shares)
-    ]
+    found += [_trained(bench, round(share * whole), "resolution") for share in sorted(shares)]
     rows = [row for one in found for row in _rows(one)]
     rows += [_exponent(found, axis, cost) for axis in AXES for cost in COSTS]
     print_rows(run.talk, f"Growth, {run.config.name}", rows)
@@ -75,6 +72,8 @@ def _every(run: Run, out: Path, stride: int) -> Bench:
 
 def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
     options = bench.options() if resolution is None else bench.options(resolution=resolution)
+    if options != bench.options():  # else it has been trained along the other axis
+        bench = replace(bench, out=bench.out / f"R{resolution}")
     rest = bench.rest(options.canonical)
     result = bench.motion("motion", rest, options.motion)
     clips = [f.camera_name for f in bench.scene.dynamic if f.split == "train"]
