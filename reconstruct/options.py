@@ -139,25 +139,38 @@ class Options:
 FEWEST_RAYS, FEWEST_SAMPLES = 512, 1 << 14  # per iteration: fewer make it noisy, not quicker
 FEWEST_COARSE = 400  # iterations in which a coarse voxel can get from transparent to opaque, at its rate
 
+QUICK_CANONICAL: dict[str, Any] = {
+    "scale_at": (0.15, 0.3, 0.45, 0.6),
+    "mlp_width": 64,
+    "lr_grid": 0.3,
+    "opacity": 0.1,
+    "occupancy_every": 50,
+    "alpha_threshold": 1e-3,
+    "weight_threshold": 1e-3,
+}
+QUICK_MOTION: dict[str, Any] = {
+    "lr": 8e-3,
+    "importance": 0.8,
+    "flow": 0.02,
+    "stepsize": 1.0,
+    "alpha_threshold": 5e-3,
+    "weight_threshold": 1e-2,
+}
+"""What `tiny` and `fast` have in common: few iterations, so large steps, and samples only where they count."""
+
 PRESETS: dict[str, Options] = {
     "tiny": Options(
         CanonicalOptions(
             resolution=112,
             iterations=600,
             rays=4096,
-            scale_at=(0.15, 0.3, 0.45, 0.6),
-            lr_grid=0.3,
-            opacity=0.1,
             samples=32768,
-            mlp_width=64,
             shell_resolution=192,
-            alpha_threshold=1e-3,
-            weight_threshold=1e-3,
             coarse_iterations=160,
             coarse_rays=2048,
             coarse_size=96,
-            occupancy_every=50,
             hull_resolution=48,
+            **QUICK_CANONICAL,
         ),
         MotionOptions(
             levels=(7, 14, 28),
@@ -165,12 +178,7 @@ PRESETS: dict[str, Options] = {
             rays=1536,
             resolution=112,
             most_keys=25,
-            lr=8e-3,
-            flow=0.02,
-            importance=0.8,
-            stepsize=1.0,
-            alpha_threshold=5e-3,
-            weight_threshold=1e-2,
+            **QUICK_MOTION,
         ),
     ),
     "fast": Options(
@@ -178,16 +186,10 @@ PRESETS: dict[str, Options] = {
             resolution=160,
             iterations=700,
             rays=24_000,
-            scale_at=(0.15, 0.3, 0.45, 0.6),
-            lr_grid=0.3,
-            opacity=0.1,
             samples=200_000,
-            mlp_width=64,
-            alpha_threshold=1e-3,
-            weight_threshold=1e-3,
             coarse_iterations=400,
-            occupancy_every=50,
             adapt=True,
+            **QUICK_CANONICAL,
         ),
         MotionOptions(
             levels=(10, 20, 40, 80),
@@ -195,12 +197,7 @@ PRESETS: dict[str, Options] = {
             rays=8192,
             most_keys=100,
             adapt=True,
-            lr=8e-3,
-            flow=0.02,
-            importance=0.8,
-            stepsize=1.0,
-            alpha_threshold=5e-3,
-            weight_threshold=1e-2,
+            **QUICK_MOTION,
         ),
     ),
     "reference": Options(

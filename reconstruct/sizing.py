@@ -11,10 +11,11 @@ from torch import Tensor
 from devrf.capture.camera import Camera
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.options import MotionOptions, resized_motion
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions, resized, resized_motion
 
 FINEST_VOXEL = 1.0  # pixels, where the scene is: finer voxels hold nothing that the pictures show
 FEWEST = 16  # voxels
+LEVEL_PAYS_DB = 0.1  # of held-back rays, by a level of motion; where it gains less, finer ones are skipped
 NEARLY_ALL = 0.95  # of the resolution that was offered: motion levels stay as they are above
 BENT_PX = 0.25  # pixels of the training size by which a point's way between two key times may bend
 FARTHEST = 0.06  # of the picture's width, that a point may move between two key times
@@ -55,7 +56,19 @@ def needed_resolution(cameras: Sequence[Camera], aabb: Float[Tensor, "2 3"]) -> 
     return max(FEWEST, math.ceil(side / (FINEST_VOXEL * pixel))), pixel
 
 
-def fitted(options: MotionOptions, canonical: Canonical) -> MotionOptions:
+def fewer_voxels(
+    options: CanonicalOptions, cameras: Sequence[Camera], aabb: Float[Tensor, "2 3"]
+) -> tuple[CanonicalOptions, Decision | None]:
+    """The options with no more voxels than the pictures show of the box."""
+    needed, pixel = needed_resolution(cameras, aabb)
+    if needed >= options.resolution:
+        return options, None
+    reason = f"a pixel sees 1/{float(aabb[1].sub(aabb[0]).max()) / pixel:.0f} of the box"
+    decision = Decision("resolution at rest", str(needed), str(options.resolution), reason)
+    return resized(options, needed / options.resolution), decision
+
+
+def levels_for(options: MotionOptions, canonical: Canonical) -> MotionOptions:
     """The options with levels in proportion to a scene at rest that has been given fewer voxels."""
     if canonical.ndc is not None:
         return options

@@ -32,11 +32,11 @@ from devrf.reconstruct.losses import (
     variation_weight,
 )
 from devrf.reconstruct.ndc import CUBE, Ndc
-from devrf.reconstruct.options import CanonicalOptions, resized
+from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.shell import Shell
-from devrf.reconstruct.sizing import Decision, needed_resolution
+from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
@@ -86,7 +86,9 @@ def train_canonical(
     generator = torch.Generator().manual_seed(options.seed)
     plain = plain_of(scene.background, device)
     aabb, hull = _box(scene, frames, rays, plain, options, generator, progress)
-    options, decisions = _fitted(options, scene, rays, aabb)
+    decision = None
+    if options.adapt and scene.ndc is None:
+        options, decision = fewer_voxels(options, rays.cameras, aabb)
     recipe = _Recipe(scene, options, rays, plain, aabb, hull, device)
     if hull is not None and options.box_search == "coarse":
         rays.keep_only(recipe.hitting())
@@ -115,7 +117,7 @@ def train_canonical(
         "grid": list(recipe.canonical.shape),
         "aabb": recipe.canonical.aabb.tolist(),
         "occupied": float((recipe.canonical.distance == 0).float().mean()),
-        "decisions": [str(decision) for decision in decisions],
+        "decisions": [str(decision)] if decision is not None else [],
     }
     return recipe.model(metrics)
 
@@ -151,21 +153,6 @@ def _box(
             "longer (reconstruct.canonical_iterations)"
         )
     return tight, (near_kept, aabb)
-
-
-def _fitted(
-    options: CanonicalOptions, scene: Scene, rays: RaySet, aabb: Float[Tensor, "2 3"]
-) -> tuple[CanonicalOptions, list[Decision]]:
-    """The options with no more voxels than the pictures show."""
-    if not options.adapt or scene.ndc is not None:
-        return options, []
-    needed, pixel = needed_resolution(rays.cameras, aabb)
-    if needed >= options.resolution:
-        return options, []
-    side = float(aabb[1].sub(aabb[0]).max())
-    reason = f"a pixel sees 1/{side / pixel:.0f} of the box"
-    decision = Decision("resolution at rest", str(needed), str(options.resolution), reason)
-    return resized(options, needed / options.resolution), [decision]
 
 
 def _hull_in_planes(

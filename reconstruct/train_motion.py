@@ -45,7 +45,7 @@ from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
-from devrf.reconstruct.sizing import Decision, fewer_keys, fitted
+from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, fewer_keys, levels_for
 from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
@@ -53,7 +53,6 @@ from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
-LEAST_GAIN_DB = 0.1  # of held-back rays, by a level; where it gains less, finer ones are skipped
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 
 
@@ -167,7 +166,7 @@ class _Recipe:
         )
         self.rest, self.rays = replace(rest, canonical=looked_at), rays
         self.decisions: list[Decision] = []
-        self.options = options = fitted(options, rest.canonical) if options.adapt else options
+        self.options = options = levels_for(options, rest.canonical) if options.adapt else options
         self.generator = torch.Generator().manual_seed(options.seed)
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows)
@@ -246,10 +245,10 @@ class _Recipe:
 
     def worth_refining(self) -> bool:
         """Whether the level that has been finished gained enough for a finer one to be worth its time."""
-        if not self.gains or self.gains[-1] >= LEAST_GAIN_DB:
+        if not self.gains or self.gains[-1] >= LEVEL_PAYS_DB:
             return True
         levels = self.options.levels
-        reason = f"it gained {self.gains[-1]:+.2f} dB on pixels held back, less than {LEAST_GAIN_DB}"
+        reason = f"it gained {self.gains[-1]:+.2f} dB on pixels held back, less than {LEVEL_PAYS_DB}"
         self._note(Decision("finest level of the motion", f"{levels[self.level]}", f"{levels[-1]}", reason))
         return False
 
@@ -274,7 +273,9 @@ class _Recipe:
         self.key = key - self.first
         self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
         self.live: Tensor | None = None
+        self.asked = None
         if self.level and self.held_back is not None:
+            self.asked = self.held_back.rays_of(self.pictures)
             self.errors[0] += self._held_error()
 
     def follow(self, key: int) -> None:
@@ -284,7 +285,7 @@ class _Recipe:
 
     def leave_key(self) -> None:
         """Look at what it gained, and keep what has been learned, where the window is a copy."""
-        if self.level and self.held_back is not None:
+        if self.asked is not None:
             self.errors[1] += self._held_error()
         for whole, part in (
             (self.motion.backward, self.window.backward),
@@ -378,7 +379,7 @@ class _Recipe:
     @torch.no_grad()
     def _held_error(self) -> float:
         """Sum of squared errors of this key's rays that are held back."""
-        batch = self.held_back.rays_of(self.pictures) if self.held_back is not None else None
+        batch = self.asked
         if batch is None:
             return 0.0
         tau = self._tau(batch.frame)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from devrf.pipelines.bench.charts import cases
-from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
 from devrf.reconstruct.ablation import VARIANTS, ablated
 
@@ -54,8 +54,7 @@ def run_ablation(
         "PSNR of test views, dB",
         f"{bench.run.config.name}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}",
     )
-    bench.run.talk.say(f"  rows: {json_path}")
-    bench.run.talk.say(f"  chart: {chart}")
+    say_files(bench.run.talk, json_path, chart)
     return rows
 
 

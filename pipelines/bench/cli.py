@@ -148,8 +148,16 @@ def growth(
     def measure(run: Run, folder: Path) -> None:
         from devrf.pipelines.bench.growth import run_growth
 
-        every = [int(n) for n in _numbers("--strides", strides, 1, 1000)]
-        run_growth(run, folder, every, _numbers("--shares", shares, 0.01, 1), json or folder / "growth.json")
+        every = _numbers("--strides", strides, 1, 1000)
+        if any(n % 1 for n in every):
+            raise InputError(f"--strides {strides}: expected whole numbers, such as 4,2,1")
+        run_growth(
+            run,
+            folder,
+            [int(n) for n in every],
+            _numbers("--shares", shares, 0.01, 1),
+            json or folder / "growth.json",
+        )
 
     _measure("growth", measure, scene, preset, overrides, out, json, device, quiet)
 

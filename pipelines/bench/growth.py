@@ -8,7 +8,7 @@ import numpy as np
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.bench.charts import Curve, frontier_chart
-from devrf.pipelines.bench.rows import Row, print_rows, write_rows
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name
 from devrf.pipelines.runner import Run
 
@@ -55,8 +55,7 @@ def run_growth(
     }
     title = f"{run.config.name}, {run.config.preset}, {device_name(run.device)}"
     chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
-    run.talk.say(f"  rows: {json_path}")
-    run.talk.say(f"  chart: {chart}")
+    say_files(run.talk, json_path, chart)
     return rows
 
 

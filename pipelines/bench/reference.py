@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from devrf.pipelines.bench.ablation import PAPER_INWARD, SOURCE_INWARD, ablation_rows, train_variants
-from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows
 from devrf.pipelines.runner import Run
 from devrf.reconstruct.ablation import VARIANTS
@@ -41,7 +41,7 @@ def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[
     rows += [Row(f"ablation/{n}/test/psnr", None, "dB", why=why) for n in VARIANTS if n not in trained]
     print_rows(run.talk, f"Reference recipe on {run.config.name}", rows)
     write_rows(json_path, rows, benchmark="reference", **about(full, [run.config.reconstruct.seed]))
-    run.talk.say(f"  rows: {json_path}")
+    say_files(run.talk, json_path)
     return rows
 
 

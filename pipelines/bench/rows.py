@@ -77,5 +77,12 @@ def print_rows(talk: Talk, title: str, rows: Sequence[Row]) -> None:
         talk.say(why)
 
 
+def say_files(talk: Talk, rows: Path, chart: Path | None = None) -> None:
+    """Where the rows were written, and the chart."""
+    talk.say(f"  rows: {rows}")
+    if chart is not None:
+        talk.say(f"  chart: {chart}")
+
+
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.4f}" if abs(value) < 1 else f"{value:.2f}"

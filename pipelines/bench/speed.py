@@ -8,7 +8,7 @@ from typing import Any
 from devrf.pipelines.bench.charts import Curve, frontier_chart
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.published import PUBLISHED
-from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name, score_rows
 from devrf.pipelines.scene_config import ReconstructConfig
 from devrf.reconstruct.options import Options
@@ -103,8 +103,7 @@ def run_speed(
     }
     title = f"{bench.run.config.name}, {device_name(bench.run.device)}"
     chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
-    bench.run.talk.say(f"  rows: {json_path}")
-    bench.run.talk.say(f"  chart: {chart}")
+    say_files(bench.run.talk, json_path, chart)
     return rows
 
 

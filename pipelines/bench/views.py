@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from devrf.pipelines.bench.charts import lines
-from devrf.pipelines.bench.rows import Row, print_rows, write_rows
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows
 
 
@@ -36,8 +36,7 @@ def run_views(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
         "PSNR of test views, dB",
         bench.run.config.name,
     )
-    bench.run.talk.say(f"  rows: {json_path}")
-    bench.run.talk.say(f"  chart: {chart}")
+    say_files(bench.run.talk, json_path, chart)
     return rows
 
 

@@ -201,6 +201,8 @@ def test_growth_is_measured_along_both_axes(devrf: Any, dataset: Path, tmp_path:
     assert (tmp_path / "growth.png").stat().st_size > 10_000
     wrong = _bench(devrf, "growth", dataset, "--strides", "0", *SETTINGS, code=2)
     assert "--strides 0" in wrong and "expected" in wrong
+    wrong = _bench(devrf, "growth", dataset, "--strides", "2.5,1", *SETTINGS, code=2)
+    assert "--strides 2.5,1: expected whole numbers" in wrong
 
 
 def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path: Path) -> None:

@@ -134,9 +134,9 @@ def test_slow_change_adds_up(ball) -> None:
 
 def test_levels_end_where_they_gain_no_more(ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch) -> None:
     options = replace(MOTION, iterations=(6, 3, 3))
-    monkeypatch.setattr(motion_training, "LEAST_GAIN_DB", 50.0)
+    monkeypatch.setattr(motion_training, "LEVEL_PAYS_DB", 50.0)
     short, metrics = train_motion(ball.scene, rest, {}, options)
-    monkeypatch.setattr(motion_training, "LEAST_GAIN_DB", -50.0)
+    monkeypatch.setattr(motion_training, "LEVEL_PAYS_DB", -50.0)
     full, all_metrics = train_motion(ball.scene, rest, {}, options)
     assert short.backward[0].numel() < full.backward[0].numel()
     assert len(metrics["level_gains_db"]) == 1 and len(all_metrics["level_gains_db"]) == 2
@@ -150,7 +150,7 @@ def test_adapted_training_resumes_bit_by_bit(
 ) -> None:
     """Killed in the middle of a level: what it had gained until then still counts."""
     options = replace(MOTION, iterations=(5, 3, 2))
-    monkeypatch.setattr(motion_training, "LEAST_GAIN_DB", -50.0)
+    monkeypatch.setattr(motion_training, "LEVEL_PAYS_DB", -50.0)
     undisturbed, log = train_motion(_paused(ball), rest, {}, options)
     for _ in range(6):
         try:
