@@ -92,6 +92,7 @@ class Canonical:
         net: The MLP.
         distance: Vertices to the nearest occupied vertex [X, Y, Z].
         base_voxel: Voxel of the final resolution; densities are per this length.
+        deferred: Colours are found per ray, from the mean of its samples' features, instead of per sample.
         ndc: Where given, the grids fill a frustum (multi-plane images, as DirectVoxGO has them) instead of a box:
             positions are normalised device coordinates, z of the grids counts planes, and steps go along z.
     """
@@ -108,10 +109,11 @@ class Canonical:
         shift: float,
         alpha_threshold: float,
         weight_threshold: float,
+        deferred: bool = False,
         ndc: Ndc | None = None,
     ) -> None:
         self.aabb, self.ndc = aabb.cpu().float(), ndc
-        self.density, self.features, self.net = density, features, net
+        self.density, self.features, self.net, self.deferred = density, features, net, deferred
         self.base_voxel, self.stepsize, self.shift = base_voxel, stepsize, shift
         self.alpha_threshold, self.weight_threshold = alpha_threshold, weight_threshold
         self.distance = distance(torch.ones(self.shape, dtype=torch.bool, device=density.device))
@@ -130,6 +132,7 @@ class Canonical:
         weight_threshold: float,
         device: str,
         seed: int,
+        deferred: bool = False,
         planes: int | None = None,
         ndc: Ndc | None = None,
     ) -> "Canonical":
@@ -156,6 +159,7 @@ class Canonical:
             shift=shift_for(alpha_init) if ndc is None else 0.0,
             alpha_threshold=alpha_threshold,
             weight_threshold=weight_threshold,
+            deferred=deferred,
             ndc=ndc,
         )
         if ndc is not None:
@@ -213,7 +217,13 @@ class Canonical:
         features_grad: Float[Tensor, "X Y Z C"] | None = None,
     ) -> Float[Tensor, "S 3"]:
         """Colour at points on rays."""
-        return self.net(trilinear(self.features, x, self.aabb, features_grad), rays_d, ray_id)
+        return self.net(self.features_at(x, features_grad), rays_d, ray_id)
+
+    def features_at(
+        self, x: Float[Tensor, "S 3"], features_grad: Float[Tensor, "X Y Z C"] | None = None
+    ) -> Float[Tensor, "S C"]:
+        """Colour features at points in the box."""
+        return trilinear(self.features, x, self.aabb, features_grad)
 
     def seen_with(self, stepsize: float, alpha_threshold: float, weight_threshold: float) -> "Canonical":
         """The same scene, not copied, looked at in other steps and with other thresholds."""

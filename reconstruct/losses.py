@@ -55,11 +55,16 @@ def entropy_loss(left: Float[Tensor, " R"]) -> Float[Tensor, ""]:
 
 def per_point_loss(
     weights: Float[Tensor, " S"],
-    colours: Float[Tensor, "S 3"],
+    colours: Float[Tensor, "S 3"] | None,
     target: Float[Tensor, "R 3"],
     ray_id: Int[Tensor, " S"],
 ) -> Float[Tensor, ""]:
-    """Not in the paper: each sample's colour should be its ray's, by its (constant) weight (DirectVoxGO)."""
+    """Not in the paper: each sample's colour should be its ray's, by its (constant) weight (DirectVoxGO).
+
+    Nothing where colours are found per ray.
+    """
+    if colours is None:
+        return target.new_zeros(())
     apart = ((colours - target[ray_id]) ** 2).sum(-1)
     return (weights.detach() * apart).sum() / max(1, len(target))
 

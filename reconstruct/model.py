@@ -14,13 +14,13 @@ from torch import Tensor
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.grids import grid_shape, voxel_size
-from devrf.reconstruct.kernels.composite import accumulate, composite_weights
+from devrf.reconstruct.kernels.composite import composite_weights
 from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
 from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.rays import camera_rays, intersect
-from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in
+from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in, shade
 from devrf.reconstruct.train_canonical import RestModel
 
 CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
@@ -52,7 +52,7 @@ class Moved:
         depth: Weighted distance of what is seen in the box.
         samples: Where the march looked.
         x, x0: Samples at their own time and at rest.
-        weights, colours: Of the samples.
+        weights, colours: Of the samples; no colours where they are deferred.
     """
 
     rgb: Float[Tensor, "R 3"]
@@ -62,7 +62,7 @@ class Moved:
     x: Float[Tensor, "S 3"]
     x0: Float[Tensor, "S 3"]
     weights: Float[Tensor, " S"]
-    colours: Float[Tensor, "S 3"]
+    colours: Float[Tensor, "S 3"] | None
 
 
 @dataclass
@@ -139,10 +139,9 @@ def render_moved(
     x = points_on(segments, samples)
     x0 = x + quad(motion.backward, x, tau[samples.ray_id], motion.aabb, keys_grad, first_key)
     weights, left = composite_weights(canonical.alpha(x0), samples.offsets)
-    colours = canonical.colour(x0, rays_d, samples.ray_id)
     away = distances(x, samples, canonical.ndc, rays_o)
-    seen = accumulate(weights, torch.cat([colours, away[:, None]], dim=1), samples.ray_id, len(rays_o))
-    return Moved(seen[:, :3], left, seen[:, 3].detach(), samples, x, x0, weights, colours)
+    rgb, depth, colours = shade(canonical, x0, rays_d, samples, weights, away)
+    return Moved(rgb, left, depth, samples, x, x0, weights, colours)
 
 
 def render_view(

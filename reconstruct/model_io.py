@@ -38,7 +38,7 @@ from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_canonical import RestModel
 
 FILE = "model.safetensors"
-FORMAT = 4
+FORMAT = 5
 BYTES, STREAM = ("codes", "low", "step"), ("stream", "ends")
 MOTION_STEP = 0.05  # voxels of the scene at rest
 CANONICAL_NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")
@@ -63,6 +63,7 @@ def save_rest(path: Path, model: RestModel) -> None:
         "channels": canonical.features.shape[3],
         "mlp_width": net.hidden.out_features,
         "view_frequencies": net.frequencies,
+        "deferred": canonical.deferred,
         "ndc": asdict(canonical.ndc) if canonical.ndc is not None else None,
         "background": model.background,
         "near": model.near,
@@ -138,6 +139,7 @@ def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> Rest
         tensors["canonical.aabb"],
         *_spread("canonical", tensors, grown(occupied)),
         net,
+        deferred=bool(meta["deferred"]),
         ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
         **{name: float(meta["canonical"][name]) for name in CANONICAL_NUMBERS},
     )

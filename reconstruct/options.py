@@ -26,6 +26,7 @@ class CanonicalOptions:
         samples: Samples per iteration to aim at: fewer rays are drawn while space is still translucent.
         channels: Colour features per voxel.
         mlp_width: Width of the two hidden layers behind them.
+        deferred: The MLP sees the mean features of each ray once, not those of each sample.
         scale_at: Shares of the iterations after which the number of voxels doubles.
         planes: Of a forward-facing scene in normalised device coordinates: vertices along its depth, at all levels.
         shell_resolution: Vertices along each axis of the surroundings.
@@ -53,6 +54,7 @@ class CanonicalOptions:
     samples: int = 1 << 20
     channels: int = 12
     mlp_width: int = 128
+    deferred: bool = False
     scale_at: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2)
     planes: int = 128
     shell_resolution: int = 256
@@ -188,6 +190,8 @@ PRESETS: dict[str, Options] = {
             rays=24_000,
             samples=200_000,
             coarse_iterations=400,
+            deferred=True,
+            per_point=0.0,
             adapt=True,
             **QUICK_CANONICAL,
         ),
@@ -196,6 +200,7 @@ PRESETS: dict[str, Options] = {
             iterations=(100, 60, 40, 20),
             rays=8192,
             most_keys=100,
+            per_point=0.0,
             adapt=True,
             **QUICK_MOTION,
         ),

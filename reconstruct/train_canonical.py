@@ -196,6 +196,7 @@ class _Recipe:
             weight_threshold=options.weight_threshold,
             device=device,
             seed=options.seed,
+            deferred=options.deferred,
             planes=options.planes if scene.ndc is not None else None,
             ndc=Ndc(*scene.ndc) if scene.ndc is not None else None,
         )

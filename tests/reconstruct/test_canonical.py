@@ -8,6 +8,7 @@ from devrf.reconstruct.grids import grid_shape, grown, upsample, vertices, voxel
 from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.background import contract
 from devrf.reconstruct.options import PRESETS, preset
+from devrf.reconstruct.render import Grads, Rendered, render_rest
 from devrf.reconstruct.shell import Shell
 
 AABB = torch.tensor([[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]])
@@ -56,6 +57,68 @@ def test_opacity_of_a_length_does_not_depend_on_resolution() -> None:
         steps = 0.1 / model.step
         alphas.append(1 - (1 - model.alpha(torch.zeros(1, 3)).item()) ** steps)
     assert alphas[0] == pytest.approx(alphas[1], rel=1e-4)
+
+
+def _rays_into(model: Canonical, n: int = 50) -> dict[str, torch.Tensor]:
+    """Rays from above through random points of the box, and some that miss it."""
+    g = torch.Generator().manual_seed(1)
+    through = AABB[0] + (AABB[1] - AABB[0]) * torch.rand(n, 3, generator=g)
+    through[::7, 0] += 5.0
+    origin = torch.tensor([0.3, 0.2, 3.0]).expand(n, 3).contiguous()
+    d = through - origin
+    return {
+        "rays_o": origin,
+        "rays_d": d / d.norm(dim=1, keepdim=True),
+        "jitter": torch.rand(2, n, generator=g),
+    }
+
+
+def _rendered(model: Canonical, deferred: bool, grads: Grads = (None, None, None)) -> Rendered:
+    model.deferred = deferred
+    return render_rest(model, None, None, **_rays_into(model), near=0.1, far=9.0, grads=grads)
+
+
+def test_deferred_colours_are_those_of_the_samples_where_features_do_not_vary() -> None:
+    model = _canonical()
+    g = torch.Generator().manual_seed(0)
+    model.density += 3 * torch.randn(model.density.shape, generator=g)
+    model.features += torch.randn(4, generator=g)
+    model.rebuild_occupancy()
+    by_sample, by_ray = (_rendered(model, deferred) for deferred in (False, True))
+    assert by_ray.colours is None and 0.1 < float(by_ray.left.mean()) < 0.9
+    torch.testing.assert_close(by_ray.rgb, by_sample.rgb, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(by_ray.depth, by_sample.depth, rtol=1e-4, atol=1e-5)
+    model.features += torch.randn(model.features.shape, generator=g)
+    by_sample, by_ray = (_rendered(model, deferred) for deferred in (False, True))
+    assert float((by_ray.rgb - by_sample.rgb).detach().abs().max()) > 1e-3  # else nothing was deferred
+
+
+def test_deferred_colours_have_the_gradient_that_differences_show() -> None:
+    model = _canonical(8, 8)
+    g = torch.Generator().manual_seed(0)
+    model.density += 2 * torch.randn(model.density.shape, generator=g)
+    model.features += torch.randn(model.features.shape, generator=g)
+    model.alpha_threshold = model.weight_threshold = -1.0  # no sample comes or goes
+    model.rebuild_occupancy()
+    for place, grid in enumerate((model.density, model.features)):
+        grads = torch.zeros_like(model.density), torch.zeros_like(model.features), None
+        _rendered(model, True, grads).rgb.square().sum().backward()
+        towards = torch.randn(grid.shape, generator=g)
+        sums = []
+        for step in (-1e-2, 1e-2):
+            grid += step * towards
+            sums.append(float(_rendered(model, True).rgb.detach().square().sum()))
+            grid -= step * towards
+        slope = float((grads[:2][place] * towards).sum())
+        assert slope == pytest.approx((sums[1] - sums[0]) / 2e-2, rel=0.02)
+
+
+def test_rays_that_meet_nothing_have_no_deferred_colour() -> None:
+    model = _canonical()
+    model.density.fill_(EMPTY)
+    model.rebuild_occupancy()
+    out = _rendered(model, True)
+    assert not out.rgb.any() and not out.depth.any() and bool((out.left == 1).all())
 
 
 def test_occupancy_holds_everything_that_counts_and_grows_back() -> None:

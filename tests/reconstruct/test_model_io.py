@@ -26,11 +26,11 @@ def _camera() -> Camera:
     return Camera(20, 16, np.array([[25, 0, 10], [0, 25, 8], [0, 0, 1.0]]), pose)
 
 
-def _model(background: str = "shell") -> DynamicModel:
+def _model(background: str = "shell", deferred: bool = False) -> DynamicModel:
     g = torch.Generator().manual_seed(0)
     canonical = Canonical.new(
         AABB, 16, 16, channels=4, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-4,
-        weight_threshold=1e-4, device="cpu", seed=0,
+        weight_threshold=1e-4, device="cpu", seed=0, deferred=deferred,
     )  # fmt: skip
     canonical.density += 3 * torch.randn(canonical.density.shape, generator=g)
     canonical.features += torch.randn(canonical.features.shape, generator=g)
@@ -46,9 +46,11 @@ def _model(background: str = "shell") -> DynamicModel:
     return DynamicModel(RestModel(canonical, shell, background, 0.3, 9.0, {}), motion)
 
 
-@pytest.mark.parametrize("background", ["shell", "white", "black"])
-def test_loaded_model_renders_the_same(background: str, tmp_path: Path) -> None:
-    model = _model(background)
+@pytest.mark.parametrize(
+    ("background", "deferred"), [("shell", False), ("white", False), ("black", False), ("white", True)]
+)
+def test_loaded_model_renders_the_same(background: str, deferred: bool, tmp_path: Path) -> None:
+    model = _model(background, deferred)
     for name in ("canonical", "deformation"):
         (tmp_path / name).mkdir()
     save_rest(tmp_path / "canonical" / FILE, model.rest)
@@ -56,6 +58,7 @@ def test_loaded_model_renders_the_same(background: str, tmp_path: Path) -> None:
     assert model.motion is not None
     save_motion(tmp_path / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
     again = load_model(tmp_path)
+    assert again.rest.canonical.deferred == deferred
     for time in (None, 0.0, 0.3, 1.0):
         before, after = render_view(model, _camera(), time), render_view(again, _camera(), time)
         np.testing.assert_allclose(before, after, atol=0.02)  # half precision of random features
