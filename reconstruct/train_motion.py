@@ -53,6 +53,8 @@ from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
+AT_KEY = 1e-3  # of the key times' spacing
+LEAST_SAY = 0.25  # a key's share in a picture, for the key to be tracked by it
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 
 
@@ -341,18 +343,38 @@ class _Recipe:
         return parts
 
     def _tau(self, frames: Int[Tensor, " f"]) -> Float[Tensor, " f"]:
-        """Times of pictures, in key spacings from the window's first."""
-        return self.tau_of_frame[frames] - self.first
+        """Times of pictures, in key spacings from the window's first; while tracking, never past the key."""
+        tau = self.tau_of_frame[frames] - self.first
+        if self.level:
+            return tau
+        return tau.clamp(max=self.key) if self.direction > 0 else tau.clamp(min=self.key)
 
     def _pictures_around(self, key: int) -> Int[Tensor, " f"]:
-        """Pictures that this key is trained on: up to the neighbours; while tracking, only those before it."""
+        """Pictures that this key is trained on: up to the neighbours; while tracking, those that it decides."""
         away = (self.tau_of_frame - key) * self.direction
-        ahead = 1.0 if self.level else 1e-3
+        if not self.level and len(chosen := self._decided_by_key(away)):
+            return chosen
+        ahead = 1.0 if self.level else AT_KEY
         for reach in (1.0, 2.0, float(self.motion.keys)):  # a dropped frame may leave a key without pictures
-            chosen = ((away > -reach) & (away < max(ahead, reach - 1.0 + 1e-3))).nonzero()[:, 0]
+            chosen = ((away > -reach) & (away < max(ahead, reach - 1.0 + AT_KEY))).nonzero()[:, 0]
             if len(chosen):
                 return chosen
         raise ReconstructError(f"no picture near key time {key}")
+
+    def _decided_by_key(self, away: Float[Tensor, " F"]) -> Int[Tensor, " f"]:
+        """Of each camera the pictures up to the key on which it has a say; without any, the one right after it.
+
+        Where a key counts for little, Adam, which knows no scale, would move it far for what the key before got wrong.
+        """
+        chosen = []
+        for members in self._by_camera(torch.arange(len(away), device=away.device)):
+            at = away[members]
+            up_to = members[(at > LEAST_SAY - 1) & (at < AT_KEY)]
+            if not len(up_to):
+                after = members[(at >= AT_KEY) & (at <= 1 - LEAST_SAY)]
+                up_to = after[away[after].argsort()[:1]]
+            chosen.append(up_to)
+        return torch.cat(chosen).sort().values
 
     def _by_camera(self, pictures: Int[Tensor, " f"]) -> list[Int[Tensor, " _"]]:
         """The same pictures, those of each camera together."""

@@ -90,6 +90,25 @@ def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
     assert metrics["left_box_share"] < 0.2
 
 
+def test_pictures_just_past_a_key_do_not_throw_the_next_one(ball, rest: RestModel) -> None:
+    """Free-running cameras: two are a hundredth of the keys' spacing late, so that the next key hardly shows."""
+    late = {"cam1": 0.003, "cam2": 0.003}
+    dynamic = tuple(
+        replace(f, time=f.time + late.get(f.camera_name, 0.0)) if f.time is not None and f.index < 4 else f
+        for f in ball.scene.dynamic
+    )
+    motion, _ = train_motion(
+        replace(ball.scene, dynamic=dynamic), rest, {}, replace(MOTION, levels=(4,), iterations=(90,))
+    )
+    assert motion.keys == 5
+    directions = torch.randn(200, 3, generator=torch.Generator().manual_seed(0))
+    surface = torch.nn.functional.normalize(directions, dim=-1) * 0.9 * ball.radius
+    for time in (0.25, 0.5, 0.75, 1.0):
+        moved = (motion.from_rest(surface, motion.tau(torch.full((200,), time))) - surface).mean(0).numpy()
+        error = np.linalg.norm(moved - time * ball.travel)
+        assert error < 0.25 * np.linalg.norm(ball.travel), f"{moved} at {time}"
+
+
 def test_training_of_motion_resumes_in_the_middle_bit_by_bit(ball, rest: RestModel, tmp_path) -> None:
     """Killed after every second key time: the same fields, the same log."""
     options = replace(MOTION, iterations=(8, 5), most_keys=5)
