@@ -23,6 +23,7 @@ from devrf.pipelines.cli_options import (
     talk_of,
 )
 from devrf.pipelines.console import Talk
+from devrf.pipelines.device import resolve_device
 from devrf.pipelines.plan import Choice, standings
 from devrf.pipelines.runner import (
     BAD_INPUT,
@@ -32,7 +33,6 @@ from devrf.pipelines.runner import (
     check_choice,
     dry_run,
     execute,
-    resolve_device,
 )
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
@@ -282,7 +282,7 @@ def _check(job: Run, device: str) -> int:
     }
     try:
         if to_do:
-            job.device = resolve_device(device)
+            job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
             check_folder(job.run_dir, "output:")
         if to_do & {"ingest", "scene"}:
             _check_raw_files(job)
@@ -315,7 +315,7 @@ def _only(
     choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
     job = _prepare(talk, scene, preset, overrides, choice)
     try:
-        job.device = resolve_device(device)
+        job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None

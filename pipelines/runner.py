@@ -265,9 +265,12 @@ def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: i
         return FAILED, f"{name}: {error}"
     if isinstance(error, MemoryError) or "out of memory" in str(error).lower():
         first_line = str(error).splitlines()[0] if str(error) else "MemoryError"
+        budget = run.config.budget.gpu_memory_gb
+        bound = budget is not None and run.device == "cuda"
+        least = f"raise budget.gpu_memory_gb ({budget:g})" if bound else "close other programs"
         return FAILED, (
-            f"{name}: not enough memory ({first_line}); close other programs, or use "
-            "--preset tiny, or lower reconstruct.image_scale or reconstruct.resolution"
+            f"{name}: not enough memory ({first_line}); {least}, or use "
+            "--preset tiny, or lower reconstruct.image_scale, reconstruct.rays or reconstruct.resolution"
         )
     if isinstance(error, SystemExit):
         return (
@@ -352,22 +355,3 @@ def _terminate_like_ctrl_c():
         return signal.signal(signal.SIGTERM, stop)
     except ValueError:
         return None
-
-
-def resolve_device(wish: str) -> str:
-    """ "cpu" or "cuda" for --device.
-
-    Raises:
-        InputError: The device is not there.
-    """
-    if wish not in ("auto", "cpu", "cuda"):
-        raise InputError(f"--device {wish}: expected auto, cpu or cuda")
-    if wish == "cpu":
-        return "cpu"
-    import torch
-
-    if torch.cuda.is_available():
-        return "cuda"
-    if wish == "cuda":
-        raise InputError("--device cuda: PyTorch finds no GPU here; use --device cpu, or auto")
-    return "cpu"

@@ -260,7 +260,7 @@ class BudgetConfig(_Section):
     memory_gb: float | None = Field(default=None, gt=0)
     """Main memory. Recorded; not enforced yet."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
-    """Memory of the GPU. Recorded; not enforced yet."""
+    """Memory of the GPU; what would take more ends with a message."""
     disk_gb: float | None = Field(default=None, gt=0)
     """Size of the run folder; checked before each stage."""
     time_minutes: float | None = Field(default=None, gt=0)

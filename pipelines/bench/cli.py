@@ -17,8 +17,9 @@ from devrf.pipelines.cli_options import (
     configured,
     talk_of,
 )
+from devrf.pipelines.device import resolve_device
 from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import BAD_INPUT, FAILED, Run, resolve_device
+from devrf.pipelines.runner import BAD_INPUT, FAILED, Run
 from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.ablation import VARIANTS
 from devrf.reconstruct.options import PresetName
@@ -221,7 +222,8 @@ def _measure(
             raise InputError(
                 f"{scene}: bench {name} needs a scene in motion, with a sweep and moving cameras"
             )
-        run = Run(config, scene_dir, STAGES, Choice(), talk, resolve_device(device))
+        on = resolve_device(device, config.budget.gpu_memory_gb)
+        run = Run(config, scene_dir, STAGES, Choice(), talk, on)
         folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
         check_folder(folder, "--out")
         if json is not None:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
 from devrf.pipelines import plan, stamp
@@ -226,6 +227,15 @@ def test_a_failure_keeps_what_was_there(
     assert (folder / "run/second/sub/result.txt").read_text() == "second"  # the old result
     assert not list((folder / "run").glob(".new-*"))
     assert executed(folder, "reconstruct.rays=200") == ["second", "third"]
+
+
+def test_more_than_the_gpus_budget_is_said_to_be_that(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    error = torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 3.00 GiB")
+    run = job(folder, small_stages(second=fail(error)), "budget.gpu_memory_gb=2")
+    run.device = "cuda"
+    assert execute(run) == FAILED
+    said = " ".join(capsys.readouterr().err.split())
+    assert "raise budget.gpu_memory_gb (2)" in said and "reconstruct.rays" in said and "3.00 GiB" in said
 
 
 def test_a_failure_is_remembered_until_it_is_mended(folder: Path) -> None:
