@@ -8,6 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 SIZE_INCHES, DPI = (7.0, 4.2), 130
+NAME_OFFSET = 3  # points, of a name from its mark
+NEAR_THE_EDGE = 0.75  # share of the axis
 
 
 def cases(
@@ -82,6 +84,7 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
             axes.grid(True, alpha=0.3)
             for curve in curves:
                 _draw(axes, curve, colours.get(curve.name, "black"))
+            _turn_names_inwards(axes)
     handles, labels = table[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(labels)), fontsize=8)
     figure.suptitle(title, fontsize=10)
@@ -107,8 +110,21 @@ def _draw(axes: Any, curve: Curve, colour: Any) -> None:
         label = "published: other data, other device" if first else None
         axes.plot(x, y, "x", color="0.55", markersize=5, label=label)
         axes.annotate(
-            curve.name, (x[0], y[0]), xytext=(3, 3), textcoords="offset points", fontsize=5.5, color="0.45"
+            curve.name,
+            (x[0], y[0]),
+            xytext=(NAME_OFFSET, NAME_OFFSET),
+            textcoords="offset points",
+            fontsize=5.5,
+            color="0.45",
         )
+
+
+def _turn_names_inwards(axes: Any) -> None:
+    """Names of marks near the right edge stand before them."""
+    to_share = axes.transScale + axes.transLimits
+    for text in axes.texts:
+        if to_share.transform(text.xy)[0] > NEAR_THE_EDGE:
+            text.set(ha="right", position=(-NAME_OFFSET, NAME_OFFSET))
 
 
 def _figure(y_label: str, title: str) -> tuple[Any, Any]:
