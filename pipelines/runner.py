@@ -265,11 +265,11 @@ def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: i
         return FAILED, f"{name}: {error}"
     if isinstance(error, MemoryError) or "out of memory" in str(error).lower():
         first_line = str(error).splitlines()[0] if str(error) else "MemoryError"
-        budget = run.config.budget.gpu_memory_gb
-        bound = budget is not None and run.device == "cuda"
-        least = f"raise budget.gpu_memory_gb ({budget:g})" if bound else "close other programs"
+        budget, on_gpu = run.config.budget.gpu_memory_gb, not isinstance(error, MemoryError)
+        bounded = budget is not None and run.device == "cuda" and on_gpu
+        remedy = f"raise budget.gpu_memory_gb ({budget:g})" if bounded else "close other programs"
         return FAILED, (
-            f"{name}: not enough memory ({first_line}); {least}, or use "
+            f"{name}: not enough memory ({first_line}); {remedy}, or use "
             "--preset tiny, or lower reconstruct.image_scale, reconstruct.rays or reconstruct.resolution"
         )
     if isinstance(error, SystemExit):

@@ -8,6 +8,7 @@ from jaxtyping import Int
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from torch import Tensor
 
+from devrf.capture.camera import Camera
 from devrf.reconstruct.rays import RaySet
 
 NOISE_FACTOR = 5.0  # a change is this many times the noise
@@ -45,7 +46,7 @@ def changing_pixels(rays: RaySet) -> ChangingPixels:
     """
     groups: dict[bytes, list[int]] = defaultdict(list)
     for n, camera in enumerate(rays.cameras):
-        groups[camera.cam_from_world.tobytes() + camera.K.tobytes()].append(n)
+        groups[_view(camera)].append(n)
     of_frame = [torch.zeros(0, dtype=torch.int64)] * len(rays)
     for members in groups.values():
         if len(members) < 2:
@@ -58,10 +59,15 @@ def changing_pixels(rays: RaySet) -> ChangingPixels:
 
 def same(rays: RaySet, a: int, b: int) -> bool:
     """Whether two pictures of a camera show the same; not where it has moved, nor of one picture twice."""
-    if a == b or rays.cameras[a].cam_from_world.tobytes() != rays.cameras[b].cam_from_world.tobytes():
+    if a == b or _view(rays.cameras[a]) != _view(rays.cameras[b]):
         return False
     one, other = (_smooth(_picture(rays, n)).astype(np.float32) / 255 for n in (a, b))
     return not _as_a_whole(np.abs(one - other).max(axis=2)).any()
+
+
+def _view(camera: Camera) -> bytes:
+    """The same for cameras that stand still."""
+    return camera.cam_from_world.tobytes() + camera.K.tobytes()
 
 
 def _changes(rays: RaySet, members: list[int]) -> np.ndarray:

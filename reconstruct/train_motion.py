@@ -29,6 +29,7 @@ from devrf.reconstruct.grids import BETAS, EPS
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
+from devrf.reconstruct.key_pictures import KeyPictures
 from devrf.reconstruct.losses import (
     VARIATION_CLAMP,
     cycle_loss,
@@ -53,8 +54,6 @@ from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
-AT_KEY = 1e-3  # of the key times' spacing
-LEAST_SAY = 0.25  # a key's share in a picture, for the key to be tracked by it
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 
 
@@ -195,6 +194,9 @@ class _Recipe:
         self.order = [key for key in everything if key != self.motion.rest_key]
         self.direction = -1 if at_end else 1
         self.tau_of_frame = self.motion.tau(rays.times)
+        self.key_pictures = KeyPictures(
+            [f.camera_name for f in rays.frames], self.tau_of_frame, keys, self.direction
+        )
         extent = box[1] - box[0]
         # Published units per unit of the box frame; in normalised device coordinates they are the same.
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
@@ -266,8 +268,9 @@ class _Recipe:
             motion.backward[key] = motion.backward[before]
             motion.forward[key] = motion.forward[before]
         self.step_of_key = 0
-        self.pictures = self._pictures_around(key)
-        self.views = self._by_camera(self.pictures)
+        choose = self.key_pictures.around if self.level else self.key_pictures.tracked
+        self.pictures = choose(key)
+        self.views = self.key_pictures.by_camera(self.pictures)
         looked_at = self.tau_of_frame[torch.cat([self.pictures, self.flow.previous[self.pictures]])]
         self.first = max(0, min(int(looked_at.min()), key - 1))
         last = max(int(looked_at.max().ceil()), key, self.first + 1)
@@ -275,10 +278,10 @@ class _Recipe:
         self.key = key - self.first
         self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
         self.live: Tensor | None = None
-        self.asked = None
-        if self.level and self.held_back is not None:
-            self.asked = self.held_back.rays_of(self.pictures)
-            self.errors[0] += self._held_error()
+        self.asked = (
+            self.held_back.rays_of(self.pictures) if self.level and self.held_back is not None else None
+        )
+        self.errors[0] += self._held_error()
 
     def follow(self, key: int) -> None:
         """A key at which nothing has changed: its motion is that of the key before."""
@@ -287,8 +290,7 @@ class _Recipe:
 
     def leave_key(self) -> None:
         """Look at what it gained, and keep what has been learned, where the window is a copy."""
-        if self.asked is not None:
-            self.errors[1] += self._held_error()
+        self.errors[1] += self._held_error()
         for whole, part in (
             (self.motion.backward, self.window.backward),
             (self.motion.forward, self.window.forward),
@@ -349,40 +351,6 @@ class _Recipe:
             return tau
         return tau.clamp(max=self.key) if self.direction > 0 else tau.clamp(min=self.key)
 
-    def _pictures_around(self, key: int) -> Int[Tensor, " f"]:
-        """Pictures that this key is trained on: up to the neighbours; while tracking, those that it decides."""
-        away = (self.tau_of_frame - key) * self.direction
-        if not self.level and len(chosen := self._decided_by_key(away)):
-            return chosen
-        ahead = 1.0 if self.level else AT_KEY
-        for reach in (1.0, 2.0, float(self.motion.keys)):  # a dropped frame may leave a key without pictures
-            chosen = ((away > -reach) & (away < max(ahead, reach - 1.0 + AT_KEY))).nonzero()[:, 0]
-            if len(chosen):
-                return chosen
-        raise ReconstructError(f"no picture near key time {key}")
-
-    def _decided_by_key(self, away: Float[Tensor, " F"]) -> Int[Tensor, " f"]:
-        """Of each camera the pictures up to the key on which it has a say; without any, the one right after it.
-
-        Where a key counts for little, Adam, which knows no scale, would move it far for what the key before got wrong.
-        """
-        chosen = []
-        for members in self._by_camera(torch.arange(len(away), device=away.device)):
-            at = away[members]
-            up_to = members[(at > LEAST_SAY - 1) & (at < AT_KEY)]
-            if not len(up_to):
-                after = members[(at >= AT_KEY) & (at <= 1 - LEAST_SAY)]
-                up_to = after[away[after].argsort()[:1]]
-            chosen.append(up_to)
-        return torch.cat(chosen).sort().values
-
-    def _by_camera(self, pictures: Int[Tensor, " f"]) -> list[Int[Tensor, " _"]]:
-        """The same pictures, those of each camera together."""
-        cameras: dict[str, list[int]] = {}
-        for picture in pictures.tolist():
-            cameras.setdefault(self.rays.frames[picture].camera_name, []).append(picture)
-        return [torch.tensor(cameras[name], device=pictures.device) for name in sorted(cameras)]
-
     def _draw(self) -> RayBatch:
         n = self.options.rays
         if self.options.one_camera:
@@ -400,7 +368,7 @@ class _Recipe:
 
     @torch.no_grad()
     def _held_error(self) -> float:
-        """Sum of squared errors of this key's rays that are held back."""
+        """Sum of squared errors of the rays of this key that are held back; the first level asks none."""
         batch = self.asked
         if batch is None:
             return 0.0

@@ -236,6 +236,10 @@ def test_more_than_the_gpus_budget_is_said_to_be_that(folder: Path, capsys: pyte
     assert execute(run) == FAILED
     said = " ".join(capsys.readouterr().err.split())
     assert "raise budget.gpu_memory_gb (2)" in said and "reconstruct.rays" in said and "3.00 GiB" in said
+    run = job(folder, small_stages(second=fail(MemoryError())), "budget.gpu_memory_gb=2")
+    run.device = "cuda"  # main memory has run out, not the GPU's
+    assert execute(run) == FAILED
+    assert "budget.gpu_memory_gb" not in capsys.readouterr().err
 
 
 def test_a_failure_is_remembered_until_it_is_mended(folder: Path) -> None:
