@@ -286,6 +286,7 @@ def preset(
     inward = canonical.resolution
     if forward:
         canonical = replace(canonical, **(PUBLISHED_FORWARD | FORWARD[name]))
+        motion = replace(motion, resolution=canonical.resolution)
     if adapt is not None:
         canonical, motion = replace(canonical, adapt=adapt), replace(motion, adapt=adapt)
     if resolution is not None:

@@ -11,6 +11,7 @@ from torch import Tensor
 from devrf.capture.camera import Camera
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, resized, resized_motion
 
 FINEST_VOXEL = 1.0  # pixels, where the scene is: finer voxels hold nothing that the pictures show
@@ -50,33 +51,54 @@ def needed_resolution(cameras: Sequence[Camera], aabb: Float[Tensor, "2 3"]) -> 
     seen = []
     for camera in cameras:
         away = float(np.linalg.norm(camera.world_from_cam[:3, 3] - middle))
-        seen.append(max(away, shortest / 2) / float(camera.K[[0, 1], [0, 1]].mean()))
+        seen.append(max(away, shortest / 2) / _focal(camera))
     pixel = float(np.median(seen))
     side = float(np.prod(hi - lo)) ** (1 / 3)
     return max(FEWEST, math.ceil(side / (FINEST_VOXEL * pixel))), pixel
 
 
+def needed_in_planes(cameras: Sequence[Camera], ndc: Ndc, resolution: int, planes: int) -> tuple[int, float]:
+    """The same of a frustum, by the voxels across it; planes are to stay in proportion to them.
+
+    A pixel is as large as 1/f at a depth of 1, and as wide in normalised device coordinates wherever it looks.
+
+    Args:
+        cameras: At training size.
+        ndc: The frustum.
+        resolution, planes: What is offered.
+    """
+    pixel = float(np.median([1 / _focal(camera) for camera in cameras])) / math.sqrt(ndc.tan_x * ndc.tan_y)
+    across = math.sqrt(resolution**3 / planes)  # vertices along x and along y, see `grid_shape`
+    return max(FEWEST, math.ceil(resolution * 2 / (FINEST_VOXEL * pixel) / across)), pixel
+
+
 def fewer_voxels(
-    options: CanonicalOptions, cameras: Sequence[Camera], aabb: Float[Tensor, "2 3"]
+    options: CanonicalOptions, cameras: Sequence[Camera], aabb: Float[Tensor, "2 3"], ndc: Ndc | None = None
 ) -> tuple[CanonicalOptions, Decision | None]:
-    """The options with no more voxels than the pictures show of the box."""
-    needed, pixel = needed_resolution(cameras, aabb)
+    """The options with no more voxels than the pictures show of the box, or of the frustum."""
+    if ndc is None:
+        needed, pixel = needed_resolution(cameras, aabb)
+    else:
+        needed, pixel = needed_in_planes(cameras, ndc, options.resolution, options.planes)
     if needed >= options.resolution:
         return options, None
-    reason = f"a pixel sees 1/{float(aabb[1].sub(aabb[0]).max()) / pixel:.0f} of the box"
+    whole = "box" if ndc is None else "frustum"
+    reason = f"a pixel sees 1/{float(aabb[1].sub(aabb[0]).max()) / pixel:.0f} of the {whole}"
     decision = Decision("resolution at rest", str(needed), str(options.resolution), reason)
     return resized(options, needed / options.resolution), decision
 
 
 def levels_for(options: MotionOptions, canonical: Canonical) -> MotionOptions:
     """The options with levels in proportion to a scene at rest that has been given fewer voxels."""
-    if canonical.ndc is not None:
-        return options
-    side = float((canonical.aabb[1] - canonical.aabb[0]).double().prod()) ** (1 / 3)
-    ratio = side / canonical.base_voxel / options.resolution
+    ratio = math.prod(canonical.shape) ** (1 / 3) / options.resolution
     if ratio > NEARLY_ALL:
         return options
     return resized_motion(options, ratio)
+
+
+def _focal(camera: Camera) -> float:
+    """Mean focal length of both axes, pixels."""
+    return float(camera.K[[0, 1], [0, 1]].mean())
 
 
 def fewer_keys(flows: dict[str, CameraFlow], most: int) -> tuple[int, Decision | None]:

@@ -87,8 +87,9 @@ def train_canonical(
     plain = plain_of(scene.background, device)
     aabb, hull = _box(scene, frames, rays, plain, options, generator, progress)
     decision = None
-    if options.adapt and scene.ndc is None:
-        options, decision = fewer_voxels(options, rays.cameras, aabb)
+    if options.adapt:
+        ndc = None if scene.ndc is None else Ndc(*scene.ndc)
+        options, decision = fewer_voxels(options, rays.cameras, aabb, ndc)
     recipe = _Recipe(scene, options, rays, plain, aabb, hull, device)
     if hull is not None and options.box_search == "coarse":
         rays.keep_only(recipe.hitting())

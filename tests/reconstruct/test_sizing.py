@@ -10,12 +10,23 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import load_image
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct import train_motion as motion_training
+from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
 from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
 from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.sizing import BENT_PX, FARTHEST, fewer_keys, needed_resolution, needed_spacing
+from devrf.reconstruct.sizing import (
+    BENT_PX,
+    FARTHEST,
+    fewer_keys,
+    fewer_voxels,
+    levels_for,
+    needed_resolution,
+    needed_spacing,
+)
 from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_motion import train_motion
@@ -53,6 +64,34 @@ def test_voxels_are_as_large_as_pixels() -> None:
     resolution, pixel = needed_resolution(cameras, box)
     assert pixel == pytest.approx(4.0 / 200)  # of the middle camera
     assert resolution == np.ceil(4 ** (1 / 3) / 0.02)  # the cube root of the box's volume
+
+
+def test_voxels_of_a_frustum_are_as_large_as_pixels() -> None:
+    offered = preset("fast", forward=True)
+    K = np.array([[100.0, 0, 64], [0, 100, 36], [0, 0, 1]])
+    cameras = [Camera(128, 72, K, np.eye(4)[:3]) for _ in range(3)]
+    options, decision = fewer_voxels(offered.canonical, cameras, CUBE, Ndc(0.64, 0.36))
+    x, y, z = grid_shape(CUBE, options.resolution, options.planes)
+    assert x == y and x * y == pytest.approx(
+        128 * 72, rel=0.05
+    )  # cells of the grid across the frustum, and pixels
+    assert z / x == pytest.approx(offered.canonical.planes / grid_shape(CUBE, 192, 96)[0], rel=0.05)
+    assert decision is not None and "a pixel sees 1/96 of the frustum" in str(decision)
+    large = [replace(camera.scaled(6.0), width=768) for camera in cameras]
+    assert fewer_voxels(offered.canonical, large, CUBE, Ndc(0.64, 0.36)) == (offered.canonical, None)
+
+
+def test_motion_of_a_frustum_follows_its_voxels() -> None:
+    motion = preset("fast", forward=True).motion
+    for ratio in (1.0, 0.5):
+        given = preset("fast", forward=True, resolution=round(160 * ratio))
+        model = Canonical.new(
+            CUBE, given.canonical.resolution, given.canonical.resolution, channels=3, mlp_width=0, stepsize=1.0,
+            alpha_init=0.01, alpha_threshold=0.0, weight_threshold=0.0, device="cpu", seed=0,
+            planes=given.canonical.planes, ndc=Ndc(1.0, 1.0),
+        )  # fmt: skip
+        assert levels_for(motion, model).levels == tuple(round(level * ratio) for level in motion.levels)
+        assert levels_for(given.motion, model) == given.motion
 
 
 @pytest.mark.parametrize("acceleration", [0.1, 0.5, 2.0])
