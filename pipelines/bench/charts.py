@@ -70,6 +70,7 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
     """A row of panels per y label, in it a panel per x label, logarithmic in x."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullLocator
 
     first = next(iter(panels.values()))
     figure = Figure(figsize=(4.6 * len(first), 0.8 + 4.2 * len(panels)), layout="constrained")
@@ -80,6 +81,9 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
         row[0].set_ylabel(y_label)
         for axes, (x_label, curves) in zip(row, columns.items(), strict=True):
             axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.xaxis.set_major_formatter("{x:g}")
             axes.set_xlabel(x_label)
             axes.grid(True, alpha=0.3)
             for curve in curves:

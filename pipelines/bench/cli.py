@@ -17,6 +17,7 @@ from devrf.pipelines.cli_options import (
     configured,
     talk_of,
 )
+from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import BAD_INPUT, FAILED, Run
@@ -138,13 +139,16 @@ def growth(
     preset: PresetOption = None,
     strides: Annotated[str, typer.Option(help="Every n-th time of a data set")] = "4,2,1",
     shares: Annotated[str, typer.Option(help="Of the resolution at rest")] = "0.5,0.7,1",
+    other: Annotated[
+        list[Path] | None, typer.Option(help="Another scene, in which more or less moves (repeatable)")
+    ] = None,
     overrides: SetOption = None,
     out: OutOption = None,
     json: JsonOption = None,
     device: DeviceOption = "auto",
     quiet: QuietOption = False,
 ) -> None:
-    """How seconds and bytes grow with the number of pictures and with the resolution."""
+    """How seconds and bytes grow with the number of pictures, with the resolution, and with what moves."""
 
     def measure(run: Run, folder: Path) -> None:
         from devrf.pipelines.bench.growth import run_growth
@@ -152,13 +156,9 @@ def growth(
         every = _numbers("--strides", strides, 1, 1000)
         if any(n % 1 for n in every):
             raise InputError(f"--strides {strides}: expected whole numbers, such as 4,2,1")
-        run_growth(
-            run,
-            folder,
-            [int(n) for n in every],
-            _numbers("--shares", shares, 0.01, 1),
-            json or folder / "growth.json",
-        )
+        chosen, given = _numbers("--shares", shares, 0.01, 1), json or folder / "growth.json"
+        others = [_run("growth", path, preset, overrides, device, run.talk) for path in other or []]
+        run_growth(run, folder, [int(n) for n in every], chosen, others, given)
 
     _measure("growth", measure, scene, preset, overrides, out, json, device, quiet)
 
@@ -217,13 +217,7 @@ def _measure(
     """Read the configuration, run a benchmark, turn errors into exit codes."""
     talk = talk_of(quiet)
     try:
-        config, scene_dir = configured(scene, preset, overrides)
-        if config.kind not in ("dynamic", "dataset"):
-            raise InputError(
-                f"{scene}: bench {name} needs a scene in motion, with a sweep and moving cameras"
-            )
-        on = resolve_device(device, config.budget.gpu_memory_gb)
-        run = Run(config, scene_dir, STAGES, Choice(), talk, on)
+        run = _run(name, scene, preset, overrides, device, talk)
         folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
         check_folder(folder, "--out")
         if json is not None:
@@ -235,3 +229,14 @@ def _measure(
     except DevrfError as error:
         talk.error(str(error))
         raise typer.Exit(FAILED) from None
+
+
+def _run(
+    name: str, scene: Path, preset: str | None, overrides: Sequence[str] | None, device: str, talk: Talk
+) -> Run:
+    """A scene in motion as a benchmark takes it."""
+    config, scene_dir = configured(scene, preset, overrides)
+    if config.kind not in ("dynamic", "dataset"):
+        raise InputError(f"{scene}: bench {name} needs a scene in motion, with a sweep and moving cameras")
+    on = resolve_device(device, config.budget.gpu_memory_gb)
+    return Run(config, scene_dir, STAGES, Choice(), talk, on)

@@ -1,4 +1,4 @@
-"""`bench growth`: how seconds and bytes grow with the number of pictures and with the resolution."""
+"""`bench growth`: how seconds and bytes grow with the number of pictures, the resolution and what moves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,15 +12,20 @@ from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name
 from devrf.pipelines.runner import Run
 
-AXES = {"pictures": "pictures per camera", "resolution": "resolution R at rest"}
+AXES = {
+    "pictures": "pictures per camera",
+    "resolution": "resolution R at rest",
+    "moving": "voxels at rest that move",
+}
 COSTS = {"seconds": ("seconds of training", "s"), "megabytes": ("megabytes on disk", "MB")}
 
 
 @dataclass(frozen=True)
 class Grown:
-    """One training: along which axis, where on it, and what it came to."""
+    """One training: along which axis, which on it, where, and what it came to."""
 
     axis: str
+    name: str
     at: float
     seconds: float
     megabytes: float
@@ -29,15 +34,21 @@ class Grown:
 
 
 def run_growth(
-    run: Run, out: Path, strides: Sequence[int], shares: Sequence[float], json_path: Path
+    run: Run,
+    out: Path,
+    strides: Sequence[int],
+    shares: Sequence[float],
+    others: Sequence[Run],
+    json_path: Path,
 ) -> list[Row]:
-    """Train with every so many pictures, then at shares of the resolution; print, draw and write what it cost.
+    """Train with every so many pictures, at shares of the resolution, and other scenes; say what it cost.
 
     Args:
         run: The scene: a data set, whose times can be left out.
         out: Folder for models.
         strides: Every n-th time of those that the configuration takes.
         shares: Of the preset's resolution (or the one that is given).
+        others: Scenes in which more or less moves.
         json_path: Where the rows go; the chart is drawn beside it.
     """
     if run.config.dataset is None:
@@ -46,12 +57,17 @@ def run_growth(
     bench = _every(run, out, 1)
     whole = run.config.reconstruct.resolution or bench.options().canonical.resolution
     found += [_trained(bench, round(share * whole), "resolution") for share in sorted(shares)]
+    if others:
+        benches = [bench, *(Bench.prepare(other, out / f"other{n}") for n, other in enumerate(others, 1))]
+        found += sorted((_trained(b, None, "moving") for b in benches), key=lambda one: one.at)
+    axes = {axis: label for axis, label in AXES.items() if others or axis != "moving"}
     rows = [row for one in found for row in _rows(one)]
-    rows += [_exponent(found, axis, cost) for axis in AXES for cost in COSTS]
+    rows += [_exponent(found, axis, cost) for axis in axes for cost in COSTS]
     print_rows(run.talk, f"Growth, {run.config.name}", rows)
     write_rows(json_path, rows, benchmark="growth", **about(bench, [run.config.reconstruct.seed]))
     panels = {
-        label: {AXES[axis]: _curves(found, axis, cost) for axis in AXES} for cost, (label, _) in COSTS.items()
+        label: {text: _curves(found, axis, cost) for axis, text in axes.items()}
+        for cost, (label, _) in COSTS.items()
     }
     title = f"{run.config.name}, {run.config.preset}, {device_name(run.device)}"
     chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
@@ -76,10 +92,15 @@ def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
     rest = bench.rest(options.canonical)
     result = bench.motion("motion", rest, options.motion)
     clips = [f.camera_name for f in bench.scene.dynamic if f.split == "train"]
-    pictures = max(clips.count(name) for name in set(clips))
+    at = {
+        "pictures": max(clips.count(name) for name in set(clips)),
+        "resolution": options.canonical.resolution,
+        "moving": result["train"]["moving_voxels"],
+    }
     return Grown(
         axis,
-        pictures if axis == "pictures" else options.canonical.resolution,
+        bench.out.name if axis == "moving" else f"{at[axis]:g}",
+        at[axis],
         rest.metrics["seconds"] + result["train"]["seconds"],
         result["model_mb"],
         result["test"]["psnr"],
@@ -88,8 +109,10 @@ def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
 
 
 def _rows(one: Grown) -> list[Row]:
-    name = f"growth/{one.axis}/{one.at:g}"
+    name = f"growth/{one.axis}/{one.name}"
+    where = [Row(f"{name}/voxels", one.at, "")] if one.axis == "moving" else []
     return [
+        *where,
         Row(f"{name}/seconds", one.seconds, "s"),
         Row(f"{name}/megabytes", one.megabytes, "MB"),
         Row(f"{name}/psnr", one.psnr, "dB"),
@@ -99,7 +122,7 @@ def _rows(one: Grown) -> list[Row]:
 
 def _exponent(found: Sequence[Grown], axis: str, cost: str) -> Row:
     """By which power of the axis a cost grows: the slope of a straight line through the logarithms."""
-    points = [(one.at, getattr(one, cost)) for one in found if one.axis == axis]
+    points = [(one.at, getattr(one, cost)) for one in found if one.axis == axis and one.at > 0]
     name = f"growth/{axis}/exponent of {cost}"
     if len({at for at, _ in points}) < 2:
         return Row(name, None, "", why="needs two different places on the axis")

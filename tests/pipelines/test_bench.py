@@ -184,8 +184,10 @@ def test_a_front_holds_what_no_other_beats() -> None:
     assert [one.case.name for one in pareto(found, "megabytes")] == ["slow and good"]
 
 
-def test_growth_is_measured_along_both_axes(devrf: Any, dataset: Path, tmp_path: Path) -> None:
-    choice = ("--preset", "fast", "--strides", "2,1", "--shares", "0.7,1")
+def test_growth_is_measured_along_every_axis(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+    less = tmp_path / "less.yaml"
+    less.write_text(f"name: less\ndataset: {{format: devrf, path: {dataset}, frame_stride: 2}}\n")
+    choice = ("--preset", "fast", "--strides", "2,1", "--shares", "0.7,1", "--other", str(less))
     _bench(devrf, "growth", dataset, "--out", str(tmp_path), *choice, *SETTINGS)
     rows = _rows(tmp_path / "growth.json")
     pictures = sorted(
@@ -198,6 +200,8 @@ def test_growth_is_measured_along_both_axes(devrf: Any, dataset: Path, tmp_path:
     )
     slope = rows["growth/resolution/exponent of megabytes"]["value"]
     assert slope == pytest.approx(np.log(fine / coarse) / np.log(16 / 11)) and fine > coarse
+    keys, fewer = (rows[f"growth/moving/{name}/keys"]["value"] for name in ("every1", "other1"))
+    assert keys > fewer and rows["growth/moving/other1/voxels"]["value"] >= 0
     assert (tmp_path / "growth.png").stat().st_size > 10_000
     wrong = _bench(devrf, "growth", dataset, "--strides", "0", *SETTINGS, code=2)
     assert "--strides 0" in wrong and "expected" in wrong

@@ -11,11 +11,14 @@ from PIL import Image
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import voxel_size
+from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.losses import cycle_loss, flow_loss
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.pixel_flow import PUBLISHED_WIDTH, PixelFlow
 from devrf.reconstruct.rays import RaySet
@@ -139,3 +142,22 @@ def test_first_key_stays_the_identity_and_any_window_gives_the_same() -> None:
     window = motion.window(0, 2, "cpu")
     assert window.rest_key == 0 and motion.window(2, 4, "cpu").rest_key is None
     assert window.backward.data_ptr() == motion.backward.data_ptr()  # the same memory on the same device
+
+
+def test_voxels_that_move_are_counted() -> None:
+    aabb = torch.tensor([[0.0] * 3, [1.0] * 3])
+    rest = Canonical.new(
+        aabb, 11, 11, channels=1, mlp_width=1, stepsize=1.0, alpha_init=0.01, alpha_threshold=0.0,
+        weight_threshold=0.0, device="cpu", seed=0,
+    )  # fmt: skip
+    rest.distance = distance(torch.ones(11, 11, 11, dtype=torch.bool))
+    motion = MotionField.still(aabb, 3, 11, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    assert moving_voxels(rest, motion) == 0
+    motion.forward[1, :3, ..., 1] = 0.11  # over a voxel, and back again
+    motion.forward[2, 3:5, ..., 2] = -0.11
+    motion.forward[2, 5:8, ..., 0] = 0.09
+    assert moving_voxels(rest, motion) == 5 * 11 * 11
+    rest.distance = distance(
+        torch.arange(11)[:, None, None].expand(11, 11, 11) >= 4
+    )  # the rest of it is empty
+    assert moving_voxels(rest, motion) == 11 * 11
