@@ -10,18 +10,23 @@ AT_ONCE = 1 << 18  # points
 
 @torch.no_grad()
 def moving_voxels(canonical: Canonical, motion: MotionField) -> int:
-    """Occupied voxels of the scene at rest that are more than a voxel away from there at any key time."""
+    """Voxels, of the size of those at rest, through which something moves: where it is at the key times.
+
+    What stays within a voxel of where it rests does not count.
+    """
     device = canonical.distance.device
     lo, hi = canonical.aabb.to(device)
     occupied = (canonical.distance == 0).nonzero()
     points = lo + occupied / (torch.tensor(canonical.shape, device=device) - 1) * (hi - lo)
-    moving = 0
+    begin, end = motion.aabb.to(device)
+    shape = [int(n) + 1 for n in ((end - begin) / canonical.voxel).ceil()]
+    passed = torch.zeros(shape, dtype=torch.bool, device=device)
     for x in points.split(AT_ONCE):
-        moved = torch.zeros(len(x), dtype=torch.bool, device=device)
         for key in range(motion.keys):
             first = min(key, motion.keys - 2)
             pair = motion.window(first, first + 1, device)
             there = pair.from_rest(x, torch.full_like(x[:, 0], key - first))
-            moved |= (there - x).norm(dim=1) > canonical.voxel
-        moving += int(moved.sum())
-    return moving
+            there = there[(there - x).norm(dim=1) > canonical.voxel]
+            voxel = ((there.clamp(begin, end) - begin) / canonical.voxel).long()
+            passed[tuple(voxel.T)] = True
+    return int(passed.sum())

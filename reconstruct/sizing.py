@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.flow.store import CameraFlow
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, resized, resized_motion
@@ -18,11 +17,6 @@ FINEST_VOXEL = 1.0  # pixels, where the scene is: finer voxels hold nothing that
 FEWEST = 16  # voxels
 LEVEL_PAYS_DB = 0.1  # of held-back rays, by a level of motion; where it gains less, finer ones are skipped
 NEARLY_ALL = 0.95  # of the resolution that was offered: motion levels stay as they are above
-BENT_PX = 0.25  # pixels of the training size by which a point's way between two key times may bend
-FARTHEST = 0.06  # of the picture's width, that a point may move between two key times
-SPARSE = 3  # every so many pixels of the flow are looked at, along each axis
-MOVING_PX = 0.5  # per picture: what moves less is not asked
-MOST_OFTEN = 95.0  # percentile: the few that move otherwise are mostly wrong flow
 
 
 @dataclass(frozen=True)
@@ -99,52 +93,3 @@ def levels_for(options: MotionOptions, canonical: Canonical) -> MotionOptions:
 def _focal(camera: Camera) -> float:
     """Mean focal length of both axes, pixels."""
     return float(camera.K[[0, 1], [0, 1]].mean())
-
-
-def fewer_keys(flows: dict[str, CameraFlow], most: int) -> tuple[int, Decision | None]:
-    """Number of key times: no more than what moves needs, and at most `most`."""
-    found = needed_spacing(flows)
-    if found is None:
-        return most, None
-    spacing, reason = found
-    pictures = max(len(clip.index) for clip in flows.values()) + 1
-    needed = max(2, math.ceil((pictures - 1) / spacing) + 1)
-    if needed >= most:
-        return most, None
-    return needed, Decision("key times", str(needed), str(most), reason)
-
-
-def needed_spacing(flows: dict[str, CameraFlow]) -> tuple[float, str] | None:
-    """How many pictures apart key times may be, and why; None where no flow tells.
-
-    Ways between them have to be nearly straight (one of acceleration a bends by a h^2 / 8 over h pictures), and
-    short enough for a key time to be found from the one before.
-    """
-    bends, ways = [], []
-    for clip in flows.values():
-        for n in range(len(clip.index) - 1):
-            bend, way = _accelerations(clip, n)
-            bends.append(bend)
-            ways.append(way / clip.flow.shape[2])
-    if not sum(map(len, bends)):
-        return None
-    acceleration, speed = (float(np.percentile(np.concatenate(x), MOST_OFTEN)) for x in (bends, ways))
-    straight, near = math.sqrt(8 * BENT_PX / max(acceleration, 1e-6)), FARTHEST / speed
-    if straight < near:
-        return straight, f"ways are straight to {BENT_PX:g} pixels over {straight:.1f} pictures"
-    return near, f"what moves fast goes {FARTHEST:.0%} of the picture's width in {near:.1f} pictures"
-
-
-def _accelerations(clip: CameraFlow, n: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Of what moves: by how much its speed changes from entry n to the next, and its speed, pixels per picture."""
-    later, earlier = clip.flow[n + 1].astype(np.float32), clip.flow[n].astype(np.float32)
-    height, width = later.shape[:2]
-    v, u = np.mgrid[0:height:SPARSE, 0:width:SPARSE].reshape(2, -1)
-    way = later[v, u]
-    was = np.rint(np.stack([u, v], axis=1) + way).astype(int)
-    inside = ((was >= 0) & (was < [width, height])).all(1)
-    was = np.where(inside[:, None], was, 0)
-    moving = (np.abs(way).max(1) > MOVING_PX) & inside
-    trusted = moving & clip.valid[n + 1][v, u] & clip.valid[n][was[:, 1], was[:, 0]]
-    change = np.linalg.norm(way - earlier[was[:, 1], was[:, 0]], axis=1)
-    return change[trusted], np.linalg.norm(way, axis=1)[trusted]

@@ -30,6 +30,7 @@ from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.key_pictures import KeyPictures
+from devrf.reconstruct.key_times import fewer_keys
 from devrf.reconstruct.losses import (
     VARIATION_CLAMP,
     cycle_loss,
@@ -47,7 +48,7 @@ from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
-from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, fewer_keys, levels_for
+from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
 from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel

@@ -10,6 +10,7 @@ import numpy as np
 SIZE_INCHES, DPI = (7.0, 4.2), 130
 NAME_OFFSET = 3  # points, of a name from its mark
 NEAR_THE_EDGE = 0.75  # share of the axis
+WIDE = 6.0  # last over first, from which an axis has places for 1, 2 and 5
 
 
 def cases(
@@ -70,7 +71,7 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
     """A row of panels per y label, in it a panel per x label, logarithmic in x."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     first = next(iter(panels.values()))
     figure = Figure(figsize=(4.6 * len(first), 0.8 + 4.2 * len(panels)), layout="constrained")
@@ -81,13 +82,15 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
         row[0].set_ylabel(y_label)
         for axes, (x_label, curves) in zip(row, columns.items(), strict=True):
             axes.set_xscale("log")
-            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axes.xaxis.set_minor_locator(NullLocator())
-            axes.xaxis.set_major_formatter("{x:g}")
             axes.set_xlabel(x_label)
             axes.grid(True, alpha=0.3)
             for curve in curves:
                 _draw(axes, curve, colours.get(curve.name, "black"))
+            first, last = axes.get_xlim()
+            wide = last > WIDE * first
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(4))
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.xaxis.set_major_formatter("{x:g}")
             _turn_names_inwards(axes)
     handles, labels = table[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(labels)), fontsize=8)

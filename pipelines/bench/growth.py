@@ -15,7 +15,7 @@ from devrf.pipelines.runner import Run
 AXES = {
     "pictures": "pictures per camera",
     "resolution": "resolution R at rest",
-    "moving": "voxels at rest that move",
+    "moving": "voxels through which something moves",
 }
 COSTS = {"seconds": ("seconds of training", "s"), "megabytes": ("megabytes on disk", "MB")}
 

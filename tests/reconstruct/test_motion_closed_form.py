@@ -144,20 +144,23 @@ def test_first_key_stays_the_identity_and_any_window_gives_the_same() -> None:
     assert window.backward.data_ptr() == motion.backward.data_ptr()  # the same memory on the same device
 
 
-def test_voxels_that_move_are_counted() -> None:
+def test_voxels_through_which_something_moves_are_counted() -> None:
     aabb = torch.tensor([[0.0] * 3, [1.0] * 3])
     rest = Canonical.new(
         aabb, 11, 11, channels=1, mlp_width=1, stepsize=1.0, alpha_init=0.01, alpha_threshold=0.0,
         weight_threshold=0.0, device="cpu", seed=0,
     )  # fmt: skip
-    rest.distance = distance(torch.ones(11, 11, 11, dtype=torch.bool))
+    occupied = torch.zeros(11, 11, 11, dtype=torch.bool)
+    occupied[2:4, 5, 5] = True
+    rest.distance = distance(occupied)
     motion = MotionField.still(aabb, 3, 11, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
     assert moving_voxels(rest, motion) == 0
-    motion.forward[1, :3, ..., 1] = 0.11  # over a voxel, and back again
-    motion.forward[2, 3:5, ..., 2] = -0.11
-    motion.forward[2, 5:8, ..., 0] = 0.09
-    assert moving_voxels(rest, motion) == 5 * 11 * 11
-    rest.distance = distance(
-        torch.arange(11)[:, None, None].expand(11, 11, 11) >= 4
-    )  # the rest of it is empty
-    assert moving_voxels(rest, motion) == 11 * 11
+    motion.forward[1:, ..., 1] = 0.09
+    assert moving_voxels(rest, motion) == 0  # less than a voxel
+    motion.forward[1, ..., 1] = 0.21
+    assert moving_voxels(rest, motion) == 2
+    motion.forward[2, ..., 1] = -0.31  # elsewhere at another time
+    motion.forward[2, ..., 0] = 0.1
+    assert moving_voxels(rest, motion) == 4
+    motion.forward[2, ..., 1] = 0.21  # the first where the second was before
+    assert moving_voxels(rest, motion) == 3

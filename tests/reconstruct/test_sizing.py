@@ -14,19 +14,12 @@ from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
+from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
 from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.sizing import (
-    BENT_PX,
-    FARTHEST,
-    fewer_keys,
-    fewer_voxels,
-    levels_for,
-    needed_resolution,
-    needed_spacing,
-)
+from devrf.reconstruct.sizing import fewer_voxels, levels_for, needed_resolution
 from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_motion import train_motion
@@ -112,9 +105,27 @@ def test_a_long_straight_way_is_followed_in_steps() -> None:
     assert "goes 6% of the picture's width in 4.0 pictures" in str(decision)
 
 
-@pytest.mark.parametrize(
-    "flows", [{}, {"cam0": _clip(_straight(9, 0.1))}, {"cam0": _clip(_straight(1, 3.0))}]
-)
+def test_what_is_slow_is_followed_over_more_pictures() -> None:
+    steps = np.stack([-0.1 - 0.01 * np.arange(40), np.zeros(40)], axis=1)  # half a pixel in four pictures
+    found = needed_spacing({"cam0": _clip(steps, width=3200)})
+    assert found is not None and found[0] == pytest.approx(np.sqrt(8 * BENT_PX / 0.01), rel=0.05)
+
+
+def test_slower_motion_takes_fewer_key_times() -> None:
+    keys = [fewer_keys({"cam0": _clip(_straight(49, step), width=100)}, 50)[0] for step in (0.1, 0.4, 2.0)]
+    assert keys == [2, 5, 18]
+    keys, decision = fewer_keys({"cam0": _clip(_straight(49, 0.01))}, 50)
+    assert keys == 5 and "nothing moves 0.5 pixels in 16 pictures" in str(decision)
+
+
+def test_flow_that_is_lost_on_the_way_says_nothing() -> None:
+    flow = _clip(_straight(9, 0.1))
+    flow.valid[::2, :, ::2] = False  # every second picture tells of one half only, the others of the other
+    flow.valid[1::2, :, 1::2] = False
+    assert needed_spacing({"cam0": flow}) is None
+
+
+@pytest.mark.parametrize("flows", [{}, {"cam0": _clip(_straight(1, 3.0))}])
 def test_without_flow_of_what_moves_key_times_are_not_decided(flows: dict[str, CameraFlow]) -> None:
     assert fewer_keys(flows, 10) == (10, None)
 
