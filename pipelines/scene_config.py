@@ -246,6 +246,8 @@ class ReconstructConfig(_Section):
     """Iterations of the canonical fine stage; the others in proportion."""
     motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
     """Iterations per frame of the motion field, over all levels."""
+    fine_tuning_iterations: int | None = Field(default=None, ge=0, le=1_000_000)
+    """Iterations in which the scene at rest follows the moving pictures too; 0: none."""
     key_times: int | None = Field(default=None, ge=2, le=10_000)
     """Number of key times of the motion."""
     adapt: bool | None = None

@@ -7,12 +7,10 @@ import numpy as np
 from devrf.capture.camera import Camera
 from devrf.reconstruct.evaluate import Render
 
-MODEL = "model.safetensors"
-
 
 def model_files(run_dir: Path) -> list[Path]:
-    """The files a viewer needs: the canonical model and, where there is one, the motion."""
-    return [path for name in ("canonical", "deformation") if (path := run_dir / name / MODEL).is_file()]
+    """The files a viewer needs: the canonical model and, where there are any, the motion's."""
+    return [path for name in ("canonical", "deformation") for path in (run_dir / name).glob("*.safetensors")]
 
 
 def load_renderer(run_dir: Path, device: str) -> Render:

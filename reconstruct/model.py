@@ -67,10 +67,11 @@ class Moved:
 
 @dataclass
 class DynamicModel:
-    """The scene at rest and how it moves (None: it does not)."""
+    """The scene at rest, how it moves (None: it does not), and the same as it looks in motion (None: the same)."""
 
     rest: RestModel
     motion: MotionField | None = None
+    in_motion: RestModel | None = None
     _around: OrderedDict[bytes, Around] = field(default_factory=OrderedDict, repr=False)
 
     def around_camera(self, camera: Camera) -> Around:
@@ -131,16 +132,20 @@ def render_moved(
     jitter: Float[Tensor, " R"],
     keys_grad: Float[Tensor, "K X Y Z 3"] | None = None,
     first_key: int = 0,
+    rest_grads: tuple[Tensor | None, Tensor | None] = (None, None),
 ) -> Moved:
-    """March through the scene as it is at each ray's own time; differentiable in the backward motion's keys."""
+    """March through the scene as it is at each ray's own time.
+
+    Differentiable in the backward motion's keys, or in the density and features at rest (`rest_grads`).
+    """
     canonical = rest.canonical
     segments = segments_in(motion.aabb, canonical.ndc, rays_o, rays_d, rest.near, jitter)
     samples = march(segments, canonical.volume(), Warp(motion.backward, tau.contiguous(), motion.aabb, live))
     x = points_on(segments, samples)
     x0 = x + quad(motion.backward, x, tau[samples.ray_id], motion.aabb, keys_grad, first_key)
-    weights, left = composite_weights(canonical.alpha(x0), samples.offsets)
+    weights, left = composite_weights(canonical.alpha(x0, rest_grads[0]), samples.offsets)
     away = distances(x, samples, canonical.ndc, rays_o)
-    rgb, depth, colours = shade(canonical, x0, rays_d, samples, weights, away)
+    rgb, depth, colours = shade(canonical, x0, rays_d, samples, weights, away, rest_grads[1])
     return Moved(rgb, left, depth, samples, x, x0, weights, colours)
 
 
@@ -166,6 +171,7 @@ def render_layers(
     around = model.around_camera(camera)
     live = tau = None
     if motion is not None and time is not None:
+        rest = model.in_motion or rest
         motion, tau = motion.at(time, device)
         live = live_distance(rest, motion, tau, 1)
     out: list[tuple[Tensor, Tensor, Tensor]] = []

@@ -38,6 +38,7 @@ from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.train_canonical import RestModel
 
 FILE = "model.safetensors"
+TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion
 FORMAT = 5
 BYTES, STREAM = ("codes", "low", "step"), ("stream", "ends")
 MOTION_STEP = 0.05  # voxels of the scene at rest
@@ -121,10 +122,11 @@ def load_motion(path: Path, device: str = "cpu") -> MotionField:
 
 def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
     """The trained model of a run folder: with motion where that stage has run, else at rest."""
-    motion = run_dir / "deformation" / FILE
+    motion, tuned = (run_dir / "deformation" / name for name in (FILE, TUNED_FILE))
     return DynamicModel(
         load_rest(run_dir / "canonical" / FILE, device),
         load_motion(motion, device) if motion.is_file() else None,
+        load_rest(tuned, device) if tuned.is_file() else None,
     )
 
 

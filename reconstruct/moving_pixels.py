@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.rays import RayBatch, RaySet
 
 NOISE_FACTOR = 5.0  # a change is this many times the noise
 LEAST_CHANGE = 0.04  # of the full range; compression alone changes half as much
@@ -55,6 +55,23 @@ def changing_pixels(rays: RaySet) -> ChangingPixels:
         for n in members:
             of_frame[n] = pixels
     return ChangingPixels(of_frame)
+
+
+def draw_with_importance(
+    rays: RaySet,
+    changing: ChangingPixels | None,
+    n: int,
+    share: float,
+    pictures: Int[Tensor, " f"],
+    generator: torch.Generator,
+) -> RayBatch:
+    """Draw `n` rays of pictures, a share of them where the pictures change (if anything does)."""
+    if changing is not None and (chosen := round(n * share)):
+        frame, pixel = changing.draw(chosen, pictures, generator)
+        if len(frame):
+            rest = rays.draw(n - len(frame), generator, pictures)
+            return rays.at(torch.cat([frame, rest.frame]), torch.cat([pixel, rest.pixel]))
+    return rays.draw(n, generator, pictures)
 
 
 def same(rays: RaySet, a: int, b: int) -> bool:

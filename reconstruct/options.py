@@ -98,6 +98,8 @@ class MotionOptions:
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
         live_every: Iterations between rebuilds of where the moving scene may be.
+        fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
+        fine_tuning_lr: Initial learning rate of its grids; falls by 10.
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
         seed: Of every random draw.
@@ -120,6 +122,8 @@ class MotionOptions:
     entropy: float = 0.01
     per_point: float = 0.1
     live_every: int = 10
+    fine_tuning: int = 0
+    fine_tuning_lr: float = 0.03
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
@@ -200,6 +204,7 @@ PRESETS: dict[str, Options] = {
             rays=8192,
             most_keys=100,
             adapt=True,
+            fine_tuning=200,
             **QUICK_MOTION,
         ),
     ),
@@ -263,6 +268,7 @@ def preset(
     rays: int | None = None,
     canonical_iterations: int | None = None,
     motion_iterations: int | None = None,
+    fine_tuning_iterations: int | None = None,
     key_times: int | None = None,
     adapt: bool | None = None,
     seed: int = 0,
@@ -275,7 +281,8 @@ def preset(
         resolution: R of the canonical grid; every other grid keeps its proportion to it.
         rays: Rays per iteration, both stages.
         canonical_iterations: Of stage 1's fine model; the coarse model's keep their proportion to it.
-        motion_iterations: Of stage 2, per key time, over all levels.
+        motion_iterations: Of stage 2, per key time, over all levels; fine-tuning's keep their proportion to it.
+        fine_tuning_iterations: Of the scene at rest, once its motion is known.
         key_times: How many, where it is not to be decided by the scene.
         adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
@@ -319,5 +326,11 @@ def preset(
         )
     if motion_iterations is not None:
         ratio = motion_iterations / sum(motion.iterations)
-        motion = replace(motion, iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations))
+        motion = replace(
+            motion,
+            iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations),
+            fine_tuning=round(ratio * motion.fine_tuning),
+        )
+    if fine_tuning_iterations is not None:
+        motion = replace(motion, fine_tuning=fine_tuning_iterations)
     return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))

@@ -43,7 +43,7 @@ from devrf.reconstruct.losses import (
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.motion_box import motion_box
-from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
@@ -358,15 +358,9 @@ class _Recipe:
         n = self.options.rays
         if self.options.one_camera:
             return self.rays.draw(n, self.generator, self.views[self.step_of_key % len(self.views)])
-        chosen = round(n * self.options.importance) if self.changing is not None else 0
-        batch = None
-        if chosen and self.changing is not None:
-            frame, pixel = self.changing.draw(chosen, self.pictures, self.generator)
-            if len(frame):
-                rest = self.rays.draw(n - len(frame), self.generator, self.pictures)
-                batch = self.rays.at(torch.cat([frame, rest.frame]), torch.cat([pixel, rest.pixel]))
-        if batch is None:
-            batch = self.rays.draw(n, self.generator, self.pictures)
+        batch = draw_with_importance(
+            self.rays, self.changing, n, self.options.importance, self.pictures, self.generator
+        )
         return batch if self.held_back is None else self.held_back.without(batch)
 
     @torch.no_grad()

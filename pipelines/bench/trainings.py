@@ -31,10 +31,10 @@ from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.model_io import load_motion, load_rest, save_motion, save_rest
+from devrf.reconstruct.model_io import FILE, TUNED_FILE, load_motion, load_rest, save_motion, save_rest
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
-from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.train_deformation import train_deformation
 
 UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}
 
@@ -131,14 +131,20 @@ class Bench:
         checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
         with self.run.talk.progress(f"seed {options.seed}: {name}") as progress:
             watch = looks.of_motion(rest) if looks is not None else None
-            motion, train = train_motion(
+            motion, tuned, train = train_deformation(
                 scene, rest, self.flows, options, self.run.device, progress, checkpoint, watch
             )
-            file = folder / "model.safetensors"
+            file, tuned_file = folder / FILE, folder / TUNED_FILE
             save_motion(file, motion, rest.canonical.voxel)
-            model_mb = (file.stat().st_size + self._rest_file(options.seed).stat().st_size) / 1e6
-            model = DynamicModel(rest, load_motion(file, self.run.device))
-            file.unlink()  # a gigabyte each at the published size
+            if tuned is not None:
+                save_rest(tuned_file, tuned)
+                tuned = load_rest(tuned_file, self.run.device)
+            model = DynamicModel(rest, load_motion(file, self.run.device), tuned)
+            model_mb = self._rest_file(options.seed).stat().st_size / 1e6
+            for path in (file, tuned_file):
+                if path.is_file():
+                    model_mb += path.stat().st_size / 1e6
+                    path.unlink()  # a gigabyte each at the published size
 
             def render(camera: Camera, time: float | None) -> np.ndarray:
                 return render_view(model, camera, time)
@@ -160,7 +166,7 @@ class Bench:
     def _fingerprint(self, *parts: Any) -> str:
         stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
-        code = [code_version(f.__module__) for f in (train_canonical, train_motion, evaluate)]
+        code = [code_version(f.__module__) for f in (train_canonical, train_deformation, evaluate)]
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
 
 

@@ -13,9 +13,9 @@ from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.model_io import FILE, load_rest, save_motion
+from devrf.reconstruct.model_io import FILE, TUNED_FILE, load_rest, save_motion, save_rest
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.train_deformation import train_deformation
 
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
 CHECKPOINT = ".deformation.safetensors"
@@ -23,14 +23,18 @@ READS = ("scene", "canonical", "flow")
 
 
 def run(context: StageContext) -> None:
-    """Write `model.safetensors` and `metrics.json`; a training that was killed goes on from its checkpoint."""
+    """Write models and `metrics.json`; a training that was killed goes on from its checkpoint."""
     scene = read_scene(context.run_dir / "scene")
     options = training_options(context.config, scene).motion
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
     flows = read_flows(context.run_dir / "flow")
     checkpoint = Checkpoint(context.run_dir / CHECKPOINT, _fingerprint(context.run_dir, options))
-    motion, metrics = train_motion(scene, rest, flows, options, context.device, context.progress, checkpoint)
+    motion, tuned, metrics = train_deformation(
+        scene, rest, flows, options, context.device, context.progress, checkpoint
+    )
     save_motion(context.out / FILE, motion, rest.canonical.voxel)
+    if tuned is not None:
+        save_rest(context.out / TUNED_FILE, tuned)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
     checkpoint.remove()
@@ -53,7 +57,7 @@ def run(context: StageContext) -> None:
 def _fingerprint(run_dir: Path, options: MotionOptions) -> str:
     """Of everything the training depends on: options, code, and the stages that are read, by their stamps."""
     digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
-    digest.update(code_version(train_motion.__module__).encode())
+    digest.update(code_version(train_deformation.__module__).encode())
     for name in READS:
         stamp = run_dir / name / STAMP
         digest.update(stamp.read_bytes() if stamp.is_file() else name.encode())

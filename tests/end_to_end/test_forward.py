@@ -10,6 +10,7 @@ from devrf.capture.simulate_dataset_options import ForwardOptions
 from devrf.capture.simulate_forward import simulate_forward
 
 GAIN_DB = 3.0  # of the motion over the scene at rest, where it moves
+CHOICE = ("--preset", "tiny", "--set", "reconstruct.fine_tuning_iterations=60", "--until", "render")
 
 
 @pytest.fixture(scope="module")
@@ -18,13 +19,13 @@ def run_dir(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulate_forward(
         folder / "set", "flower", size=(96, 54), options=ForwardOptions(static_views=24, times=6, spp=8)
     )
-    done = devrf("run", folder / "set", "--preset", "tiny", "--until", "render")
+    done = devrf("run", folder / "set", *CHOICE)
     assert done.code == 0, done.said[-3000:]
     return folder / "set" / "runs" / "flower"
 
 
 def test_a_run_inside_its_data_set_does_not_make_itself_stale(devrf: Any, run_dir: Path) -> None:
-    again = devrf("run", run_dir.parents[1], "--preset", "tiny", "--until", "render")
+    again = devrf("run", run_dir.parents[1], *CHOICE)
     assert again.code == 0 and "nothing changed" in again.said, again.said
 
 
@@ -50,3 +51,14 @@ def test_flow_of_the_data_set_was_used(run_dir: Path) -> None:
 
 def test_a_film_was_made(run_dir: Path) -> None:
     assert next((run_dir / "render").glob("*.mp4")).stat().st_size > 5_000
+
+
+def test_the_blossoms_inside_takes_its_colour(run_dir: Path) -> None:
+    """What is hidden at rest is learned by fine-tuning from the pictures in motion."""
+    assert json.loads((run_dir / "deformation" / "metrics.json").read_text())["fine_tuning_gain_db"] > 0.3
+    tuned = run_dir / "deformation" / "fine_tuned.safetensors"
+    models = [run_dir / stage / "model.safetensors" for stage in ("canonical", "deformation")]
+    size = sum(path.stat().st_size for path in (*models, tuned)) / 1e6
+    assert json.loads((run_dir / "evaluate" / "metrics.json").read_text())["model_mb"] == pytest.approx(
+        size, abs=1e-3
+    )

@@ -1,0 +1,45 @@
+"""Stage 2 as a whole: how the scene moves, then the scene at rest as it looks in motion."""
+
+from typing import Any
+
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import Scene
+from devrf.flow.store import CameraFlow
+from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.fine_tune import fine_tune
+from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.watch import Watch
+
+MOTION = 0.9  # share of the progress bar
+
+
+def train_deformation(
+    scene: Scene,
+    rest: RestModel,
+    flows: dict[str, CameraFlow],
+    options: MotionOptions,
+    device: str = "cpu",
+    progress: Progress = no_progress,
+    checkpoint: Checkpoint | None = None,
+    watch: Watch | None = None,
+) -> tuple[MotionField, RestModel | None, dict[str, Any]]:
+    """Motion, the scene at rest as it looks in motion (None: as it does at rest), and what was measured.
+
+    Arguments and errors as `train_motion`'s.
+    """
+    if not options.fine_tuning:
+        motion, metrics = train_motion(scene, rest, flows, options, device, progress, checkpoint, watch)
+        return motion, None, metrics
+    motion, metrics = train_motion(
+        scene, rest, flows, options, device, lambda f, m: progress(MOTION * f, m), checkpoint, watch
+    )
+    tuned = fine_tune(
+        scene, rest, motion, options, device, lambda f, m: progress(MOTION + (1 - MOTION) * f, m)
+    )
+    metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
+    metrics["seconds"] += tuned.seconds
+    metrics |= {"fine_tuning_s": tuned.seconds, "fine_tuning_gain_db": tuned.gain_db}
+    return motion, tuned.model, metrics

@@ -1,0 +1,85 @@
+"""The scene at rest fine-tuned on pictures in motion: it follows their shading, and says where it gains nothing."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from devrf.capture.scene import Scene, load_image
+from devrf.reconstruct.fine_tune import fine_tune
+from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.train_canonical import RestModel, train_canonical
+
+REST = CanonicalOptions(
+    resolution=36, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),
+    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20,
+    hull_resolution=40,
+)  # fmt: skip
+TUNING = MotionOptions(
+    levels=(4,), iterations=(1,), rays=400, importance=0.7, adapt=True, fine_tuning=60, fine_tuning_lr=0.1
+)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["colours per sample", "per ray"])
+def rest(ball, request: pytest.FixtureRequest) -> RestModel:
+    return train_canonical(ball.scene, replace(REST, deferred=request.param))
+
+
+def _true_motion(ball, rest: RestModel) -> MotionField:
+    motion = MotionField.still(
+        torch.tensor(ball.scene.aabb).float(), 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
+    )
+    motion.backward[1] -= torch.tensor(ball.travel).float()
+    motion.forward[1] += torch.tensor(ball.travel).float()
+    return motion
+
+
+def _darker(scene: Scene, folder: Path) -> Scene:
+    """The same scene whose subject is darker in pictures of the moving cameras."""
+    dynamic = []
+    for frame in scene.dynamic:
+        picture = np.array(cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED))
+        picture[..., :3] = picture[..., :3] // 2
+        path = folder / frame.path.name
+        cv2.imwrite(str(path), picture)
+        dynamic.append(replace(frame, path=path))
+    return replace(scene, dynamic=tuple(dynamic))
+
+
+def _error(scene: Scene, model: DynamicModel) -> float:
+    """Mean squared error of test views in motion."""
+    frames = [f for f in scene.dynamic if f.split == "test" and f.time]
+    pairs = [(render_view(model, f.camera, f.time), load_image(f, 1.0, "white") / 255) for f in frames]
+    return float(np.mean([(a - b) ** 2 for a, b in pairs]))
+
+
+def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel, tmp_path: Path) -> None:
+    scene, motion = _darker(ball.scene, tmp_path), _true_motion(ball, rest)
+    before = {name: getattr(rest.canonical, name).clone() for name in ("density", "features", "distance")}
+    tuned = fine_tune(scene, rest, motion, TUNING)
+    assert tuned.model is not None and tuned.decision is None and tuned.gain_db > 2
+    model = DynamicModel(rest, motion)
+    assert _error(scene, replace(model, in_motion=tuned.model)) < 0.75 * _error(scene, model)
+    for name, value in before.items():  # pictures at rest are still made of what the sweep has taught
+        assert torch.equal(getattr(rest.canonical, name), value), name
+    assert not any(
+        p.requires_grad for p in (*rest.canonical.net.parameters(), *tuned.model.canonical.net.parameters())
+    )
+    again = fine_tune(scene, rest, motion, TUNING)
+    assert again.model is not None and torch.equal(
+        again.model.canonical.features, tuned.model.canonical.features
+    )
+
+
+def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
+    motion, few = _true_motion(ball, rest), replace(TUNING, fine_tuning=2, fine_tuning_lr=1e-5)
+    tuned = fine_tune(ball.scene, rest, motion, few)
+    assert tuned.model is None and abs(tuned.gain_db) < 0.1
+    assert "fine-tuning: none instead of 2 iterations (it gained" in str(tuned.decision)
+    kept = fine_tune(ball.scene, rest, motion, replace(few, adapt=False))
+    assert kept.model is not None and kept.decision is None
