@@ -8,8 +8,8 @@ the scene at rest are still made of what the sweep alone has taught.
 
 import copy
 import math
-import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -26,14 +26,19 @@ from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importanc
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest
-from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision
+from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.training_log import TrainingLog
 
 NET_SHARE = 1 / 300  # the MLP's rate, of the grids'
 ENTROPY = 1e-3  # weight
 AT_ONCE = 1 << 14  # held-back rays
 REACH = 2  # voxels of the scene at rest around where the moving scene may be
+TAUS_PER_KEY = 4  # times between two keys at which it is looked where that is
+PICTURES = 32  # of which an iteration's rays are
+MOST_MOVED = 1 << 28  # bytes of both fields that are brought to a GPU at once, where they are not kept there
+LOG_EVERY = 50
 
 
 @dataclass(frozen=True)
@@ -42,15 +47,15 @@ class FineTuned:
 
     Attributes:
         model: The scene at rest as it looks in motion; None where that gains nothing.
-        gain_db: On pixels held back.
-        seconds: It took.
+        gain_db: On pixels held back; None where there are none.
         decision: Why there is no model.
+        metrics: What the training measured.
     """
 
     model: RestModel | None
-    gain_db: float
-    seconds: float
+    gain_db: float | None
     decision: Decision | None
+    metrics: dict[str, Any]
 
 
 def fine_tune(
@@ -70,22 +75,25 @@ def fine_tune(
         options: What can be chosen.
         device: cpu or cuda.
         progress: Told how far it is.
+    Raises:
+        ReconstructError: The loss diverged.
     """
-    begun, iterations = time.perf_counter(), options.fine_tuning
+    options = levels_for(options, rest.canonical) if options.adapt else options
+    log, iterations = TrainingLog(device, LOG_EVERY), options.fine_tuning
     recipe = _Recipe(scene.in_box_frame(), rest, motion, options, device)
     before = recipe.held_error()
     for iteration in range(iterations):
-        recipe.step(iteration)
+        log.add(2 * options.rays, recipe.step(iteration))
         if iteration % 10 == 0:
             progress(iteration / iterations, f"fine-tuning, iteration {iteration} of {iterations}")
+    log.close_row()
     model = recipe.model()
     after = recipe.held_error()
-    gain = 10 * math.log10(before / after) if before > 0 and after > 0 else 0.0
-    decision = None
-    if options.adapt and gain < LEVEL_PAYS_DB:
+    gain, decision = 10 * math.log10(before / after) if before and after else None, None
+    if options.adapt and not options.fine_tuning_given and gain is not None and gain < LEVEL_PAYS_DB:
         reason = f"it gained {gain:+.2f} dB on pixels held back, less than {LEVEL_PAYS_DB}"
         model, decision = None, Decision("fine-tuning", "none", f"{iterations} iterations", reason)
-    return FineTuned(model, gain, time.perf_counter() - begun, decision)
+    return FineTuned(model, gain, decision, log.summary())
 
 
 class _Recipe:
@@ -98,13 +106,11 @@ class _Recipe:
         still = tuple(f for f in scene.static if f.split == "train")
         self.rays = RaySet(moving, scene.image_scale, scene.background, device)
         self.rays_at_rest = RaySet(still, scene.image_scale, scene.background, device)
-        self.pictures = torch.arange(len(moving), device=self.rays.device)
         self.changing = changing_pixels(self.rays) if options.importance > 0 else None
         self.held_back = HeldBack(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
-        self.rest = replace(rest, canonical=_copied(rest.canonical))
-        self.motion = replace(motion, backward=motion.backward.to(device))  # the forward field is not asked
-        self.tau = motion.tau(self.rays.times)
+        self.rest, self.whole_motion = replace(rest, canonical=_copied(rest.canonical)), motion
+        self.tau, self.device = motion.tau(self.rays.times), device
         self.plain, self.options = plain_of(rest.background, device), options
         self.generator = torch.Generator().manual_seed(options.seed)
         canonical = self.rest.canonical
@@ -113,25 +119,37 @@ class _Recipe:
         for grid in (self.density, self.features):
             grid.visit(reachable)
         self.net = torch.optim.Adam(canonical.net.parameters(), 0.0, BETAS, EPS)
-        self.live = self._live()
+        self.windows = _windows(motion, device)
+        self.enter(0)
 
-    def step(self, iteration: int) -> None:
-        """One iteration, on rays of both kinds."""
+    def enter(self, window: int) -> None:
+        """Take some of the key times, all if they fit, and the pictures between them."""
+        self.first, last = self.windows[window]
+        self.motion = self.whole_motion.window(self.first, last, self.device)
+        inside = (self.tau >= self.first) & (self.tau <= last)
+        self.pictures = inside.nonzero()[:, 0]
+        taus = (TAUS_PER_KEY * (self.tau[inside] - self.first)).round().unique() / TAUS_PER_KEY
+        self.live = live_distance(self.rest, self.motion, taus, REACH) if len(taus) else None
+
+    def step(self, iteration: int) -> dict[str, Tensor]:
+        """One iteration, on rays of both kinds; returns the unweighted losses of those in motion."""
         o, canonical = self.options, self.rest.canonical
+        if len(self.windows) > 1 and iteration % o.live_every == 0:
+            self.enter(int(torch.randint(len(self.windows), (1,), generator=self.generator)))
         grads = (self.density.grad[0], self.features.grad[0])
-        batch = self.held_back.without(
-            draw_with_importance(
-                self.rays, self.changing, o.rays, o.importance, self.pictures, self.generator
-            )
-        )
-        rgb, left = self._seen(batch, self._jitter(1, batch)[0], grads)
-        (rendering_loss(rgb, batch.rgb) + ENTROPY * entropy_loss(left)).backward()
+        parts = {}
+        if len(self.pictures):
+            batch = self._draw()
+            rgb, left = self._seen(batch, self._jitter(1, batch)[0], grads)
+            parts = {"mse": rendering_loss(rgb, batch.rgb), "entropy": entropy_loss(left)}
+            (parts["mse"] + ENTROPY * parts["entropy"]).backward()
         batch = self.rays_at_rest.draw(o.rays, self.generator)
         out = render_rest(
             canonical, self.rest.shell, self.plain, batch.rays_o, batch.rays_d, near=self.rest.near,
             far=self.rest.far, jitter=self._jitter(2, batch), grads=(*grads, None),
         )  # fmt: skip
-        (rendering_loss(out.rgb, batch.rgb) + ENTROPY * entropy_loss(out.left)).backward()
+        parts_at_rest = rendering_loss(out.rgb, batch.rgb), entropy_loss(out.left)
+        (parts_at_rest[0] + ENTROPY * parts_at_rest[1]).backward()
         lr = o.fine_tuning_lr * 0.1 ** (iteration / o.fine_tuning)
         self.features.update(lr, flag=self.density.grad[0])
         self.density.update(lr)
@@ -139,6 +157,7 @@ class _Recipe:
             group["lr"] = NET_SHARE * lr
         self.net.step()
         self.net.zero_grad()
+        return parts | {"mse_at_rest": parts_at_rest[0]}
 
     def model(self) -> RestModel:
         """As it is now; what is empty is looked at again."""
@@ -146,27 +165,38 @@ class _Recipe:
         canonical.rebuild_occupancy(canonical.distance == 0)
         for parameter in canonical.net.parameters():
             parameter.requires_grad_(False)
-        self.live = self._live()
         return replace(self.rest, shell=None, metrics={})
 
     @torch.no_grad()
-    def held_error(self) -> float:
-        """Mean squared error of rays of the moving cameras that are held back."""
-        batch = self.held_back.rays_of(self.pictures)
-        if batch is None:
-            return 0.0
+    def held_error(self) -> float | None:
+        """Mean squared error of rays of the moving cameras that are held back; None where there are none."""
         errors = []
-        for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
-            some = self.rays.at(frame, pixel)
-            rgb, _ = self._seen(some, torch.full_like(some.time, 0.5), (None, None))
-            errors.append(((rgb - some.rgb) ** 2).mean(1))
-        return float(torch.cat(errors).mean())
+        for window in range(len(self.windows)):
+            self.enter(window)
+            batch = self.held_back.rays_of(self.pictures)
+            if batch is None:
+                continue
+            for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
+                some = self.rays.at(frame, pixel)
+                rgb, _ = self._seen(some, torch.full_like(some.time, 0.5), (None, None))
+                errors.append(((rgb - some.rgb) ** 2).mean(1))
+        return float(torch.cat(errors).mean()) if errors else None
+
+    def _draw(self) -> RayBatch:
+        """Rays of some of the pictures, those held back left out."""
+        chosen = torch.randperm(len(self.pictures), generator=self.generator)[:PICTURES]
+        pictures = self.pictures[chosen.to(self.pictures.device)]
+        o = self.options
+        return self.held_back.without(
+            draw_with_importance(self.rays, self.changing, o.rays, o.importance, pictures, self.generator)
+        )
 
     def _seen(
         self, batch: RayBatch, jitter: Tensor, grads: tuple[Tensor | None, Tensor | None]
     ) -> tuple[Tensor, Tensor]:
         """Colours of rays in motion, and the box's transmittance."""
-        tau = self.tau[batch.frame]
+        assert self.live is not None  # there are pictures
+        tau = self.tau[batch.frame] - self.first
         seen = render_moved(
             self.rest, self.motion, self.live, batch.rays_o, batch.rays_d, tau, jitter, rest_grads=grads
         )
@@ -175,9 +205,13 @@ class _Recipe:
     def _jitter(self, rows: int, batch: RayBatch) -> Tensor:
         return torch.rand(rows, len(batch.rgb), generator=self.generator).to(batch.rgb)
 
-    def _live(self) -> Tensor:
-        taus = torch.arange(self.motion.keys, dtype=torch.float32, device=self.rays.device)
-        return live_distance(self.rest, self.motion, taus, REACH)
+
+def _windows(motion: MotionField, device: str) -> list[tuple[int, int]]:
+    """First and last key times of runs that together are all; one where the fields are on the device already."""
+    if motion.backward.device.type == torch.device(device).type:
+        return [(0, motion.keys - 1)]
+    steps = max(1, MOST_MOVED // (2 * motion.backward[0].nbytes) - 1)
+    return [(first, min(first + steps, motion.keys - 1)) for first in range(0, motion.keys - 1, steps)]
 
 
 def _copied(canonical: Canonical) -> Canonical:

@@ -12,7 +12,10 @@ from devrf.reconstruct.sizing import Decision
 BENT_PX = 0.25  # pixels of the training size by which a point's way between two key times may bend
 FARTHEST = 0.06  # of the picture's width, that a point may move between two key times
 SPARSE = 3  # every so many pixels of the flow are looked at, along each axis
-MOVING_PX = 0.5  # what moves less is not asked
+MOVING_PX = (
+    0.5  # per picture: what moves less is not asked; errors of flow that is followed add up as noise does
+)
+FEWEST_MOVE = 0.002  # of the pixels, that have to move for them to be asked
 MOST_OFTEN = 95.0  # percentile: the few that move otherwise are mostly wrong flow
 
 
@@ -33,22 +36,20 @@ def needed_spacing(flows: dict[str, CameraFlow]) -> tuple[float, str] | None:
     """How many pictures apart key times may be, and why; None where no flow tells.
 
     Ways between them have to be nearly straight (one of acceleration a bends by a h^2 / 8 over h pictures), and
-    short enough for a key time to be found from the one before. What is too slow to be measured from one picture
-    to the next is followed over two, four, eight.
+    short enough for a key time to be found from the one before. Where next to nothing moves from one picture to the
+    next, flow is followed over two, four, eight; where nothing moves then either, `still_keys.py` finds out.
     """
-    span, still = 1, None
+    span = 1
     while asked := [_Ways.of(clip, n, span) for clip in flows.values() for n in _ends(clip, span)]:
         speeds, bends = (np.concatenate([getattr(one, name) for one in asked]) for name in ("speed", "bend"))
-        if len(speeds):
+        if len(speeds) and len(speeds) >= FEWEST_MOVE * sum(one.trusted for one in asked):
             speed, bend = (float(np.percentile(x, MOST_OFTEN)) for x in (speeds, bends))
             straight, near = span * math.sqrt(8 * BENT_PX / max(bend, 1e-6)), span * FARTHEST / speed
             if straight < near:
                 return straight, f"ways are straight to {BENT_PX:g} pixels over {straight:.1f} pictures"
             return near, f"what moves fast goes {FARTHEST:.0%} of the picture's width in {near:.1f} pictures"
-        if any(one.trusted for one in asked):
-            still = float(span)
         span *= 2
-    return None if still is None else (still, f"nothing moves {MOVING_PX:g} pixels in {still:.0f} pictures")
+    return None
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class _Ways:
         middle, valid = _followed(clip, end, begin, span)
         before, valid_before = _followed(clip, end - span, middle, span)
         later, earlier, trusted = middle - begin, before - middle, valid & valid_before
-        moving = trusted & (np.abs(later) > MOVING_PX).any(axis=1)
+        moving = trusted & (np.abs(later) > MOVING_PX * math.sqrt(span)).any(axis=1)
         later, earlier = later[moving], earlier[moving]
         speed, bend = np.linalg.norm(later, axis=1) / width, np.linalg.norm(later - earlier, axis=1)
         return _Ways(speed, bend, int(trusted.sum()))

@@ -92,13 +92,14 @@ class MotionOptions:
         most_keys: Most key times; a scene with fewer distinct times has fewer.
         keys: Number of key times where it is given.
         adapt: Take fewer key times and levels where the scene needs no more, and none of its time where nothing
-            moves (`sizing.py`).
+            moves (`key_times.py`, `held_back.py`, `still_keys.py`).
         lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
         one_camera: Each step draws from one camera, the cameras in turn, as published.
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
         live_every: Iterations between rebuilds of where the moving scene may be.
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
+        fine_tuning_given: It is kept, whatever it gains.
         fine_tuning_lr: Initial learning rate of its grids; falls by 10.
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
@@ -123,6 +124,7 @@ class MotionOptions:
     per_point: float = 0.1
     live_every: int = 10
     fine_tuning: int = 0
+    fine_tuning_given: bool = False
     fine_tuning_lr: float = 0.03
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
@@ -332,5 +334,5 @@ def preset(
             fine_tuning=round(ratio * motion.fine_tuning),
         )
     if fine_tuning_iterations is not None:
-        motion = replace(motion, fine_tuning=fine_tuning_iterations)
+        motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
     return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))

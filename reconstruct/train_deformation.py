@@ -40,6 +40,10 @@ def train_deformation(
         scene, rest, motion, options, device, lambda f, m: progress(MOTION + (1 - MOTION) * f, m)
     )
     metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
-    metrics["seconds"] += tuned.seconds
-    metrics |= {"fine_tuning_s": tuned.seconds, "fine_tuning_gain_db": tuned.gain_db}
+    for name in ("seconds", "iterations", "rays"):
+        metrics[name] += tuned.metrics[name]
+    for name in ("peak_rss_gb", "peak_gpu_gb"):
+        metrics[name] = max(metrics[name], tuned.metrics[name]) if metrics[name] is not None else None
+    metrics["rays_per_s"] = round(metrics["rays"] / max(metrics["seconds"], 1e-9))
+    metrics |= {"fine_tuning_s": tuned.metrics["seconds"], "fine_tuning_gain_db": tuned.gain_db}
     return motion, tuned.model, metrics

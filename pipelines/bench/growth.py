@@ -11,11 +11,12 @@ from devrf.pipelines.bench.charts import Curve, frontier_chart
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name
 from devrf.pipelines.runner import Run
+from devrf.reconstruct.options import PRESETS
 
 AXES = {
     "pictures": "pictures per camera",
     "resolution": "resolution R at rest",
-    "moving": "voxels through which something moves",
+    "moving": "voxels in which something moves",
 }
 COSTS = {"seconds": ("seconds of training", "s"), "megabytes": ("megabytes on disk", "MB")}
 
@@ -55,7 +56,7 @@ def run_growth(
         raise InputError("bench growth leaves out times of a data set; export the capture as one first")
     found = [_trained(_every(run, out, n), None, "pictures") for n in sorted(strides, reverse=True)]
     bench = _every(run, out, 1)
-    whole = run.config.reconstruct.resolution or bench.options().canonical.resolution
+    whole = run.config.reconstruct.resolution or PRESETS[run.config.preset].canonical.resolution
     found += [_trained(bench, round(share * whole), "resolution") for share in sorted(shares)]
     if others:
         benches = [bench, *(Bench.prepare(other, out / f"other{n}") for n, other in enumerate(others, 1))]
@@ -64,7 +65,9 @@ def run_growth(
     rows = [row for one in found for row in _rows(one)]
     rows += [_exponent(found, axis, cost) for axis in axes for cost in COSTS]
     print_rows(run.talk, f"Growth, {run.config.name}", rows)
-    write_rows(json_path, rows, benchmark="growth", **about(bench, [run.config.reconstruct.seed]))
+    named = {f"other{n}": other.scene_dir.name for n, other in enumerate(others, 1)}
+    seeds = [run.config.reconstruct.seed]
+    write_rows(json_path, rows, benchmark="growth", others=named, **about(bench, seeds))
     panels = {
         label: {text: _curves(found, axis, cost) for axis, text in axes.items()}
         for cost, (label, _) in COSTS.items()

@@ -1,5 +1,6 @@
 """The scene at rest fine-tuned on pictures in motion: it follows their shading, and says where it gains nothing."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene, load_image
+from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
@@ -62,7 +65,7 @@ def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel,
     scene, motion = _darker(ball.scene, tmp_path), _true_motion(ball, rest)
     before = {name: getattr(rest.canonical, name).clone() for name in ("density", "features", "distance")}
     tuned = fine_tune(scene, rest, motion, TUNING)
-    assert tuned.model is not None and tuned.decision is None and tuned.gain_db > 2
+    assert tuned.model is not None and tuned.decision is None and (tuned.gain_db or 0) > 2
     model = DynamicModel(rest, motion)
     assert _error(scene, replace(model, in_motion=tuned.model)) < 0.75 * _error(scene, model)
     for name, value in before.items():  # pictures at rest are still made of what the sweep has taught
@@ -79,7 +82,44 @@ def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel,
 def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
     motion, few = _true_motion(ball, rest), replace(TUNING, fine_tuning=2, fine_tuning_lr=1e-5)
     tuned = fine_tune(ball.scene, rest, motion, few)
-    assert tuned.model is None and abs(tuned.gain_db) < 0.1
+    assert tuned.model is None and tuned.gain_db is not None and abs(tuned.gain_db) < 0.1
     assert "fine-tuning: none instead of 2 iterations (it gained" in str(tuned.decision)
-    kept = fine_tune(ball.scene, rest, motion, replace(few, adapt=False))
-    assert kept.model is not None and kept.decision is None
+    for keep in ({"adapt": False}, {"fine_tuning_given": True}):
+        kept = fine_tune(ball.scene, rest, motion, replace(few, **keep))
+        assert kept.model is not None and kept.decision is None
+
+
+def test_a_motion_too_large_for_the_device_is_taken_in_parts(
+    ball, rest: RestModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, motion = _darker(ball.scene, tmp_path), _true_motion(ball, rest)
+    half = motion.backward[1:] / 2, motion.forward[1:] / 2
+    motion.backward, motion.forward = (
+        torch.cat([field[:1], middle, field[1:]])
+        for field, middle in zip((motion.backward, motion.forward), half, strict=True)
+    )
+    windows = [(0, 1), (1, 2)]
+    monkeypatch.setattr(fine_tuning, "_windows", lambda motion, device: windows)
+    tuned = fine_tune(scene, rest, motion, replace(TUNING, live_every=5))
+    model = DynamicModel(rest, motion)
+    assert tuned.model is not None and (tuned.gain_db or 0) > 2
+    assert _error(scene, replace(model, in_motion=tuned.model)) < 0.75 * _error(scene, model)
+
+
+def test_parts_of_a_motion_follow_its_size() -> None:
+    box = torch.tensor([[-1.0] * 3, [1.0] * 3])
+    motion = MotionField.still(box, 10, 8, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    assert fine_tuning._windows(motion, "cpu") == [(0, 9)]
+    assert fine_tuning._windows(motion, "cuda") == [(0, 9)]
+    large = torch.empty(10, 160, 160, 160, 3, device="meta")
+    assert fine_tuning._windows(replace(motion, backward=large, forward=large), "cuda") == [
+        (n, n + 1) for n in range(9)
+    ]
+
+
+def test_a_loss_that_is_not_finite_is_an_error(ball, rest: RestModel) -> None:
+    motion = _true_motion(ball, rest)
+    spoilt = replace(rest, canonical=copy.copy(rest.canonical))
+    spoilt.canonical.features = torch.full_like(rest.canonical.features, float("nan"))
+    with pytest.raises(ReconstructError, match="diverged"):
+        fine_tune(ball.scene, spoilt, motion, TUNING)

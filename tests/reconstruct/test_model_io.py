@@ -68,20 +68,20 @@ def test_loaded_model_renders_the_same(background: str, deferred: bool, tmp_path
     save_motion(tmp_path / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
     again = load_model(tmp_path)
     assert again.rest.canonical.deferred == deferred and again.in_motion is None
-    _render_the_same(model, again)
+    _render_the_same(model, again, atol=0.02)
     model.in_motion = replace(_model(background, deferred, seed=1).rest, shell=None)
     save_rest(tmp_path / "deformation" / TUNED_FILE, model.in_motion)
     tuned = load_model(tmp_path)
-    _render_the_same(model, tuned)
+    _render_the_same(model, tuned, atol=0.05)  # two random models
     at_rest, moving = (render_view(tuned, _camera(), time) for time in (None, 0.0))
     np.testing.assert_array_equal(at_rest, render_view(again, _camera(), None))
     assert np.abs(moving - at_rest).mean() > 1e-2
 
 
-def _render_the_same(model: DynamicModel, again: DynamicModel) -> None:
+def _render_the_same(model: DynamicModel, again: DynamicModel, atol: float) -> None:
     for time in (None, 0.0, 0.3, 1.0):
         before, after = render_view(model, _camera(), time), render_view(again, _camera(), time)
-        np.testing.assert_allclose(before, after, atol=0.05)  # half precision of random features
+        np.testing.assert_allclose(before, after, atol=atol)  # half precision of random features
         assert np.abs(before - after).mean() < 2e-3
 
 
