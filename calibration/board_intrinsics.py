@@ -4,6 +4,8 @@ Two starts are tried, because a long lens has a second minimum; the simplest dis
 support is kept (Bayesian information criterion); views that do not fit are dropped by a quantile rule.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -138,9 +140,10 @@ def _calibrate(
     if focal_px is not None:
         K[0, 0] = K[1, 1] = focal_px
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
-    rms, K, distortion, rotations, _, std, _, view_rms = cv2.calibrateCameraExtended(
-        on_board, in_picture, size, K, np.zeros(5), flags=flags
-    )
+    with _one_thread():
+        rms, K, distortion, rotations, _, std, _, view_rms = cv2.calibrateCameraExtended(
+            on_board, in_picture, size, K, np.zeros(5), flags=flags
+        )
     distortion = np.asarray(distortion, dtype=np.float64).reshape(-1)[:5]
     tilt = [np.degrees(np.arccos(np.clip(abs(cv2.Rodrigues(r)[0][2, 2]), 0, 1))) for r in rotations]
     return _Fit(
@@ -152,6 +155,17 @@ def _calibrate(
         np.array(tilt),
         flags & ~cv2.CALIB_USE_INTRINSIC_GUESS,
     )
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Sums of several threads differ from run to run in their last digits, and then so do the pairs COLMAP verifies."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
 
 
 def _spread_views(views: list[BoardView]) -> list[BoardView]:

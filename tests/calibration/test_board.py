@@ -139,6 +139,17 @@ def test_intrinsics_of_noisy_views_are_within_their_doubt():
     assert 0.2 < found.rms_px < 0.35  # 0.2 px per coordinate is 0.28 px per corner
 
 
+def test_the_same_views_give_the_same_intrinsics_to_the_last_bit():
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(4)  # OpenCV sums over views in them, in any order
+        views = exact_views(20, 0.2)
+        found = [calibrate_intrinsics("cam0", views, SPEC, SIZE).intrinsics.vector for _ in range(6)]
+        assert all((other == found[0]).all() for other in found) and cv2.getNumThreads() == 4
+    finally:
+        cv2.setNumThreads(threads)
+
+
 def test_a_bad_view_is_dropped():
     views = exact_views(12, 0.1)
     bad = views[5]
