@@ -81,14 +81,13 @@ def fine_tune(
     options = levels_for(options, rest.canonical) if options.adapt else options
     log, iterations = TrainingLog(device, LOG_EVERY), options.fine_tuning
     recipe = _Recipe(scene.in_box_frame(), rest, motion, options, device)
-    before = recipe.held_error()
     for iteration in range(iterations):
         log.add(2 * options.rays, recipe.step(iteration))
         if iteration % 10 == 0:
             progress(iteration / iterations, f"fine-tuning, iteration {iteration} of {iterations}")
     log.close_row()
     model = recipe.model()
-    after = recipe.held_error()
+    before, after = recipe.held_before, recipe.held_error()
     gain, decision = 10 * math.log10(before / after) if before and after else None, None
     if options.adapt and not options.fine_tuning_given and gain is not None and gain < LEVEL_PAYS_DB:
         reason = f"it gained {gain:+.2f} dB on pixels held back, less than {LEVEL_PAYS_DB}"
@@ -120,7 +119,7 @@ class _Recipe:
             grid.visit(reachable)
         self.net = torch.optim.Adam(canonical.net.parameters(), 0.0, BETAS, EPS)
         self.windows = _windows(motion, device)
-        self.enter(0)
+        self.held_before = self.held_error()  # and its last window is entered
 
     def enter(self, window: int) -> None:
         """Take some of the key times, all if they fit, and the pictures between them."""

@@ -50,7 +50,8 @@ class KeyPictures:
     def by_camera(self, pictures: Int[Tensor, " f"]) -> list[Int[Tensor, " _"]]:
         """The same pictures, those of each camera together."""
         cameras: dict[str, list[int]] = {}
-        for picture in map(int, pictures):
+        numbers: list[int] = pictures.tolist()
+        for picture in numbers:
             cameras.setdefault(self._cameras[picture], []).append(picture)
         return [torch.tensor(cameras[name], device=pictures.device) for name in sorted(cameras)]
 

@@ -12,9 +12,7 @@ from devrf.reconstruct.sizing import Decision
 BENT_PX = 0.25  # pixels of the training size by which a point's way between two key times may bend
 FARTHEST = 0.06  # of the picture's width, that a point may move between two key times
 SPARSE = 3  # every so many pixels of the flow are looked at, along each axis
-MOVING_PX = (
-    0.5  # per picture: what moves less is not asked; errors of flow that is followed add up as noise does
-)
+MOVING_PX = 0.5  # what moves less per picture is not asked; over several, errors of flow add up as noise does
 FEWEST_MOVE = 0.002  # of the pixels, that have to move for them to be asked
 MOST_OFTEN = 95.0  # percentile: the few that move otherwise are mostly wrong flow
 
@@ -94,7 +92,7 @@ def _followed(
     points, trusted = points.copy(), np.ones(len(points), bool)
     for n in range(end, end - steps, -1):
         at = np.rint(points).astype(int)
-        inside: np.ndarray = np.all((at >= 0) & (at < [width, height]), axis=1)
+        inside = np.all((at >= 0) & (at < [width, height]), axis=1)
         u, v = np.where(inside[:, None], at, 0).T
         trusted &= inside & clip.valid[n][v, u]
         points += clip.flow[n][v, u].astype(np.float32)

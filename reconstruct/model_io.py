@@ -94,6 +94,16 @@ def save_motion(path: Path, motion: MotionField, voxel: float) -> None:
     _save(path, tensors, meta)
 
 
+def save_deformation(folder: Path, motion: MotionField, tuned: RestModel | None, voxel: float) -> list[Path]:
+    """Write what stage 2 leaves; returns the files."""
+    files = [folder / FILE]
+    save_motion(files[0], motion, voxel)
+    if tuned is not None:
+        files.append(folder / TUNED_FILE)
+        save_rest(files[1], tuned)
+    return files
+
+
 def load_rest(path: Path, device: str = "cpu") -> RestModel:
     """Read what `save_rest` wrote.
 
@@ -122,9 +132,14 @@ def load_motion(path: Path, device: str = "cpu") -> MotionField:
 
 def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
     """The trained model of a run folder: with motion where that stage has run, else at rest."""
-    motion, tuned = (run_dir / "deformation" / name for name in (FILE, TUNED_FILE))
-    return DynamicModel(
-        load_rest(run_dir / "canonical" / FILE, device),
+    rest = load_rest(run_dir / "canonical" / FILE, device)
+    return DynamicModel(rest, *load_deformation(run_dir / "deformation", device))
+
+
+def load_deformation(folder: Path, device: str = "cpu") -> tuple[MotionField | None, RestModel | None]:
+    """What `save_deformation` wrote, None for what is not there."""
+    motion, tuned = folder / FILE, folder / TUNED_FILE
+    return (
         load_motion(motion, device) if motion.is_file() else None,
         load_rest(tuned, device) if tuned.is_file() else None,
     )

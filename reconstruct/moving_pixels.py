@@ -26,7 +26,7 @@ class ChangingPixels:
         self, n: int, frames: Int[Tensor, " f"], generator: torch.Generator
     ) -> tuple[Int[Tensor, " m"], Int[Tensor, " m"]]:
         """About `n` pixels of `frames`, each picture alike: (picture, pixel). None of pictures without change."""
-        usable = [int(f) for f in frames if len(self.of_frame[int(f)])]
+        usable = [f for f in frames.tolist() if len(self.of_frame[f])]
         if not usable:
             return frames[:0], frames[:0]
         counts = [n // len(usable) + (i < n % len(usable)) for i in range(len(usable))]

@@ -13,7 +13,7 @@ from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.watch import Watch
 
-MOTION = 0.9  # share of the progress bar
+MOTION = 0.9  # share of the progress bar, before fine-tuning
 
 
 def train_deformation(
@@ -30,15 +30,13 @@ def train_deformation(
 
     Arguments and errors as `train_motion`'s.
     """
-    if not options.fine_tuning:
-        motion, metrics = train_motion(scene, rest, flows, options, device, progress, checkpoint, watch)
-        return motion, None, metrics
+    share = MOTION if options.fine_tuning else 1.0
     motion, metrics = train_motion(
-        scene, rest, flows, options, device, lambda f, m: progress(MOTION * f, m), checkpoint, watch
+        scene, rest, flows, options, device, lambda f, m: progress(share * f, m), checkpoint, watch
     )
-    tuned = fine_tune(
-        scene, rest, motion, options, device, lambda f, m: progress(MOTION + (1 - MOTION) * f, m)
-    )
+    if not options.fine_tuning:
+        return motion, None, metrics
+    tuned = fine_tune(scene, rest, motion, options, device, lambda f, m: progress(share + (1 - share) * f, m))
     metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
     for name in ("seconds", "iterations", "rays"):
         metrics[name] += tuned.metrics[name]

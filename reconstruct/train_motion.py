@@ -44,7 +44,6 @@ from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.motion_box import motion_box
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
-from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
@@ -121,7 +120,6 @@ def train_motion(
         "pictures": len(frames),
         "left_box_share": recipe.left_box / max(1, recipe.seen),
         "largest_motion": max(float(key.norm(dim=-1).max()) for key in recipe.motion.forward),
-        "moving_voxels": moving_voxels(rest.canonical, recipe.motion),
         "flow_pictures": recipe.flow.pictures,
         "level_gains_db": [round(gain, 3) for gain in recipe.gains],
         "decisions": [str(decision) for decision in recipe.decisions],

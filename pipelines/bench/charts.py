@@ -86,8 +86,8 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
             axes.grid(True, alpha=0.3)
             for curve in curves:
                 _draw(axes, curve, colours.get(curve.name, "black"))
-            first, last = axes.get_xlim()
-            wide = last > WIDE * first
+            low, high = axes.get_xlim()
+            wide = high > WIDE * low
             axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(4))
             axes.xaxis.set_minor_locator(NullLocator())
             axes.xaxis.set_major_formatter("{x:g}")

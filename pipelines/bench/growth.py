@@ -98,7 +98,7 @@ def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
     at = {
         "pictures": max(clips.count(name) for name in set(clips)),
         "resolution": options.canonical.resolution,
-        "moving": result["train"]["moving_voxels"],
+        "moving": result["moving_voxels"],
     }
     return Grown(
         axis,

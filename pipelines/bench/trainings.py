@@ -31,7 +31,8 @@ from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.model_io import FILE, TUNED_FILE, load_motion, load_rest, save_motion, save_rest
+from devrf.reconstruct.model_io import load_deformation, load_rest, save_deformation, save_rest
+from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_deformation import train_deformation
@@ -116,7 +117,7 @@ class Bench:
             cameras: Names of the training cameras to use; None: all.
             looks: Takes looks at the model while it is trained.
         Returns:
-            `evaluate`'s blocks, `train` (what the training measured), `model_mb`, and `looks`.
+            `evaluate`'s blocks, `train` (what the training measured), `moving_voxels`, `model_mb`, and `looks`.
         """
         scene = self.scene
         if cameras is not None:
@@ -134,17 +135,11 @@ class Bench:
             motion, tuned, train = train_deformation(
                 scene, rest, self.flows, options, self.run.device, progress, checkpoint, watch
             )
-            file, tuned_file = folder / FILE, folder / TUNED_FILE
-            save_motion(file, motion, rest.canonical.voxel)
-            if tuned is not None:
-                save_rest(tuned_file, tuned)
-                tuned = load_rest(tuned_file, self.run.device)
-            model = DynamicModel(rest, load_motion(file, self.run.device), tuned)
-            model_mb = self._rest_file(options.seed).stat().st_size / 1e6
-            for path in (file, tuned_file):
-                if path.is_file():
-                    model_mb += path.stat().st_size / 1e6
-                    path.unlink()  # a gigabyte each at the published size
+            files = save_deformation(folder, motion, tuned, rest.canonical.voxel)
+            model = DynamicModel(rest, *load_deformation(folder, self.run.device))
+            model_mb = sum(f.stat().st_size for f in (*files, self._rest_file(options.seed))) / 1e6
+            for file in files:
+                file.unlink()  # a gigabyte each at the published size
 
             def render(camera: Camera, time: float | None) -> np.ndarray:
                 return render_view(model, camera, time)
@@ -153,6 +148,7 @@ class Bench:
             moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
             scores = evaluate(moving_only, render, self.lpips, folder)
         result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
+        result["moving_voxels"] = moving_voxels(rest.canonical, motion)
         result |= {"train": {k: v for k, v in train.items() if k != "curve"}, "model_mb": model_mb, "of": of}
         if looks is not None:
             result["looks"] = looks.taken()

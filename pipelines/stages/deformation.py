@@ -13,7 +13,7 @@ from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.model_io import FILE, TUNED_FILE, load_rest, save_motion, save_rest
+from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.train_deformation import train_deformation
 
@@ -32,9 +32,7 @@ def run(context: StageContext) -> None:
     motion, tuned, metrics = train_deformation(
         scene, rest, flows, options, context.device, context.progress, checkpoint
     )
-    save_motion(context.out / FILE, motion, rest.canonical.voxel)
-    if tuned is not None:
-        save_rest(context.out / TUNED_FILE, tuned)
+    save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
     checkpoint.remove()

@@ -65,9 +65,7 @@ def test_voxels_of_a_frustum_are_as_large_as_pixels() -> None:
     cameras = [Camera(128, 72, K, np.eye(4)[:3]) for _ in range(3)]
     options, decision = fewer_voxels(offered.canonical, cameras, CUBE, Ndc(0.64, 0.36))
     x, y, z = grid_shape(CUBE, options.resolution, options.planes)
-    assert x == y and x * y == pytest.approx(
-        128 * 72, rel=0.05
-    )  # cells of the grid across the frustum, and pixels
+    assert x == y and x * y == pytest.approx(128 * 72, rel=0.05)  # cells across the frustum, and pixels
     assert z / x == pytest.approx(offered.canonical.planes / grid_shape(CUBE, 192, 96)[0], rel=0.05)
     assert decision is not None and "a pixel sees 1/96 of the frustum" in str(decision)
     large = [replace(camera.scaled(6.0), width=768) for camera in cameras]
@@ -131,7 +129,9 @@ def test_flow_that_is_lost_on_the_way_says_nothing() -> None:
     assert needed_spacing({"cam0": flow}) is None
 
 
-@pytest.mark.parametrize("flows", [{}, {"cam0": _clip(_straight(1, 3.0))}])
+@pytest.mark.parametrize(
+    "flows", [{}, {"cam0": _clip(_straight(9, 0.1))}, {"cam0": _clip(_straight(1, 3.0))}]
+)
 def test_without_flow_of_what_moves_key_times_are_not_decided(flows: dict[str, CameraFlow]) -> None:
     assert fewer_keys(flows, 10) == (10, None)
 
