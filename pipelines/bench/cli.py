@@ -1,8 +1,8 @@
 """`devrf-pipeline bench …`: words of the command line into benchmarks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -25,12 +25,19 @@ from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.ablation import VARIANTS
 from devrf.reconstruct.options import PresetName
 
+if TYPE_CHECKING:
+    from devrf.pipelines.bench.accuracy.cases import Part
+
 bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)
 
 SeedsOption = Annotated[int, typer.Option(min=1, max=100, help="Trainings per case; they give the spread")]
 OutOption = Annotated[
     Path | None, typer.Option(help="Folder for models and pictures; default: beside the run folder")
 ]
+DataOption = Annotated[
+    Path | None, typer.Option(help="Folder of real captures with references, a folder each")
+]
+OnlyOption = Annotated[str | None, typer.Option(help="Some of the parts, by name: boards,rigs")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
 
 
@@ -156,9 +163,9 @@ def growth(
         every = _numbers("--strides", strides, 1, 1000)
         if any(n % 1 for n in every):
             raise InputError(f"--strides {strides}: expected whole numbers, such as 4,2,1")
-        chosen, given = _numbers("--shares", shares, 0.01, 1), json or folder / "growth.json"
+        sizes = _numbers("--shares", shares, 0.01, 1)
         others = [_run("growth", path, preset, overrides, device, run.talk) for path in other or []]
-        run_growth(run, folder, [int(n) for n in every], chosen, others, given)
+        run_growth(run, folder, [int(n) for n in every], sizes, others, json or folder / "growth.json")
 
     _measure("growth", measure, scene, preset, overrides, out, json, device, quiet)
 
@@ -181,6 +188,61 @@ def reference(
         run_reference(run, folder, json or folder / "reference.json", minutes)
 
     _measure("reference", measure, scene, "reference", overrides, out, json, device, quiet)
+
+
+@bench.command()
+def calibration(
+    data: DataOption = None,
+    only: OnlyOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Boards, rigs and sweeps against references, on real captures and simulated ones."""
+    from devrf.pipelines.bench.accuracy.parts import CALIBRATION
+
+    _accuracy("calibration", CALIBRATION, data, only, out, json, quiet)
+
+
+@bench.command()
+def sync(
+    data: DataOption = None,
+    only: OnlyOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Clocks from sound, light and motion against known offsets, on real captures and simulated ones."""
+    from devrf.pipelines.bench.accuracy.parts import SYNC
+
+    _accuracy("sync", SYNC, data, only, out, json, quiet)
+
+
+def _accuracy(
+    title: str,
+    parts: "Mapping[str, Part]",
+    data: Path | None,
+    only: str | None,
+    out: Path | None,
+    json: Path | None,
+    quiet: bool,
+) -> None:
+    from devrf.pipelines.bench.accuracy.cases import Cases, run_parts
+
+    def measure(talk: Talk) -> None:
+        if data is not None and not data.is_dir():
+            raise InputError(
+                f"--data {data}: no such folder; name the folder that holds the captures' folders"
+            )
+        chosen = list(parts) if only is None else _names("--only", only, list(parts))
+        folder = out or Path(f"bench-{title}")
+        check_folder(folder, "--out")
+        if json is not None:
+            check_file(json, "--json")
+        folder.mkdir(parents=True, exist_ok=True)
+        run_parts(title, parts, chosen, Cases(data, folder, talk), json or folder / f"{title}.json")
+
+    _coded(measure, quiet)
 
 
 def _names(option: str, text: str, known: Sequence[str]) -> list[str]:
@@ -214,15 +276,24 @@ def _measure(
     device: str,
     quiet: bool,
 ) -> None:
-    """Read the configuration, run a benchmark, turn errors into exit codes."""
-    talk = talk_of(quiet)
-    try:
+    """Read the configuration and run a benchmark of one scene."""
+
+    def with_run(talk: Talk) -> None:
         run = _run(name, scene, preset, overrides, device, talk)
         folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
         check_folder(folder, "--out")
         if json is not None:
             check_file(json, "--json")
         measure(run, folder)
+
+    _coded(with_run, quiet)
+
+
+def _coded(measure: Callable[[Talk], None], quiet: bool) -> None:
+    """Run a benchmark; errors become exit codes."""
+    talk = talk_of(quiet)
+    try:
+        measure(talk)
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None

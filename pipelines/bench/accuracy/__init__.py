@@ -1,0 +1,1 @@
+"""Calibration and clocks against references: `bench calibration`, `bench sync`."""
