@@ -125,7 +125,14 @@ STAGES = (
     Stage(
         name="canonical",
         reads=("scene",),
-        config_keys=("preset", "reconstruct"),
+        config_keys=(  # the other keys of `reconstruct` are about the motion, or the scene's
+            "preset",
+            "reconstruct.resolution",
+            "reconstruct.rays",
+            "reconstruct.canonical_iterations",
+            "reconstruct.adapt",
+            "reconstruct.seed",
+        ),
         applies=_where_rest_is_known,
         run=_glue("canonical"),
     ),
