@@ -1,4 +1,4 @@
-"""Intrinsics of one device: focal lengths, principal point, Brown-Conrady distortion (k1, k2, p1, p2, k3).
+"""Intrinsics of one device: focal lengths, principal point, lens model and its distortion.
 
 The centre of the top-left pixel is (0.5, 0.5); OpenCV counts it as (0, 0): `cv_matrix` is half a pixel less.
 """
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from devrf.capture.camera import Camera
+from devrf.capture.camera import Camera, LensModel, undistort
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
@@ -21,8 +21,10 @@ class Intrinsics:
     Attributes:
         width, height: Picture size, pixels.
         K: [3, 3], pixels.
-        distortion: k1, k2, p1, p2, k3 [5].
-        std: Standard deviation of each of `PARAMETERS` [9]; None where it is not known.
+        distortion: k1, k2, p1, p2, k3 [5]; of a fisheye lens k1, k2, k3, k4, 0.
+        std: Standard deviation of each of `PARAMETERS` [9], a fisheye lens's k3, k4 in the places of p1, p2;
+            None where it is not known.
+        model: As of `Camera`.
     """
 
     width: int
@@ -30,6 +32,7 @@ class Intrinsics:
     K: Float[np.ndarray, "3 3"]
     distortion: Float[np.ndarray, "5"]
     std: Float[np.ndarray, "9"] | None = None
+    model: LensModel = "OPENCV"
 
     @property
     def vector(self) -> Float[np.ndarray, "9"]:
@@ -44,16 +47,25 @@ class Intrinsics:
 
     def at(self, cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
         """A camera with these intrinsics at a pose."""
-        return Camera(self.width, self.height, self.K, cam_from_world, self.distortion)
+        return Camera(self.width, self.height, self.K, cam_from_world, self.distortion, self.model)
+
+    def undistorted(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Where a pinhole camera with the same K would have seen pixels [n, 2]; for solvers that know no lenses."""
+        x = (xy - self.K[:2, 2]) / np.diag(self.K)[:2]
+        return undistort(x, self.distortion, self.model) * np.diag(self.K)[:2] + self.K[:2, 2]
 
 
 def from_vector(
-    width: int, height: int, vector: Float[np.ndarray, "9"], std: Float[np.ndarray, "9"] | None = None
+    width: int,
+    height: int,
+    vector: Float[np.ndarray, "9"],
+    std: Float[np.ndarray, "9"] | None = None,
+    model: LensModel = "OPENCV",
 ) -> Intrinsics:
     """Inverse of `Intrinsics.vector`."""
     fx, fy, cx, cy = vector[:4]
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return Intrinsics(width, height, K, np.array(vector[4:], dtype=np.float64), std)
+    return Intrinsics(width, height, K, np.array(vector[4:], dtype=np.float64), std, model)
 
 
 def guess(width: int, height: int, focal_px: float | None = None) -> Intrinsics:

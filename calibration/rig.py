@@ -2,7 +2,7 @@
 
 `cam_from_world` is in the scaled world: metres where `scale.metric`, else the sweep's arbitrary unit.
 `scale.factor` takes the sweep's unit (static_poses.json) to this one. K has the centre of the top-left pixel
-at (0.5, 0.5); distortion is OpenCV's k1, k2, p1, p2, k3.
+at (0.5, 0.5); distortion is as in `capture.camera`.
 """
 
 import json
@@ -72,7 +72,7 @@ def write_rig(path: Path, rig: Rig) -> None:
     cameras = {}
     for name, c in rig.cameras.items():
         cameras[name] = {
-            "model": "OPENCV",
+            "model": c.camera.model,
             "width": c.camera.width,
             "height": c.camera.height,
             "K": c.camera.K.tolist(),
@@ -105,6 +105,7 @@ def read_rig(path: Path) -> Rig:
                 np.array(c["K"], dtype=np.float64),
                 np.array(c["cam_from_world"], dtype=np.float64)[:3],
                 np.array(c.get("distortion", [0.0] * 5), dtype=np.float64),
+                c.get("model", "OPENCV"),
             )
             std = c.get("std") or {}
             cameras[name] = RigCamera(

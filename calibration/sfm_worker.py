@@ -26,6 +26,7 @@ DISTORTION_OF = {  # our order k1, k2, p1, p2, k3 -> position in COLMAP's parame
     "RADIAL": {0: 3, 1: 4},
     "OPENCV": {0: 4, 1: 5, 2: 6, 3: 7},
     "FULL_OPENCV": {0: 4, 1: 5, 2: 6, 3: 7, 4: 8},
+    "OPENCV_FISHEYE": {0: 4, 1: 5, 2: 6, 3: 7},
 }
 
 

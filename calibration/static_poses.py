@@ -18,7 +18,7 @@ from jaxtyping import Float, Int, UInt8
 
 from devrf.calibration.intrinsics import Intrinsics, guess
 from devrf.calibration.sfm_process import run_job
-from devrf.capture.camera import Camera
+from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CalibrationError, HealthError
 from devrf.capture.progress import Progress, no_progress
 
@@ -171,7 +171,10 @@ def read_static_poses(folder: Path) -> SweepModel:
         frame = report["frames"][name]
         c = report["cameras"][str(frame["camera_id"])]
         pose = np.array(frame["camera_from_world"], dtype=np.float64)
-        cameras.append(Camera(c["width"], c["height"], np.array(c["K"]), pose, np.array(c["distortion"])))
+        lens: LensModel = "OPENCV_FISHEYE" if c["model"] == "OPENCV_FISHEYE" else "OPENCV"
+        cameras.append(
+            Camera(c["width"], c["height"], np.array(c["K"]), pose, np.array(c["distortion"]), lens)
+        )
     with np.load(folder / "points.npz") as data:
         arrays = {key: data[key] for key in data.files}
     return SweepModel(names, tuple(cameras), report=report, **arrays)
@@ -237,11 +240,12 @@ def device_groups(
 
 def _worker_group(group: DeviceGroup) -> dict[str, Any]:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = group.intrinsics.vector.tolist()
+    fisheye = group.intrinsics.model == "OPENCV_FISHEYE"  # its vector is already COLMAP's: k3, k4 for p1, p2
     rich = group.fixed and k3 != 0.0
     params = [fx, fy, cx, cy, k1, k2, p1, p2] + ([k3, 0.0, 0.0, 0.0] if rich else [])
     return {
         "names": list(group.names),
-        "model": "FULL_OPENCV" if rich else "OPENCV",
+        "model": "OPENCV_FISHEYE" if fisheye else "FULL_OPENCV" if rich else "OPENCV",
         "params": params if group.trusted else None,
         "fixed": group.fixed,
     }

@@ -6,7 +6,7 @@ even ambient light and a large lamp above the room with soft shadows; all surfac
 not depend on the direction of view. The sensor adds noise that grows with the signal, and stores sRGB.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ class Renderer:
         self._spp = max(1, round(spp / FINE**2))
         self._shape = ShapeMaker(self._mi, AMBIENT)
         self._still = self._shapes(still)
-        self._lenses: dict[bytes, _Lens] = {}
+        self._lenses: dict[tuple[object, ...], _Lens] = {}
 
     def __call__(self, camera: Camera, moving: list[Mesh], seed: int) -> Float[np.ndarray, "h w 3"]:
         """Linear radiance [H, W, 3] of the scene; a white surface in even light is about 0.9."""
@@ -85,14 +85,9 @@ class Renderer:
         return shapes
 
     def _lens(self, camera: Camera) -> "_Lens":
-        key = (
-            camera.K.tobytes()
-            + camera.distortion.tobytes()
-            + bytes(f"{camera.width} {camera.height}", "ascii")
-        )
-        if key not in self._lenses:
-            self._lenses[key] = _make_lens(camera)
-        return self._lenses[key]
+        if camera.lens not in self._lenses:
+            self._lenses[camera.lens] = _make_lens(camera)
+        return self._lenses[camera.lens]
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,7 @@ def _ideal_coordinates(camera: Camera, subpixels: int) -> np.ndarray:
     x = (np.arange(camera.width * subpixels) + 0.5) / subpixels
     y = (np.arange(camera.height * subpixels) + 0.5) / subpixels
     pixels = np.stack(np.meshgrid(x, y), axis=-1)
-    identity = Camera(camera.width, camera.height, camera.K, np.eye(3, 4), camera.distortion)
+    identity = replace(camera, cam_from_world=np.eye(3, 4))
     rays = identity.directions(pixels)
     return rays[..., :2] / rays[..., 2:]
 
@@ -239,7 +234,7 @@ def board_poses(
         tilted, _ = cv2.Rodrigues(tilt * np.array([np.cos(about), np.sin(about), 0.0]))
         rolled, _ = cv2.Rodrigues(np.array([0.0, 0.0, np.radians(rng.uniform(-12, 12))]))
         R = tilted @ rolled
-        identity = Camera(camera.width, camera.height, camera.K, np.eye(3, 4), camera.distortion)
+        identity = replace(camera, cam_from_world=np.eye(3, 4))
         ray = identity.directions(np.array([u * camera.width, v * camera.height]))
         centre = distance * ray / ray[2]
         poses.append(np.column_stack([R, centre - R @ middle]))

@@ -43,6 +43,8 @@ def common_pinhole(cameras: Sequence[Camera], whole: bool) -> Camera:
         )
     else:
         reach = np.min([_inscribed(o) for o in outlines], axis=0)
+        if any(c.model == "OPENCV_FISHEYE" for c in distinct):
+            reach = np.minimum(reach, LARGEST_STRETCH * np.min([_linear_reach(c) for c in distinct], axis=0))
     if not reach.min() > 0:
         raise CaptureError(
             "the principal point lies outside a picture, so the pictures have no common middle; export to "
@@ -61,6 +63,7 @@ def same_picture(camera: Camera, pinhole: Camera) -> bool:
     """Whether a camera's pictures are already those of the pinhole camera."""
     return (
         (camera.width, camera.height) == (pinhole.width, pinhole.height)
+        and camera.model == pinhole.model
         and not np.any(camera.distortion)
         and bool(np.abs(camera.K - pinhole.K).max() < SAME_PX)
     )
@@ -75,7 +78,7 @@ class Undistorter:
         rows, columns = np.mgrid[: pinhole.height, : pinhole.width]
         self._pixels = np.stack([columns, rows], axis=-1) + 0.5
         ideal = (self._pixels - pinhole.K[:2, 2]) @ np.linalg.inv(pinhole.K[:2, :2]).T
-        source = distort(ideal, camera.distortion) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        source = distort(ideal, camera.distortion, camera.model) @ camera.K[:2, :2].T + camera.K[:2, 2]
         radius = np.linalg.norm(_outline(camera), axis=-1).max()
         seen = np.linalg.norm(ideal, axis=-1) <= 1.001 * radius  # beyond, the lens model folds back
         seen &= ((source > 0) & (source < [camera.width, camera.height])).all(axis=-1)
@@ -123,7 +126,8 @@ class Undistorter:
 
     def _undo(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
         camera, pinhole = self.camera, self.pinhole
-        ideal = undistort((pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T, camera.distortion)
+        x = (pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
+        ideal = undistort(x, camera.distortion, camera.model)
         return ideal @ pinhole.K[:2, :2].T + pinhole.K[:2, 2]
 
 
@@ -134,7 +138,8 @@ def _outline(camera: Camera) -> Float[np.ndarray, "4 side 2"]:
     left, top = np.zeros(BORDER_POINTS), np.zeros(BORDER_POINTS)
     edges = [(left, y), (left + camera.width, y), (x, top), (x, top + camera.height)]
     pixels = np.stack([np.stack(edge, axis=-1) for edge in edges])
-    return undistort((pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T, camera.distortion)
+    x = (pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
+    return undistort(x, camera.distortion, camera.model)
 
 
 def _inscribed(outline: Float[np.ndarray, "4 side 2"]) -> Float[np.ndarray, "2"]:
@@ -155,4 +160,5 @@ def _linear_reach(camera: Camera) -> Float[np.ndarray, "2"]:
 
 
 def _lens(camera: Camera) -> tuple:
-    return (camera.width, camera.height, camera.K.round(6).tobytes(), camera.distortion.round(9).tobytes())
+    K, distortion = camera.K.round(6).tobytes(), camera.distortion.round(9).tobytes()
+    return (camera.width, camera.height, camera.model, K, distortion)

@@ -123,7 +123,7 @@ class _Session:
         self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
         self.progress, self.count, self.done = progress, count, 0
         self.seconds: list[float] = []
-        self.rest: tuple[bytes, np.ndarray] | None = None
+        self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
     def moving_view(self, frame: PosedFrame, first: float, extra: bool) -> dict[str, Any]:
         """Scores of a test picture of the moving scene, of the baseline, and of both near motion."""
@@ -177,7 +177,7 @@ class _Session:
         return picture.astype(np.float32) / 255, frame.camera.scaled(self.scene.image_scale)
 
     def _at_rest(self, camera: Camera) -> np.ndarray:
-        key = camera.cam_from_world.tobytes() + camera.K.tobytes() + camera.distortion.tobytes()
+        key = (camera.cam_from_world.tobytes(), *camera.lens)
         if self.rest is None or self.rest[0] != key:
             self.rest = (key, self.render(camera, None))
         return self.rest[1]

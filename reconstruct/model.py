@@ -72,12 +72,11 @@ class DynamicModel:
     rest: RestModel
     motion: MotionField | None = None
     in_motion: RestModel | None = None
-    _around: OrderedDict[bytes, Around] = field(default_factory=OrderedDict, repr=False)
+    _around: OrderedDict[tuple[object, ...], Around] = field(default_factory=OrderedDict, repr=False)
 
     def around_camera(self, camera: Camera) -> Around:
         """Surroundings of all pixels of a camera, row by row; remembered."""
-        key = b"".join(a.tobytes() for a in (camera.cam_from_world, camera.K, camera.distortion))
-        key += f"{camera.width}x{camera.height}".encode()
+        key = (camera.cam_from_world.tobytes(), *camera.lens)
         if key not in self._around:
             device = str(self.rest.canonical.density.device)
             rays_o, rays_d = camera_rays(camera, device)

@@ -6,7 +6,7 @@ them is a distance. Every picture brings its own size, intrinsics, principal poi
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -110,12 +110,11 @@ class RaySet:
         tables: dict[tuple[object, ...], int] = {}
         directions, table_of, size = [], [], 0
         for camera in cameras:
-            key = (camera.width, camera.height, camera.K.tobytes(), camera.distortion.tobytes())
-            if key not in tables:
-                tables[key] = size
+            if camera.lens not in tables:
+                tables[camera.lens] = size
                 directions.append(local_directions(camera))
                 size += len(directions[-1])
-            table_of.append(tables[key])
+            table_of.append(tables[camera.lens])
         self.directions = torch.from_numpy(np.concatenate(directions or [np.zeros((0, 3), np.float32)])).to(
             device
         )
@@ -183,7 +182,7 @@ def camera_rays(camera: Camera, device: str = "cpu") -> tuple[Float[Tensor, "n 3
 def local_directions(camera: Camera) -> Float[np.ndarray, "n 3"]:
     """Unit viewing directions of all pixels in the camera's own frame, row by row."""
     u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    still = Camera(camera.width, camera.height, camera.K, np.eye(4)[:3], camera.distortion)
+    still = replace(camera, cam_from_world=np.eye(3, 4))
     return still.directions(np.stack([u, v], axis=-1).reshape(-1, 2)).astype(np.float32)
 
 

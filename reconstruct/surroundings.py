@@ -12,11 +12,11 @@ class PixelSurroundings:
     """Looks up the surroundings of pixels; cameras that stand still share them."""
 
     def __init__(self, model: DynamicModel, rays: RaySet) -> None:
-        firsts: dict[bytes, int] = {}
+        firsts: dict[tuple[object, ...], int] = {}
         parts: list[Around] = []
         first_of_frame, size = [], 0
         for camera in rays.cameras:
-            key = b"".join(a.tobytes() for a in (camera.cam_from_world, camera.K, camera.distortion))
+            key = (camera.cam_from_world.tobytes(), *camera.lens)
             if key not in firsts:
                 firsts[key] = size
                 parts.append(model.around_camera(camera))

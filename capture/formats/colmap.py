@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.capture.camera import Camera
+from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.colmap_model import (
@@ -26,7 +26,15 @@ from devrf.capture.picture_files import natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
 
 LARGEST_ERROR_PX, SHORTEST_TRACK = 2.0, 3  # as for our own sweeps: points beyond are often wrong
-READ_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+READ_MODELS = (
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "FULL_OPENCV",
+    "OPENCV_FISHEYE",
+)
 
 
 def read_colmap(folder: Path, notes: list[str]) -> Pictures:
@@ -98,14 +106,14 @@ def model_folder(folder: Path) -> Path:
     )
 
 
-def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """K [3, 3] and distortion [5] of a COLMAP camera.
+def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray, LensModel]:
+    """K [3, 3], distortion [5] and lens model of a COLMAP camera.
 
     Raises:
         CaptureError: A lens model that is not read.
     """
     p = camera.params
-    two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV")
+    two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
     if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
         raise CaptureError(
             f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)} (FULL_OPENCV with "
@@ -116,7 +124,8 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray]
     distortion[: len(lens[:5])] = lens[:5]
     if not (np.isfinite(p).all() and min(fx, fy) > 0):
         raise CaptureError(f"{where}: camera parameters are {list(p)}; expected focal lengths above 0")
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion
+    model: LensModel = "OPENCV_FISHEYE" if camera.model == "OPENCV_FISHEYE" else "OPENCV"
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, model
 
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:
@@ -129,12 +138,12 @@ def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) 
     if not (np.isfinite(image.quat_wxyz).all() and np.isfinite(image.translation).all() and length > 0.5):
         pose = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
         raise CaptureError(f"{where}: the pose is not one ({pose}); remove the image from the model")
-    K, distortion = intrinsics(camera, where)
+    K, distortion, model = intrinsics(camera, where)
     w, x, y, z = image.quat_wxyz / length
     v = np.array([x, y, z])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     R = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
-    return Camera(camera.width, camera.height, K, np.column_stack([R, image.translation]), distortion)
+    return Camera(camera.width, camera.height, K, np.column_stack([R, image.translation]), distortion, model)
 
 
 def _points(model: Model, order: list[int]) -> SparsePoints | None:
@@ -157,7 +166,9 @@ def _model_camera(camera: Camera) -> ModelCamera:
     K, (k1, k2, p1, p2, k3) = camera.K, camera.distortion.tolist()
     params = [float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
     model = "PINHOLE"
-    if k3:
+    if camera.model == "OPENCV_FISHEYE":
+        model, params = "OPENCV_FISHEYE", [*params, *camera.distortion[:4].tolist()]
+    elif k3:
         model, params = "FULL_OPENCV", [*params, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
     elif any((k1, k2, p1, p2)):
         model, params = "OPENCV", [*params, k1, k2, p1, p2]

@@ -187,10 +187,9 @@ class Pinholes:
     def _of(self, camera: Camera) -> "Undistorter":
         from devrf.capture.undistort import Undistorter
 
-        key = (camera.width, camera.height, camera.K.tobytes(), camera.distortion.tobytes())
-        if key not in self._undistorters:
-            self._undistorters[key] = Undistorter(camera, self.pinhole)
-        return self._undistorters[key]
+        if camera.lens not in self._undistorters:
+            self._undistorters[camera.lens] = Undistorter(camera, self.pinhole)
+        return self._undistorters[camera.lens]
 
 
 def _with_alpha(pixels: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w 4"]:

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from devrf.capture.camera import Camera
+from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.files import Header
 
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
-DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3")
+DISTORTION_KEYS: dict[LensModel, tuple[str, ...]] = {
+    "OPENCV": ("k1", "k2", "p1", "p2", "k3"),
+    "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+}
 RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they are not rotations at all
 
 
@@ -79,8 +82,10 @@ def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
         raise CaptureError(f"{where}: focal length is {fl_x}, {fl_y}; expected pixels above 0")
     cx, cy = (_number(entry.get(key, side / 2), key, where) for key, side in (("cx", width), ("cy", height)))
     K = np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1.0]])
-    distortion = np.array([_number(entry.get(key, 0.0), key, where) for key in DISTORTION_KEYS])
-    return Camera(width, height, K, cam_from_opengl(entry["transform_matrix"], where), distortion)
+    model: LensModel = "OPENCV_FISHEYE" if entry.get("camera_model") == "OPENCV_FISHEYE" else "OPENCV"
+    lens = [_number(entry.get(key, 0.0), key, where) for key in DISTORTION_KEYS[model]]
+    distortion = np.array([*lens, 0.0][:5])
+    return Camera(width, height, K, cam_from_opengl(entry["transform_matrix"], where), distortion, model)
 
 
 def intrinsics_entry(camera: Camera) -> dict[str, Any]:

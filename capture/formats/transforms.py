@@ -18,7 +18,7 @@ from devrf.capture.formats.files import (
 from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_entry, opengl_pose
 from devrf.capture.scene import PosedFrame, Split
 
-MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV_FISHEYE")
 
 
 def write_transforms(path: Path, frames: tuple[PosedFrame, ...]) -> None:
@@ -30,12 +30,13 @@ def write_transforms(path: Path, frames: tuple[PosedFrame, ...]) -> None:
 def frame_entry(frame: PosedFrame, base: Path) -> dict[str, Any]:
     """One entry of `frames`; paths are relative to `base`."""
     camera = frame.camera
+    keys = DISTORTION_KEYS[camera.model]
     entry = {
         "file_path": relative_to(frame.path, base),
         "transform_matrix": opengl_pose(camera),
-        "camera_model": "OPENCV",
+        "camera_model": camera.model,
         **intrinsics_entry(camera),
-        **{key: float(value) for key, value in zip(DISTORTION_KEYS, camera.distortion, strict=True)},
+        **{key: float(value) for key, value in zip(keys, camera.distortion[: len(keys)], strict=True)},
         "camera": frame.camera_name,
         "frame_index": frame.index,
         "time_s": frame.time_s,
@@ -93,7 +94,8 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
 def _check_model(model: object, path: Path) -> None:
     if model not in MODELS:
         raise CaptureError(
-            f"{path}: camera_model {model} is not read; expected OPENCV or PINHOLE; undistort the pictures"
+            f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE; "
+            "undistort the pictures"
         )
 
 

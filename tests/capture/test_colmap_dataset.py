@@ -59,6 +59,6 @@ def test_colmap_text(tmp_path: Path, camera, K, lens):
 
 
 def test_colmap_lenses_that_are_not_read_are_named(tmp_path: Path):
-    colmap_text(tmp_path, "OPENCV_FISHEYE 48 32 40 41 23 15 .1 .2 .3 .4")
-    with pytest.raises(CaptureError, match="lens model OPENCV_FISHEYE is not read.*undistort"):
+    colmap_text(tmp_path, "FOV 48 32 40 41 23 15 .1")
+    with pytest.raises(CaptureError, match="lens model FOV is not read.*undistort"):
         read_dataset("colmap", tmp_path)

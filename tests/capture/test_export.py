@@ -22,11 +22,10 @@ AT_REST = ("blender", "llff", "colmap")
 
 def expected_pixels(original: Camera, again: Camera, points: np.ndarray) -> np.ndarray:
     """Where points show in the written picture: as in the original, its lens replaced by the one read back."""
-    ideal = undistort(
-        (original.project(points) - original.K[:2, 2]) @ np.linalg.inv(original.K[:2, :2]).T,
-        original.distortion,
-    )
+    x = (original.project(points) - original.K[:2, 2]) @ np.linalg.inv(original.K[:2, :2]).T
+    ideal = undistort(x, original.distortion, original.model)
     if np.any(again.distortion):
+        assert again.model == original.model
         np.testing.assert_allclose(again.distortion, original.distortion)
         return original.project(points)
     return ideal @ again.K[:2, :2].T + again.K[:2, 2]
@@ -69,9 +68,33 @@ def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background):
         assert len(again.points.obs_point) == len(scene.points.obs_point)
 
 
+def with_fisheyes(scene: Scene) -> Scene:
+    """The scene as fisheye lenses of the same focal lengths would have seen it."""
+
+    def seen(frame: PosedFrame) -> PosedFrame:
+        lens = np.array([-0.02, 0.01, -0.003, 0.001, 0.0])
+        return replace(frame, camera=replace(frame.camera, distortion=lens, model="OPENCV_FISHEYE"))
+
+    return replace(
+        scene, static=tuple(map(seen, scene.static)), dynamic=tuple(map(seen, scene.dynamic)), points=None
+    )
+
+
+@pytest.mark.parametrize("name", DATASET_FORMATS)
+def test_fisheyes_come_back_or_are_undistorted(odd_scene: Scene, tmp_path: Path, name):
+    scene = with_fisheyes(odd_scene)
+    write_dataset(name, scene, tmp_path / "out")
+    again = read_dataset(name, tmp_path / "out")
+    check_frames(scene.static, again.static, name not in ("llff", "colmap"))
+    kept = name in ("nerfstudio", "colmap")
+    assert {f.camera.model for f in again.frames} == {"OPENCV_FISHEYE" if kept else "OPENCV"}
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
 @pytest.mark.parametrize("background", ["shell", "white"])
-def test_written_pictures_show_what_their_cameras_say(odd_scene: Scene, tmp_path: Path, background):
+def test_written_pictures_show_what_their_cameras_say(odd_scene: Scene, tmp_path: Path, background, fisheye):
     """Spots drawn through the distorted lens are where the pinhole camera expects them."""
+    odd_scene = with_fisheyes(odd_scene) if fisheye else odd_scene
     spots = np.array([[0.0, 0.0, 0.0], [0.55, 0.3, 0.1], [-0.5, -0.35, 0.2], [0.45, -0.4, -0.1]])
     for frame in odd_scene.frames:
         camera = frame.camera
