@@ -132,34 +132,3 @@ def read_rig(path: Path) -> Rig:
             f"{path}: not a rig.json ({error!r}); expected cameras with width, height, K, distortion and "
             "cam_from_world, as docs/formats.md says"
         ) from None
-
-
-def read_given_rig(path: Path, names: list[str], sizes: dict[str, tuple[int, int]]) -> Rig:
-    """A calibration that people already own: our own rig.json.
-
-    Args:
-        path: The file.
-        names: Cameras of the capture; each must be in it.
-        sizes: Their picture sizes.
-    Raises:
-        InputError: Another format, a camera that is missing, or a calibration for another picture size.
-    """
-    if path.suffix.lower() != ".json":
-        raise InputError(
-            f"calibration.rig.given: {path.name} is not a rig.json; other calibration files cannot be "
-            "read yet, write the cameras as docs/formats.md says"
-        )
-    rig = read_rig(path)
-    missing = [name for name in names if name not in rig.cameras]
-    if missing:
-        raise InputError(
-            f"{path}: has no camera {', '.join(missing)}; it has {', '.join(rig.cameras) or 'none'}"
-        )
-    for name in names:
-        camera = rig.cameras[name].camera
-        if (camera.width, camera.height) != sizes[name]:
-            raise InputError(
-                f"{path}: camera '{name}' is calibrated at {camera.width}x{camera.height}, its clip is "
-                f"{sizes[name][0]}x{sizes[name][1]}; calibrate at the size of the clip"
-            )
-    return Rig({name: rig.cameras[name] for name in names}, rig.scale, "given")

@@ -71,16 +71,16 @@ def write_colmap(export: Export) -> None:
     images: dict[int, ModelImage] = {}
     for n, frame in enumerate(frames):
         camera = frame.camera
-        camera_id = cameras.setdefault(_model_camera(camera), len(cameras) + 1)
+        camera_id = cameras.setdefault(model_camera(camera), len(cameras) + 1)
         ids, keypoints = np.zeros(0, np.int64), np.zeros((0, 2))
         if points is not None:
             seen = points.obs_point[points.obs_frame == n]
             pixels = camera.project(points.xyz[seen])
             front = np.isfinite(pixels).all(axis=-1)
             ids, keypoints = seen[front].astype(np.int64) + 1, pixels[front]
-        quat_wxyz = _quat_wxyz(camera.cam_from_world[:, :3])
+        rotation = quat_wxyz(camera.cam_from_world[:, :3])
         name = frame.path.relative_to(base).as_posix()
-        images[n + 1] = ModelImage(name, camera_id, quat_wxyz, camera.cam_from_world[:, 3], keypoints, ids)
+        images[n + 1] = ModelImage(name, camera_id, rotation, camera.cam_from_world[:, 3], keypoints, ids)
     xyz = points.xyz if points is not None else np.zeros((0, 3))
     none = np.zeros(0, np.int64)
     model = Model(
@@ -134,16 +134,25 @@ def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) 
             f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the "
             "pictures that the model was made from"
         )
+    K, distortion, model = intrinsics(camera, where)
+    return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)
+
+
+def pose(image: ModelImage, where: str) -> np.ndarray:
+    """cam_from_world [3, 4] of a registered picture.
+
+    Raises:
+        CaptureError: Not finite, or not a rotation.
+    """
     length = np.linalg.norm(image.quat_wxyz)
     if not (np.isfinite(image.quat_wxyz).all() and np.isfinite(image.translation).all() and length > 0.5):
-        pose = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
-        raise CaptureError(f"{where}: the pose is not one ({pose}); remove the image from the model")
-    K, distortion, model = intrinsics(camera, where)
+        values = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
+        raise CaptureError(f"{where}: the pose is not one ({values}); remove the image from the model")
     w, x, y, z = image.quat_wxyz / length
     v = np.array([x, y, z])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     R = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
-    return Camera(camera.width, camera.height, K, np.column_stack([R, image.translation]), distortion, model)
+    return np.column_stack([R, image.translation])
 
 
 def _points(model: Model, order: list[int]) -> SparsePoints | None:
@@ -161,7 +170,7 @@ def _points(model: Model, order: list[int]) -> SparsePoints | None:
     return SparsePoints(np.array(xyz), np.array(obs_point, np.int64), np.array(obs_frame, np.int64))
 
 
-def _model_camera(camera: Camera) -> ModelCamera:
+def model_camera(camera: Camera) -> ModelCamera:
     """The simplest of COLMAP's models that holds the lens."""
     K, (k1, k2, p1, p2, k3) = camera.K, camera.distortion.tolist()
     params = [float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
@@ -175,7 +184,7 @@ def _model_camera(camera: Camera) -> ModelCamera:
     return ModelCamera(model, camera.width, camera.height, tuple(params))
 
 
-def _quat_wxyz(R: np.ndarray) -> np.ndarray:
+def quat_wxyz(R: np.ndarray) -> np.ndarray:
     """Unit quaternion [4] of a rotation, w >= 0: the eigenvector of Bar-Itzhack's matrix (JGCD 23(6), 2000)."""
     (a, b, c), (d, e, f), (g, h, i) = R
     K = np.array(

@@ -11,7 +11,8 @@ from devrf.calibration.board import BoardSpec, find_board
 from devrf.calibration.board_intrinsics import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
 from devrf.calibration.clean_picture import clean_pictures
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale, read_given_rig, write_rig
+from devrf.calibration.given import read_given
+from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
 from devrf.calibration.rig_board import BoardRig, TimedView, joint_prior, rig_from_board
 from devrf.calibration.rig_sweep import FixedCameraInput, rig_from_sweep
 from devrf.calibration.scale import scale_from_board, scale_from_distances

@@ -1,0 +1,125 @@
+"""Calibrations of other tools, in and out: which reader a file is for, told by its content; which writers there are."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
+from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap, write_easymocap
+from devrf.calibration.formats.found import Found, FoundCamera
+from devrf.calibration.formats.kalibr import parse as parse_kalibr
+from devrf.calibration.formats.kalibr import read_kalibr, write_kalibr
+from devrf.calibration.formats.opencv import (
+    ENDINGS,
+    INTRINSICS_FILE,
+    is_single,
+    is_stereo,
+    read_singles,
+    read_stereo,
+    storage,
+    write_opencv,
+)
+from devrf.calibration.formats.qualisys import parse as parse_qualisys
+from devrf.calibration.formats.qualisys import read_qualisys
+from devrf.calibration.formats.toml_tables import parse as parse_toml
+from devrf.calibration.formats.toml_tables import read_toml, write_anipose, write_caliscope, write_pose2sim
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+
+__all__ = ["RIG_WRITERS", "Found", "FoundCamera", "find_calibration", "find_single_files"]
+
+READ = (
+    "rig.json; a COLMAP model; yml or xml of OpenCV (one camera, or a stereo pair), ROS or EasyMocap; a kalibr "
+    "camchain; toml of caliscope, aniposelib or Pose2Sim; Qualisys .qca.txt"
+)
+LARGEST_BYTES = 10_000_000  # a calibration is kilobytes; a clip named by mistake is not read
+Writer = Callable[[Path, Mapping[str, Camera], bool], None]
+RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths are metres)
+    "rig-anipose": write_anipose,
+    "rig-caliscope": write_caliscope,
+    "rig-colmap": write_colmap_rig,
+    "rig-easymocap": write_easymocap,
+    "rig-kalibr": write_kalibr,
+    "rig-opencv": write_opencv,
+    "rig-pose2sim": write_pose2sim,
+}
+
+
+def find_calibration(path: Path) -> Found:
+    """Read a calibration of another tool.
+
+    Args:
+        path: A file, or a folder: a COLMAP model, EasyMocap's or OpenCV's pair, or OpenCV files, one a camera.
+    Raises:
+        InputError: None of the formats, or a value in it that cannot be used; says which.
+        CaptureError: A damaged COLMAP model.
+    """
+    if path.is_dir():
+        return _from_folder(path)
+    text = _text(path)
+    qualisys = parse_qualisys(text)
+    if qualisys is not None:
+        return read_qualisys(path, qualisys)
+    tables = parse_toml(text)
+    if tables is not None:
+        return read_toml(path, tables)
+    chain = parse_kalibr(text)
+    if chain is not None:
+        return read_kalibr(path, chain)
+    data = storage(text)
+    if data is not None:
+        if is_easymocap(data):
+            return read_easymocap(path, data)
+        if is_single(data):
+            return read_singles({path.stem: (path, data)})
+        if is_stereo(data):
+            return read_stereo(path, data)
+    raise InputError(f"{path}: not a calibration that can be read; expected {READ}")
+
+
+def find_single_files(files: Mapping[str, Path]) -> Found:
+    """One OpenCV file a camera.
+
+    Raises:
+        InputError: A file is not OpenCV's, or describes no single camera.
+    """
+    out = {}
+    for name, path in files.items():
+        data = storage(_text(path))
+        if data is None or not is_single(data):
+            raise InputError(
+                f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}'); a file with all "
+                "cameras is named without the camera's name"
+            )
+        out[name] = (path, data)
+    return read_singles(out)
+
+
+def _from_folder(folder: Path) -> Found:
+    if is_colmap(folder):
+        return read_colmap_rig(folder)
+    for name in (INTRI, INTRINSICS_FILE):
+        if (folder / name).is_file():
+            return find_calibration(folder / name)
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file())
+    singles = {}
+    for path in files:
+        data = storage(_text(path))
+        if data is not None and is_single(data):
+            singles[path.stem] = (path, data)
+    if not singles:
+        raise InputError(
+            f"{folder}: no calibration in this folder; expected a COLMAP model, intri.yml and extri.yml, "
+            "intrinsics.yml and extrinsics.yml, or OpenCV files, one a camera; else name the file itself"
+        )
+    return read_singles(singles)
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is no calibration; expected {READ}")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; expected {READ}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None

@@ -1,0 +1,74 @@
+"""A rig as a COLMAP model without points, in and out: an image a camera.
+
+Read: `cam0.png`, or pictures in a folder a camera (`cam0/000001.png`), which must agree about the pose: cameras are
+fixed. The unit of a model is arbitrary. Written: images named `<camera>.png`; there are no pictures.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from devrf.calibration.formats.found import Found, FoundCamera
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder, pose, quat_wxyz
+from devrf.capture.formats.colmap_model import Model, ModelImage, read_model, write_model
+
+FORMAT = "COLMAP model"
+SAME_ROTATION, SAME_POSITION = (
+    1e-3,
+    1e-3,
+)  # rad; of the rig's size: what a fixed camera's pictures may differ by
+
+
+def is_colmap(folder: Path) -> bool:
+    """Whether a folder is, or has, a model."""
+    places = (folder, folder / "sparse", folder / "sparse" / "0")
+    return any((place / f"cameras{ending}").is_file() for place in places for ending in (".bin", ".txt"))
+
+
+def read_colmap_rig(folder: Path) -> Found:
+    """Cameras of a model, by the name of their image or their folder."""
+    place = model_folder(folder)
+    model = read_model(place)
+    seen: dict[str, list[FoundCamera]] = {}
+    for number, image in sorted(model.images.items()):
+        where = f"{place}: image {number} ({image.name})"
+        camera = model.cameras.get(image.camera_id)
+        if camera is None:
+            raise InputError(f"{where}: its camera {image.camera_id} is not in the model; export it again")
+        K, lens, lens_model = intrinsics(camera, where)
+        path = PurePosixPath(image.name)
+        name = path.parts[-2] if len(path.parts) > 1 else path.stem
+        size = (camera.width, camera.height)
+        seen.setdefault(name, []).append(FoundCamera(K, lens, lens_model, size, pose(image, where)))
+    if not seen:
+        raise InputError(f"{place}: no image is registered; expected a model with an image of every camera")
+    _check_fixed(place, seen)
+    return Found(FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary")
+
+
+def write_colmap_rig(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """`sparse/0`, which every tool that reads COLMAP opens."""
+    images = {}
+    for n, (name, camera) in enumerate(cameras.items()):
+        rotation = quat_wxyz(camera.cam_from_world[:, :3])
+        images[n + 1] = ModelImage(f"{name}.png", n + 1, rotation, camera.cam_from_world[:, 3])
+    models = {n + 1: model_camera(camera) for n, camera in enumerate(cameras.values())}
+    write_model(folder / "sparse" / "0", Model(models, images, {}))
+
+
+def _check_fixed(place: Path, seen: Mapping[str, list[FoundCamera]]) -> None:
+    poses = {name: np.array([c.cam_from_world for c in cameras]) for name, cameras in seen.items()}
+    centres = {name: -np.einsum("nji,nj->ni", T[:, :, :3], T[:, :, 3]) for name, T in poses.items()}
+    everywhere = np.concatenate(list(centres.values()))
+    extent = float(np.linalg.norm(np.ptp(everywhere, axis=0)))
+    for name, T in poses.items():
+        turn = float(np.abs(T[:, :, :3] - T[0, :, :3]).max())
+        step = float(np.linalg.norm(centres[name] - centres[name][0], axis=1).max())
+        if turn > SAME_ROTATION or step > SAME_POSITION * extent:
+            raise InputError(
+                f"{place}: the {len(T)} images of '{name}' stand at different places (up to {step:.3g} units apart); "
+                "expected one pose of a fixed camera; keep one image of it in the model"
+            )

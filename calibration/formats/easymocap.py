@@ -1,0 +1,84 @@
+"""EasyMocap's pair intri.yml and extri.yml (OpenCV's FileStorage), in and out.
+
+intri.yml: `names`, and of each camera K_<name>, dist_<name> (older: D_<name>), H_<name> and W_<name> where written.
+extri.yml: R_<name> (rotation vector), Rot_<name> (matrix), T_<name>; x_cam = R x_world + T, metres by their rule.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, pose, size_of
+from devrf.calibration.formats.opencv import storage
+from devrf.calibration.intrinsics import HALF_PIXEL
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+
+FORMAT = "EasyMocap"
+INTRI, EXTRI = "intri.yml", "extri.yml"
+
+
+def is_easymocap(data: Mapping[str, Any]) -> bool:
+    """Whether a file of OpenCV's is one of EasyMocap's two."""
+    names = data.get("names")
+    prefixes = ("K_", "Rot_", "R_")
+    return isinstance(names, list) and any(key.startswith(prefixes) for key in data)
+
+
+def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
+    """The pair; `path` is either of its files."""
+    intri, extri = dict(data), dict(data)
+    if not any(key.startswith("K_") for key in data):
+        intri = _other(path, INTRI, required=True)
+    elif not any(key.startswith(("R_", "Rot_")) for key in data):
+        extri = _other(path, EXTRI, required=False)
+    cameras = {}
+    for name in map(str, intri["names"]):
+        where, lens = f"{path.parent / INTRI}", "dist" if f"dist_{name}" in intri else "D"
+        width, height = intri.get(f"W_{name}"), intri.get(f"H_{name}")
+        has_size = width is not None and height is not None and min(width, height) > 0  # -1: not known
+        size = size_of(width, height, f"{where}: W_{name}, H_{name}") if has_size else None
+        K = matrix(intri.get(f"K_{name}"), f"{where}: K_{name}")
+        k = distortion(intri.get(f"{lens}_{name}"), f"{where}: {lens}_{name}")
+        cam_from_world = None
+        if extri:
+            rotation = extri.get(f"Rot_{name}", extri.get(f"R_{name}"))
+            cam_from_world = pose(rotation, extri.get(f"T_{name}"), f"{path.parent / EXTRI}: camera {name}")
+        cameras[name] = FoundCamera(K, k, "OPENCV", size, cam_from_world)
+    return Found(FORMAT, cameras, "m")
+
+
+def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """Both files, with sizes."""
+    intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
+    extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
+    for file in (intri, extri):
+        file.startWriteStruct("names", cv2.FILE_NODE_SEQ)
+        for name in cameras:
+            file.write("", name)
+        file.endWriteStruct()
+    for name, camera in cameras.items():
+        R, t = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
+        intri.write(f"K_{name}", camera.K - HALF_PIXEL)
+        intri.write(f"dist_{name}", camera.distortion[None])
+        intri.write(f"H_{name}", camera.height)
+        intri.write(f"W_{name}", camera.width)
+        extri.write(f"R_{name}", Rotation.from_matrix(R).as_rotvec()[:, None])
+        extri.write(f"Rot_{name}", np.ascontiguousarray(R))
+        extri.write(f"T_{name}", t[:, None].copy())
+    intri.release()
+    extri.release()
+
+
+def _other(path: Path, name: str, required: bool) -> dict[str, Any]:
+    other = path.with_name(name)
+    found = storage(other.read_text()) if other.is_file() else None
+    if found is None and required:
+        raise InputError(
+            f"{path}: has poses, but no K_ of any camera; expected {name} beside it; copy it there"
+        )
+    return found or {}

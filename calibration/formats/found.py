@@ -1,0 +1,177 @@
+"""What a calibration file of another tool says, in our conventions, and the checks that every reader shares.
+
+K has the centre of the top-left pixel at (0.5, 0.5); OpenCV, and with it every tool but COLMAP, counts it as (0, 0).
+Distortion is OpenCV's k1, k2, p1, p2, k3 (`OPENCV`) or k1, k2, k3, k4, 0 of the angle (`OPENCV_FISHEYE`).
+`where` in every check names the file and the key, for messages.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from devrf.calibration.intrinsics import HALF_PIXEL
+from devrf.capture.camera import RIGID_TOLERANCE, LensModel
+from devrf.capture.errors import InputError
+
+Unit = Literal["m", "cm", "mm", "arbitrary", "unsaid"]
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+LENGTHS = (0, 4, 5, 8, 12, 14)  # of OpenCV's distortion vectors
+FISHEYE_LENGTH = 4
+HELD = 5  # coefficients that our lens model has
+LARGEST_SKEW = 1e-6  # of the focal length: less turns no pixel of any picture by a thousandth of a pixel
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """One camera of a file.
+
+    Attributes:
+        K: Intrinsics [3, 3], pixels, our half pixel.
+        distortion: k1, k2, p1, p2, k3 [5]; of a fisheye lens k1, k2, k3, k4, 0.
+        model: The lens model.
+        size: Width and height, pixels; None where the format has none.
+        cam_from_world: [3, 4] in the file's unit; None where the file has intrinsics only.
+    """
+
+    K: Float[np.ndarray, "3 3"]
+    distortion: Float[np.ndarray, "5"]
+    model: LensModel = "OPENCV"
+    size: tuple[int, int] | None = None
+    cam_from_world: Float[np.ndarray, "3 4"] | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """All cameras of a calibration, in the order of the file.
+
+    Attributes:
+        format: The format in words, for messages.
+        cameras: By the name that the file gives.
+        unit: Of lengths; `unsaid` where the format leaves it to its user.
+        notes: What was left out or assumed, in words.
+    """
+
+    format: str
+    cameras: dict[str, FoundCamera]
+    unit: Unit
+    notes: tuple[str, ...] = ()
+
+
+def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
+    """A value as an array of floats of this shape; singleton axes do not matter.
+
+    Raises:
+        InputError: Missing, not numbers, another count of them, or not finite.
+    """
+    if value is None:
+        raise InputError(f"{where} is missing; expected {_shape_words(shape)}")
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} is {_shorten(value)}; expected {_shape_words(shape)}") from None
+    squeezed = tuple(n for n in array.shape if n != 1)
+    if squeezed != tuple(n for n in shape if n != 1) and array.shape != (int(np.prod(shape)),):
+        raise InputError(
+            f"{where} has {'x'.join(map(str, array.shape)) or 'one'} number(s); expected {_shape_words(shape)}"
+        )
+    if not np.isfinite(array).all():
+        raise InputError(f"{where} is {_shorten(array.tolist())}; expected finite numbers; calibrate again")
+    return array.reshape(shape)
+
+
+def matrix(value: Any, where: str) -> Float[np.ndarray, "3 3"]:
+    """OpenCV's camera matrix as our K.
+
+    Raises:
+        InputError: Not a camera matrix without skew.
+    """
+    K = numbers(value, (3, 3), where)
+    fx, skew, fy = K[0, 0], K[0, 1], K[1, 1]
+    if min(fx, fy) <= 0 or abs(K[1, 0]) > 0 or not np.allclose(K[2], [0, 0, 1]):
+        raise InputError(
+            f"{where} is {K.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0"
+        )
+    if abs(skew) > LARGEST_SKEW * fx:
+        raise InputError(f"{where} has skew {skew:g}; expected 0; calibrate without skew")
+    return np.array([[fx, 0, K[0, 2]], [0, fy, K[1, 2]], [0, 0, 1]]) + HALF_PIXEL
+
+
+def focal_matrix(values: Any, where: str) -> Float[np.ndarray, "3 3"]:
+    """K of fx, fy, cx, cy in OpenCV's convention."""
+    fx, fy, cx, cy = numbers(values, (4,), where)
+    return matrix([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], where)
+
+
+def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarray, "5"]:
+    """OpenCV's distortion vector as ours.
+
+    Raises:
+        InputError: A length that OpenCV does not have, or coefficients beyond k3 that are not 0.
+    """
+    try:
+        flat = np.array([] if value is None else value, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        raise InputError(f"{where} is {_shorten(value)}; expected distortion coefficients") from None
+    lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
+    if flat.size not in lengths or not np.isfinite(flat).all():
+        raise InputError(
+            f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())}); expected "
+            f"{' or '.join(map(str, lengths))} finite numbers{' of the fisheye model' if fisheye else ''}"
+        )
+    beyond = {COEFFICIENTS[n]: flat[n] for n in range(HELD, flat.size) if flat[n] != 0}
+    if beyond:
+        words = ", ".join(f"{name} = {number:g}" for name, number in beyond.items())
+        raise InputError(
+            f"{where}: {words} cannot be held; expected the lens model k1, k2, p1, p2, k3; calibrate again without "
+            "the rational, thin-prism and tilted models"
+        )
+    out = np.zeros(HELD)
+    out[: flat[:HELD].size] = flat[:HELD]
+    return out
+
+
+def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"]:
+    """cam_from_world of a rotation (3x3, or a rotation vector of 3) and a translation.
+
+    Raises:
+        InputError: The matrix is not a rotation.
+    """
+    t = numbers(translation, (3,), f"{where}: translation")
+    array = numbers(rotation, (3,) if np.size(rotation) == 3 else (3, 3), f"{where}: rotation")
+    if array.shape == (3,):
+        R = Rotation.from_rotvec(array).as_matrix()
+    else:
+        R = array
+        off = float(np.abs(R @ R.T - np.eye(3)).max())
+        if off > RIGID_TOLERANCE or np.linalg.det(R) < 0:
+            raise InputError(
+                f"{where}: rotation is no rotation (R R^T differs from 1 by {off:.2g}, determinant "
+                f"{np.linalg.det(R):.3g}); expected an orthonormal matrix with determinant 1; is the file cut or "
+                "are its axes mirrored?"
+            )
+    return np.column_stack([R, t])
+
+
+def size_of(width: Any, height: Any, where: str) -> tuple[int, int]:
+    """Width and height in pixels.
+
+    Raises:
+        InputError: Not two whole numbers above 0.
+    """
+    w, h = numbers([width, height], (2,), where)
+    if w < 1 or h < 1 or w != round(w) or h != round(h):
+        raise InputError(f"{where} is {w:g}x{h:g}; expected width and height in pixels")
+    return int(w), int(h)
+
+
+def _shape_words(shape: tuple[int, ...]) -> str:
+    return f"{'x'.join(map(str, shape))} numbers"
+
+
+def _shorten(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."

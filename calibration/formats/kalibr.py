@@ -1,0 +1,110 @@
+"""kalibr's camchain yaml, in and out (kalibr wiki, "yaml formats").
+
+cam0, cam1, ...: `camera_model`, `intrinsics` (fu fv pu pv), `distortion_model`, `distortion_coeffs`, `resolution`, and
+from the second camera on `T_cn_cnm1`, which takes points of the camera before it into this one; metres. The world is
+cam0. Pixels count from the centre of the first one. The topic (`/<name>/image_raw`) names a camera where each has
+its own; else the key does. Where an IMU is (`T_cam_imu`) does not matter here.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from devrf.calibration.formats.found import (
+    Found,
+    FoundCamera,
+    distortion,
+    focal_matrix,
+    numbers,
+    pose,
+    size_of,
+)
+from devrf.calibration.intrinsics import HALF_PIXEL
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+from devrf.capture.picture_files import natural_key
+
+FORMAT = "kalibr camchain"
+LENSES = {"radtan": False, "none": False, "equidistant": True}  # whether it is OpenCV's fisheye model
+IDENTITY = np.eye(4)
+
+
+def parse(text: str) -> dict[str, dict[str, Any]] | None:
+    """The cameras of a camchain; None if the text is none."""
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return None
+    if not isinstance(data, dict):
+        return None
+    cameras = {str(k): v for k, v in data.items() if isinstance(v, dict) and "camera_model" in v}
+    return {key: cameras[key] for key in sorted(cameras, key=natural_key)} or None
+
+
+def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
+    """A chain of cameras; alone a camera has no pose."""
+    names, out = _names(cameras), {}
+    cam_from_world = IDENTITY
+    for n, (key, camera) in enumerate(cameras.items()):
+        where = f"{path}: {key}"
+        if camera["camera_model"] != "pinhole":
+            raise InputError(
+                f"{where}: camera_model is {camera['camera_model']!r}; expected pinhole; calibrate with pinhole-radtan"
+            )
+        lens = camera.get("distortion_model", "none")
+        if lens not in LENSES:
+            raise InputError(f"{where}: distortion_model is {lens!r}; expected {', '.join(LENSES)}")
+        if n > 0:
+            step = numbers(camera.get("T_cn_cnm1"), (4, 4), f"{where}: T_cn_cnm1")
+            pose(step[:3, :3], step[:3, 3], f"{where}: T_cn_cnm1")
+            cam_from_world = step @ cam_from_world
+        resolution = numbers(camera.get("resolution"), (2,), f"{where}: resolution")
+        coefficients = None if lens == "none" else camera.get("distortion_coeffs")
+        out[names[key]] = FoundCamera(
+            focal_matrix(camera.get("intrinsics"), f"{where}: intrinsics"),
+            distortion(coefficients, f"{where}: distortion_coeffs", LENSES[lens]),
+            "OPENCV_FISHEYE" if LENSES[lens] else "OPENCV",
+            size_of(*resolution, f"{where}: resolution"),
+            cam_from_world[:3] if len(cameras) > 1 else None,
+        )
+    return Found(FORMAT, out, "m")
+
+
+def write_kalibr(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """camchain.yaml. kalibr's radtan lens has four coefficients.
+
+    Raises:
+        InputError: A camera's k3 is not 0.
+    """
+    out, before = {}, IDENTITY
+    for n, (name, camera) in enumerate(cameras.items()):
+        if camera.distortion[4] != 0:
+            raise InputError(
+                f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only; "
+                "export to a format that holds k3, such as rig-anipose"
+            )
+        K, cam_from_world = camera.K - HALF_PIXEL, np.vstack([camera.cam_from_world, [0, 0, 0, 1.0]])
+        chain = {} if n == 0 else {"T_cn_cnm1": (cam_from_world @ np.linalg.inv(before)).tolist()}
+        out[f"cam{n}"] = chain | {
+            "cam_overlaps": [m for m in range(len(cameras)) if m != n],
+            "camera_model": "pinhole",
+            "intrinsics": [float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
+            "distortion_model": "radtan",
+            "distortion_coeffs": camera.distortion[:4].tolist(),
+            "resolution": [camera.width, camera.height],
+            "rostopic": f"/{name}/image_raw",
+        }
+        before = cam_from_world
+    (folder / "camchain.yaml").write_text(yaml.safe_dump(out, sort_keys=False, default_flow_style=None))
+
+
+def _names(cameras: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Key -> name: the first part of the topic where each camera has its own, else the key."""
+    topics = {
+        key: str(camera.get("rostopic", "")).strip("/").split("/")[0] for key, camera in cameras.items()
+    }
+    own = all(topics.values()) and len(set(topics.values())) == len(topics)
+    return topics if own else {key: key for key in cameras}

@@ -1,0 +1,140 @@
+"""Calibrations written by OpenCV (`cv2.FileStorage`, yml or xml) and by ROS (`camera_info` yaml), in and out.
+
+Read:
+- one camera (OpenCV's calibration samples, ROS): `camera_matrix`, `distortion_coefficients`, `image_width`,
+  `image_height`; a folder of such files has one camera in each. Intrinsics only.
+- a stereo pair (OpenCV's stereo sample): M1, D1, M2, D2 in intrinsics.yml, R and T in extrinsics.yml beside it
+  (x2 = R x1 + T, in the unit of the board's squares).
+OpenCV has no file for more than two cameras. We write one camera a file with one key more: `cam_from_world` (3x4).
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, numbers, pose, size_of
+from devrf.calibration.intrinsics import HALF_PIXEL
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+
+ENDINGS = (".yml", ".yaml", ".xml")
+MATRIX_KEYS = ("camera_matrix", "Camera_Matrix")  # the second by OpenCV before 3.0
+DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients")
+WIDTH_KEYS, HEIGHT_KEYS = ("image_width", "image_Width"), ("image_height", "image_Height")
+ROS_MODELS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
+SINGLE, STEREO = "OpenCV, one camera a file", "OpenCV stereo pair"
+INTRINSICS_FILE, EXTRINSICS_FILE = "intrinsics.yml", "extrinsics.yml"
+
+
+def storage(text: str) -> dict[str, Any] | None:
+    """A file of OpenCV's as plain values; matrices as arrays; None if it is none.
+
+    FileStorage reads ROS's yaml too, which has no `%YAML:1.0` line.
+    """
+    try:
+        file = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        root = file.root()
+        return {key: _value(root.getNode(key)) for key in root.keys()} if root.isMap() else None
+    except (cv2.error, SystemError):  # SystemError: how OpenCV 5.0's binding reports a parse error
+        return None
+
+
+def is_single(data: Mapping[str, Any]) -> bool:
+    """Whether a file describes one camera."""
+    return any(key in data for key in MATRIX_KEYS)
+
+
+def is_stereo(data: Mapping[str, Any]) -> bool:
+    """Whether a file is one of a stereo pair's two."""
+    return "M1" in data or {"R", "T"} <= set(data) and not is_single(data)
+
+
+def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
+    """One camera's file."""
+    key = _first(data, MATRIX_KEYS)
+    name = data.get("distortion_model")
+    if name is not None and name not in ROS_MODELS:
+        raise InputError(f"{path}: distortion_model is {name!r}; expected {', '.join(ROS_MODELS)}")
+    fisheye = ROS_MODELS.get(name, False) or bool(data.get("fisheye_model", 0))
+    coefficients = _first(data, DISTORTION_KEYS)
+    width, height = data.get(_first(data, WIDTH_KEYS)), data.get(_first(data, HEIGHT_KEYS))
+    size = None if width is None or height is None else size_of(width, height, f"{path}: image size")
+    given_pose = data.get("cam_from_world")
+    cam_from_world = None
+    if given_pose is not None:
+        T = numbers(given_pose, (3, 4), f"{path}: cam_from_world")
+        cam_from_world = pose(T[:, :3], T[:, 3], f"{path}: cam_from_world")
+    return FoundCamera(
+        matrix(data.get(key), f"{path}: {key}"),
+        distortion(data.get(coefficients), f"{path}: {coefficients}", fisheye),
+        "OPENCV_FISHEYE" if fisheye else "OPENCV",
+        size,
+        cam_from_world,
+    )
+
+
+def read_singles(files: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> Found:
+    """Several cameras, one file each; camera name -> (path, content)."""
+    cameras = {name: read_single(path, data) for name, (path, data) in files.items()}
+    units = {data.get("length_unit") for _, data in files.values()}
+    return Found(SINGLE, cameras, "m" if units == {"metre"} else "arbitrary")
+
+
+def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
+    """A stereo pair: `path` is either of its files; the other is looked for beside it."""
+    both = dict(data)
+    if "M1" not in both or "R" not in both:
+        name = INTRINSICS_FILE if "M1" not in both else EXTRINSICS_FILE
+        other = path.with_name(name).with_suffix(path.suffix)
+        more = storage(other.read_text()) if other.is_file() and other != path else None
+        if more is None and "M1" not in both:
+            raise InputError(
+                f"{path}: has R and T, but no M1; expected {other.name} beside it; copy it there"
+            )
+        both |= more or {}
+    cameras = {}
+    for n in (1, 2):
+        cam_from_world = None
+        if "R" in both and "T" in both:
+            R, t = (np.eye(3), np.zeros(3)) if n == 1 else (both["R"], both["T"])
+            cam_from_world = pose(R, t, f"{path}: R and T")
+        K = matrix(both.get(f"M{n}"), f"{path}: M{n}")
+        lens = distortion(both.get(f"D{n}"), f"{path}: D{n}")
+        cameras[str(n)] = FoundCamera(K, lens, cam_from_world=cam_from_world)
+    return Found(STEREO, cameras, "unsaid")
+
+
+def write_opencv(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """One file a camera; `cam_from_world` and `length_unit` are ours."""
+    for name, camera in cameras.items():
+        file = cv2.FileStorage(str(folder / f"{name}.yml"), cv2.FILE_STORAGE_WRITE)
+        file.write("image_width", camera.width)
+        file.write("image_height", camera.height)
+        file.write("camera_matrix", camera.K - HALF_PIXEL)
+        file.write("distortion_coefficients", camera.distortion[None])
+        file.write("cam_from_world", camera.cam_from_world)
+        file.write("length_unit", "metre" if metric else "arbitrary")
+        file.release()
+
+
+def _value(node: Any) -> Any:
+    if node.isMap():
+        found = {key: _value(node.getNode(key)) for key in node.keys()}
+        if {"rows", "cols", "data"} <= set(found) and isinstance(found["data"], list):
+            rows, cols, data = found["rows"], found["cols"], found["data"]
+            return np.array(data).reshape(rows, cols) if len(data) == rows * cols else data
+        return found
+    if node.isSeq():
+        return [_value(node.at(n)) for n in range(node.size())]
+    if node.isInt():
+        return int(node.real())
+    if node.isReal():
+        return node.real()
+    return node.string() if node.isString() else None
+
+
+def _first(data: Mapping[str, Any], keys: tuple[str, ...]) -> str:
+    return next((key for key in keys if key in data), keys[0])

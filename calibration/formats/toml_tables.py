@@ -1,0 +1,120 @@
+"""Calibrations in TOML, in and out: a table a camera with matrix, distortions, rotation and translation.
+
+- caliscope (and pyxy3d before it): [cameras.0] or [cam_0] with `cam_id`; rotation is a matrix or a vector; metres.
+- aniposelib, anipose, freemocap: [cam_0] with `name`, rotation vector; lengths in the unit of the board.
+- Pose2Sim: as aniposelib, with `fisheye` in every table; metres.
+
+x_cam = R x_world + t, pixels count from the centre of the first one. aniposelib ignores p1 and p2 when it projects.
+"""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from scipy.spatial.transform import Rotation
+
+from devrf.calibration.formats.found import (
+    Found,
+    FoundCamera,
+    Unit,
+    distortion,
+    matrix,
+    numbers,
+    pose,
+    size_of,
+)
+from devrf.calibration.intrinsics import HALF_PIXEL
+from devrf.capture.camera import Camera
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Flavour = Literal["caliscope", "aniposelib", "Pose2Sim"]
+UNITS: dict[Flavour, Unit] = {"caliscope": "m", "aniposelib": "unsaid", "Pose2Sim": "m"}
+
+
+def parse(text: str) -> dict[str, dict[str, Any]] | None:
+    """The tables of cameras; None if the text has none."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None
+    inner = data.get("cameras")
+    tables = inner if isinstance(inner, dict) else data
+    cameras = {key: value for key, value in tables.items() if isinstance(value, dict) and "matrix" in value}
+    return cameras or None
+
+
+def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Found:
+    """Cameras that their tool did not set aside (`ignore`)."""
+    flavour: Flavour = "aniposelib"
+    if any("cam_id" in table or "port" in table for table in tables.values()):  # port: pyxy3d's word
+        flavour = "caliscope"
+    elif all("fisheye" in table for table in tables.values()):
+        flavour = "Pose2Sim"
+    used = {key: table for key, table in tables.items() if not table.get("ignore", False)}
+    notes = tuple(f"camera {key} is left out: its file says ignore" for key in tables if key not in used)
+    return Found(
+        flavour, dict(_camera(path, key, table) for key, table in used.items()), UNITS[flavour], notes
+    )
+
+
+def write_anipose(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """calibration.toml for aniposelib, anipose and freemocap."""
+    _write(folder / "calibration.toml", cameras, {})
+
+
+def write_pose2sim(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """Calib.toml for Pose2Sim."""
+    _write(folder / "Calib.toml", cameras, {"fisheye": False})
+
+
+def write_caliscope(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+    """camera_array.toml for caliscope, which numbers cameras from 0."""
+    lines = []
+    for n, (name, camera) in enumerate(cameras.items()):
+        lines += [f"# {name}", f"[cameras.{n}]", f"cam_id = {n}", "rotation_count = 0", "ignore = false"]
+        R, t = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
+        lines += [*_lens(camera), f"translation = {t.tolist()}", f"rotation = {R.tolist()}", ""]
+    (folder / "camera_array.toml").write_text("\n".join(lines))
+
+
+def _camera(path: Path, key: str, table: Mapping[str, Any]) -> tuple[str, FoundCamera]:
+    where = f"{path}: [{key}]"
+    fisheye = bool(table.get("fisheye", False))
+    size = table.get("size")
+    if size is not None:
+        size = size_of(*numbers(size, (2,), f"{where}: size"), f"{where}: size")
+    cam_from_world = None
+    if table.get("rotation") is not None and table.get("translation") is not None:
+        cam_from_world = pose(table["rotation"], table["translation"], where)
+    camera = FoundCamera(
+        matrix(table["matrix"], f"{where}: matrix"),
+        distortion(table.get("distortions"), f"{where}: distortions", fisheye),
+        "OPENCV_FISHEYE" if fisheye else "OPENCV",
+        size,
+        cam_from_world,
+    )
+    return str(table.get("name", key)), camera
+
+
+def _write(path: Path, cameras: Mapping[str, Camera], more: Mapping[str, bool]) -> None:
+    lines = []
+    for n, (name, camera) in enumerate(cameras.items()):
+        rotation = Rotation.from_matrix(camera.cam_from_world[:, :3]).as_rotvec()
+        lines += [f"[cam_{n}]", f"name = {json.dumps(name)}", *_lens(camera)]
+        lines += [f"rotation = {rotation.tolist()}", f"translation = {camera.cam_from_world[:, 3].tolist()}"]
+        lines += [*(f"{key} = {json.dumps(value)}" for key, value in more.items()), ""]
+    path.write_text("\n".join([*lines, "[metadata]", "adjusted = false", "error = 0.0", ""]))
+
+
+def _lens(camera: Camera) -> list[str]:
+    return [
+        f"size = [{camera.width}, {camera.height}]",
+        f"matrix = {(camera.K - HALF_PIXEL).tolist()}",
+        f"distortions = {camera.distortion.tolist()}",
+    ]
