@@ -86,7 +86,9 @@ def read_given(
     for name in names:
         fitted[name], note = _fitted(name, found.cameras[chosen[name]], sizes[name], where)
         notes += [note] if note else []
-    intrinsics = {name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()}
+    intrinsics = {
+        name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()
+    }
     if any(camera.cam_from_world is None for camera in fitted.values()):
         without = [name for name, camera in fitted.items() if camera.cam_from_world is None]
         if len(without) < len(fitted):
@@ -116,7 +118,10 @@ def _own(path: Path) -> tuple[Found, dict[str, RigCamera]]:
     """Our rig.json: cameras as found, and with their doubts."""
     rig = read_rig(path)
     cameras = {
-        name: FoundCamera(c.camera.K, c.camera.distortion, c.camera.model,
+        name: FoundCamera(
+            c.camera.K,
+            c.camera.distortion,
+            c.camera.model,
             (c.camera.width, c.camera.height),
             c.camera.cam_from_world,
         )
@@ -134,7 +139,9 @@ def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, st
         if all(_number(name) in numbers for name in names):
             chosen = {name: numbers[_number(name)] for name in names}
             return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
-    if len(names) == len(found):
+    if len(names) == len(found) and not set(names) & set(
+        found
+    ):  # some names agree: one is missing, not renamed
         chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))
         remedy = f"Names do not tell which camera is which; name capture.cameras as the calibration does ({where})."
         remedy = remedy if len(names) > 1 else ""

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from devrf.capture.errors import DevrfError
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.scene_config import SceneConfig
 
@@ -36,4 +37,33 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
     """Everything that is wrong with the raw files; empty when all is well."""
     from devrf.capture.session import preflight
 
-    return preflight(capture_session(config, scene_dir))
+    session = capture_session(config, scene_dir)
+    problems = preflight(session)
+    return problems or _check_given(config, scene_dir, session)  # sizes are known where clips are whole
+
+
+def _check_given(config: SceneConfig, scene_dir: Path, session: CaptureSession) -> list[str]:
+    if config.calibration.rig.given is None or not session.cameras:
+        return []
+    from devrf.capture.video import probe_video
+    from devrf.pipelines.given_calibration import given_calibration
+
+    clips = {name: probe_video(path) for name, path in session.cameras.items()}
+    sizes = {name: (clip.width, clip.height) for name, clip in clips.items()}
+    try:
+        given = given_calibration(config, scene_dir, sizes)
+    except DevrfError as error:
+        return [f"calibration.rig.given: {error}"]
+    capture = config.capture
+    elsewhere = session.static is not None or bool(capture and capture.board and capture.board.joint_clips)
+    if (
+        given is not None
+        and given.rig is None
+        and (config.calibration.rig.method == "given" or not elsewhere)
+    ):
+        return [
+            "calibration.rig.given: holds intrinsics only (or poses of some cameras); expected the poses of all; give "
+            "a sweep (capture.static) or a board that several cameras see (capture.board.joint_clips) too, and set "
+            "calibration.rig.method to auto"
+        ]
+    return []

@@ -193,8 +193,10 @@ class RigConfig(_Section):
 
     method: Literal["auto", "sweep", "board", "given"] = "auto"
     """Where they come from; auto: `given` where there is one, else the sweep, else the board."""
-    given: str | None = None
-    """A calibration file people already own."""
+    given: str | dict[str, str] | None = None
+    """A calibration people already own: a file or folder, or camera name -> OpenCV file of that camera."""
+    given_unit: Literal["m", "cm", "mm"] | None = None
+    """Unit of the lengths in `given`; default: what its format says."""
     known_distance_m: float | None = Field(default=None, gt=0, le=10_000)
     """Distance between the centres of the first two cameras, metres: gives the metric scale."""
 

@@ -419,7 +419,11 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
         if capture.board is not None:
             paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
             paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}
-    paths["calibration.rig.given"] = config.calibration.rig.given
+    given = config.calibration.rig.given
+    if isinstance(given, dict):
+        paths |= {f"calibration.rig.given.{name}": path for name, path in given.items()}
+    else:
+        paths["calibration.rig.given"] = given
     if config.evaluate.lpips_weights != "download":
         paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
     paths["evaluate.truth"] = config.evaluate.truth
@@ -428,7 +432,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
 
 def _check_files(config: SceneConfig, scene_dir: Path, say: Any) -> None:
     folders = {"dataset.path", "evaluate.lpips_weights"}
-    files_or_folders = {"capture.static"}
+    files_or_folders = {"capture.static", "calibration.rig.given"}
     clips = "capture.board.clips."  # photos of the board will do
     for key, text in input_paths(config).items():
         path = config.path(scene_dir, text)

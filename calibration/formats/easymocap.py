@@ -41,7 +41,7 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
         where, lens = f"{path.parent / INTRI}", "dist" if f"dist_{name}" in intri else "D"
         width, height = intri.get(f"W_{name}"), intri.get(f"H_{name}")
         has_size = width is not None and height is not None and min(width, height) > 0  # -1: not known
-        size = size_of(width, height, f"{where}: W_{name}, H_{name}") if has_size else None
+        size = size_of([width, height], f"{where}: W_{name}, H_{name}") if has_size else None
         K = matrix(intri.get(f"K_{name}"), f"{where}: K_{name}")
         k = distortion(intri.get(f"{lens}_{name}"), f"{where}: {lens}_{name}")
         cam_from_world = None
@@ -53,7 +53,17 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
 
 
 def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
-    """Both files, with sizes."""
+    """Both files, with sizes.
+
+    Raises:
+        InputError: A fisheye lens, which the format cannot tell from another.
+    """
+    wide = [name for name, camera in cameras.items() if camera.model == "OPENCV_FISHEYE"]
+    if wide:
+        raise InputError(
+            f"camera '{wide[0]}' has a fisheye lens, which EasyMocap's files cannot say; export to rig-opencv or "
+            "rig-kalibr"
+        )
     intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
     extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
     for file in (intri, extri):

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from devrf.calibration.intrinsics import HALF_PIXEL
-from devrf.capture.camera import RIGID_TOLERANCE, LensModel
+from devrf.capture.camera import RIGID_TOLERANCE, Camera, LensModel
 from devrf.capture.errors import InputError
 
 Unit = Literal["m", "cm", "mm", "arbitrary", "unsaid"]
@@ -156,13 +156,18 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
     return np.column_stack([R, t])
 
 
-def size_of(width: Any, height: Any, where: str) -> tuple[int, int]:
+def cv_coefficients(camera: Camera) -> list[float]:
+    """A camera's distortion as OpenCV's vector: five coefficients, four of a fisheye lens."""
+    return camera.distortion[: FISHEYE_LENGTH if camera.model == "OPENCV_FISHEYE" else HELD].tolist()
+
+
+def size_of(pair: Any, where: str) -> tuple[int, int]:
     """Width and height in pixels.
 
     Raises:
         InputError: Not two whole numbers above 0.
     """
-    w, h = numbers([width, height], (2,), where)
+    w, h = numbers(pair, (2,), where).tolist()
     if w < 1 or h < 1 or w != round(w) or h != round(h):
         raise InputError(f"{where} is {w:g}x{h:g}; expected width and height in pixels")
     return int(w), int(h)

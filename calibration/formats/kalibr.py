@@ -61,26 +61,26 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             step = numbers(camera.get("T_cn_cnm1"), (4, 4), f"{where}: T_cn_cnm1")
             pose(step[:3, :3], step[:3, 3], f"{where}: T_cn_cnm1")
             cam_from_world = step @ cam_from_world
-        resolution = numbers(camera.get("resolution"), (2,), f"{where}: resolution")
         coefficients = None if lens == "none" else camera.get("distortion_coeffs")
         out[names[key]] = FoundCamera(
             focal_matrix(camera.get("intrinsics"), f"{where}: intrinsics"),
             distortion(coefficients, f"{where}: distortion_coeffs", LENSES[lens]),
             "OPENCV_FISHEYE" if LENSES[lens] else "OPENCV",
-            size_of(*resolution, f"{where}: resolution"),
+            size_of(camera.get("resolution"), f"{where}: resolution"),
             cam_from_world[:3] if len(cameras) > 1 else None,
         )
     return Found(FORMAT, out, "m")
 
 
 def write_kalibr(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
-    """camchain.yaml. kalibr's radtan lens has four coefficients.
+    """camchain.yaml. kalibr's lenses have four coefficients.
 
     Raises:
         InputError: A camera's k3 is not 0.
     """
     out, before = {}, IDENTITY
     for n, (name, camera) in enumerate(cameras.items()):
+        fisheye = camera.model == "OPENCV_FISHEYE"
         if camera.distortion[4] != 0:
             raise InputError(
                 f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only; "
@@ -92,7 +92,7 @@ def write_kalibr(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> N
             "cam_overlaps": [m for m in range(len(cameras)) if m != n],
             "camera_model": "pinhole",
             "intrinsics": [float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
-            "distortion_model": "radtan",
+            "distortion_model": "equidistant" if fisheye else "radtan",
             "distortion_coeffs": camera.distortion[:4].tolist(),
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",

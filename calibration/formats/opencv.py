@@ -15,7 +15,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, numbers, pose, size_of
+from devrf.calibration.formats.found import (
+    Found,
+    FoundCamera,
+    cv_coefficients,
+    distortion,
+    matrix,
+    numbers,
+    pose,
+    size_of,
+)
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
@@ -58,10 +67,10 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
     name = data.get("distortion_model")
     if name is not None and name not in ROS_MODELS:
         raise InputError(f"{path}: distortion_model is {name!r}; expected {', '.join(ROS_MODELS)}")
-    fisheye = ROS_MODELS.get(name, False) or bool(data.get("fisheye_model", 0))
+    fisheye = ROS_MODELS.get(str(name), False) or bool(data.get("fisheye_model", 0))
     coefficients = _first(data, DISTORTION_KEYS)
     width, height = data.get(_first(data, WIDTH_KEYS)), data.get(_first(data, HEIGHT_KEYS))
-    size = None if width is None or height is None else size_of(width, height, f"{path}: image size")
+    size = None if width is None or height is None else size_of([width, height], f"{path}: image size")
     given_pose = data.get("cam_from_world")
     cam_from_world = None
     if given_pose is not None:
@@ -114,7 +123,8 @@ def write_opencv(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> N
         file.write("image_width", camera.width)
         file.write("image_height", camera.height)
         file.write("camera_matrix", camera.K - HALF_PIXEL)
-        file.write("distortion_coefficients", camera.distortion[None])
+        file.write("distortion_coefficients", np.array([cv_coefficients(camera)]))
+        file.write("fisheye_model", int(camera.model == "OPENCV_FISHEYE"))
         file.write("cam_from_world", camera.cam_from_world)
         file.write("length_unit", "metre" if metric else "arbitrary")
         file.release()

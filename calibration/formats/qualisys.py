@@ -71,7 +71,7 @@ def read_qualisys(path: Path, root: ElementTree.Element) -> Found:
             matrix([[fx, skew, cx - left], [0, fy, cy - top], [0, 0, 1]], f"{where}: intrinsic"),
             distortion(k, f"{where}: intrinsic"),
             "OPENCV",
-            size_of(right - left + 1, bottom - top + 1, f"{where}: fov_video"),
+            size_of([right - left + 1, bottom - top + 1], f"{where}: fov_video"),
             pose(R, -R @ centre, f"{where}: transform"),
         )
     return Found(FORMAT, cameras, "m", tuple(notes))

@@ -19,9 +19,9 @@ from devrf.calibration.formats.found import (
     Found,
     FoundCamera,
     Unit,
+    cv_coefficients,
     distortion,
     matrix,
-    numbers,
     pose,
     size_of,
 )
@@ -31,7 +31,7 @@ from devrf.capture.camera import Camera
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 Flavour = Literal["caliscope", "aniposelib", "Pose2Sim"]
 UNITS: dict[Flavour, Unit] = {"caliscope": "m", "aniposelib": "unsaid", "Pose2Sim": "m"}
@@ -65,12 +65,12 @@ def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Found:
 
 def write_anipose(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
     """calibration.toml for aniposelib, anipose and freemocap."""
-    _write(folder / "calibration.toml", cameras, {})
+    _write(folder / "calibration.toml", cameras, always_fisheye=False)
 
 
 def write_pose2sim(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
     """Calib.toml for Pose2Sim."""
-    _write(folder / "Calib.toml", cameras, {"fisheye": False})
+    _write(folder / "Calib.toml", cameras, always_fisheye=True)
 
 
 def write_caliscope(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
@@ -79,7 +79,8 @@ def write_caliscope(folder: Path, cameras: Mapping[str, Camera], metric: bool) -
     for n, (name, camera) in enumerate(cameras.items()):
         lines += [f"# {name}", f"[cameras.{n}]", f"cam_id = {n}", "rotation_count = 0", "ignore = false"]
         R, t = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
-        lines += [*_lens(camera), f"translation = {t.tolist()}", f"rotation = {R.tolist()}", ""]
+        lines += [*_lens(camera), f"translation = {t.tolist()}", f"rotation = {R.tolist()}"]
+        lines += [f"fisheye = {json.dumps(camera.model == 'OPENCV_FISHEYE')}", ""]
     (folder / "camera_array.toml").write_text("\n".join(lines))
 
 
@@ -88,7 +89,7 @@ def _camera(path: Path, key: str, table: Mapping[str, Any]) -> tuple[str, FoundC
     fisheye = bool(table.get("fisheye", False))
     size = table.get("size")
     if size is not None:
-        size = size_of(*numbers(size, (2,), f"{where}: size"), f"{where}: size")
+        size = size_of(size, f"{where}: size")
     cam_from_world = None
     if table.get("rotation") is not None and table.get("translation") is not None:
         cam_from_world = pose(table["rotation"], table["translation"], where)
@@ -102,13 +103,14 @@ def _camera(path: Path, key: str, table: Mapping[str, Any]) -> tuple[str, FoundC
     return str(table.get("name", key)), camera
 
 
-def _write(path: Path, cameras: Mapping[str, Camera], more: Mapping[str, bool]) -> None:
+def _write(path: Path, cameras: Mapping[str, Camera], always_fisheye: bool) -> None:
     lines = []
     for n, (name, camera) in enumerate(cameras.items()):
         rotation = Rotation.from_matrix(camera.cam_from_world[:, :3]).as_rotvec()
         lines += [f"[cam_{n}]", f"name = {json.dumps(name)}", *_lens(camera)]
         lines += [f"rotation = {rotation.tolist()}", f"translation = {camera.cam_from_world[:, 3].tolist()}"]
-        lines += [*(f"{key} = {json.dumps(value)}" for key, value in more.items()), ""]
+        fisheye = camera.model == "OPENCV_FISHEYE"
+        lines += [*([f"fisheye = {json.dumps(fisheye)}"] if always_fisheye or fisheye else []), ""]
     path.write_text("\n".join([*lines, "[metadata]", "adjusted = false", "error = 0.0", ""]))
 
 
@@ -116,5 +118,5 @@ def _lens(camera: Camera) -> list[str]:
     return [
         f"size = [{camera.width}, {camera.height}]",
         f"matrix = {(camera.K - HALF_PIXEL).tolist()}",
-        f"distortions = {camera.distortion.tolist()}",
+        f"distortions = {cv_coefficients(camera)}",
     ]

@@ -26,6 +26,7 @@ NO_SWEEP = "the capture has no sweep of the scene at rest"
 NO_CAMERAS = "the capture has no cameras of the moving scene (only a sweep)"
 NOTHING_MOVES = "a data set of this format shows the scene at rest"
 FORMATS_AT_REST = ("blender", "llff", "colmap")
+PAIRS = {"intri": "extri", "extri": "intri", "intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 
 
 def _from_raw_files(config: SceneConfig) -> str | None:
@@ -61,6 +62,15 @@ def _always(config: SceneConfig) -> str | None:
 def _truth(config: SceneConfig, scene_dir: Path) -> list[Path]:
     truth = config.truth_path(scene_dir)
     return [] if truth is None else [truth]
+
+
+def _beside_given(config: SceneConfig, scene_dir: Path) -> list[Path]:
+    """A calibration in two files is named by one of them; both count."""
+    given = config.calibration.rig.given
+    path = config.path(scene_dir, given) if isinstance(given, str) else None
+    if path is None or path.stem not in PAIRS:
+        return []
+    return [path.with_name(PAIRS[path.stem]).with_suffix(path.suffix)]
 
 
 STAGES = (
@@ -100,6 +110,7 @@ STAGES = (
         config_keys=("capture.board", "capture.rest", "calibration.rig"),
         applies=_from_fixed_cameras,
         run=_glue("rig"),
+        inputs=_beside_given,
     ),
     Stage(
         name="scene",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ import numpy as np
 from devrf.calibration.board import BoardSpec, find_board
 from devrf.calibration.board_intrinsics import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
 from devrf.calibration.clean_picture import clean_pictures
+from devrf.calibration.given import Given
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.given import read_given
 from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
 from devrf.calibration.rig_board import BoardRig, TimedView, joint_prior, rig_from_board
 from devrf.calibration.rig_sweep import FixedCameraInput, rig_from_sweep
@@ -22,6 +23,7 @@ from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.clocks import read_clocks
+from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import board_rows
@@ -58,9 +60,14 @@ class _Job:
         method = self.settings.method
         joint = [name for name in self.moving if name in self.frames.joint]
         if method == "auto":
-            method = "given" if self.settings.given else "sweep" if self.has_sweep else "board"
-        if method == "given" and not self.settings.given:
-            raise InputError("calibration.rig.method is given, but calibration.rig.given names no file")
+            has_rig = self.given is not None and self.given.rig is not None
+            method = "given" if has_rig else "sweep" if self.has_sweep else "board"
+        if method == "given" and (self.given is None or self.given.rig is None):
+            what = "names no file" if self.given is None else "holds intrinsics only"
+            raise InputError(
+                f"calibration.rig.method is given, but calibration.rig.given {what}; expected the poses of all "
+                "cameras; film a sweep or a board and set method to auto"
+            )
         if method == "sweep" and not self.has_sweep:
             raise InputError(
                 "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board"
@@ -77,19 +84,27 @@ class _Job:
 
     def from_given(self) -> Rig:
         """Route C: a calibration people own. Its world must be the sweep's where there is one."""
+        assert self.given is not None and self.given.rig is not None
+        return self._given_into_sweep(self.given.rig) if self.has_sweep else self.given.rig
+
+    @cached_property
+    def given(self) -> Given | None:
+        """What `calibration.rig.given` names, at the sizes of the clips."""
         sizes = {name: (c.width, c.height) for name, c in self.moving.items()}
-        path = self.context.config.path(self.context.scene_dir, self.settings.given or "")
-        rig = read_given_rig(path, list(self.moving), sizes)
-        if self.has_sweep:
-            rig = self._given_into_sweep(rig)
-        return rig
+        found = given_calibration(self.context.config, self.context.scene_dir, sizes)
+        for n in () if found is None else found.notes:
+            self.rows.append(note(n.check, n.text, verdict="warn" if n.remedy else "ok", remedy=n.remedy))
+        return found
 
     def from_sweep(self) -> Rig:
         """Route A: one clean picture of each camera into the sweep's model."""
         context = self.context
         model = read_static_poses(self.sweep_folder)
         calibrations = self._clip_calibrations(_part(context.progress, 0.0, 0.3))
-        cameras = self._register(model, calibrations, _part(context.progress, 0.3, 0.7))
+        known = {name: c.intrinsics for name, c in calibrations.items()}
+        given = {} if self.given is None else self.given.intrinsics
+        cameras = self._register(model, known | given, _part(context.progress, 0.3, 0.7))
+        cameras = {n: replace(c, intrinsics_source="given") if n in given else c for n, c in cameras.items()}
         context.progress(0.75, "metric scale")
         scale = self._scale(model, cameras)
         return Rig({name: _scaled(c, scale.factor) for name, c in cameras.items()}, scale, "sweep")
@@ -112,7 +127,7 @@ class _Job:
         return Rig(cameras, Scale(True, "board seen by several cameras at once", 1.0, None), "board")
 
     def _register(
-        self, model: SweepModel, known: dict[str, BoardCalibration], progress: Callable[[float, str], None]
+        self, model: SweepModel, known: dict[str, Intrinsics], progress: Callable[[float, str], None]
     ) -> dict[str, RigCamera]:
         clean = self.context.out / "clean"
         clean.mkdir()
@@ -120,8 +135,7 @@ class _Job:
         inputs = []
         for name, camera in self.moving.items():
             pictures = clean_pictures(name, self._files(camera), rest, clean)
-            intrinsics = known[name].intrinsics if name in known else None
-            inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, intrinsics))
+            inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))
         cameras = rig_from_sweep(model, inputs, self.context.out, progress)
         used = {c.details["picture"] for c in cameras.values()}
         for picture in clean.iterdir():
@@ -272,18 +286,8 @@ class _Job:
     def _given_into_sweep(self, rig: Rig) -> Rig:
         """A given rig moved into the sweep's world by registering its cameras there; metres stay metres."""
         model = read_static_poses(self.sweep_folder)
-        inputs = {}
-        for name, c in rig.cameras.items():
-            inputs[name] = BoardCalibration(
-                Intrinsics(c.camera.width, c.camera.height, c.camera.K, c.camera.distortion),
-                0.0,
-                0,
-                (),
-                1.0,
-                0,
-                False,
-            )
-        found = self._register(model, inputs, self.context.progress)
+        assert self.given is not None
+        found = self._register(model, self.given.intrinsics, self.context.progress)
         if len(found) < 3:
             raise InputError(
                 "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -24,13 +25,15 @@ LENSES = {  # name: width, height, fx, fy, cx, cy, distortion; names that do not
     "left": (1280, 720, 903.55, 907.88, 618.81, 394.71, [-0.332, 0.0464, -0.0043, 0.0041, 0.0666]),
     "cam10": (640, 480, 535.9, 534.2, 342.78, 236.07, [-0.266, -0.0386, 0.0018, -0.0003, 0.0]),
     "cam2": (1088, 1920, 1681.2, 1681.0, 533.47, 948.64, [0.0, 0.0, 0.0, 0.0, 0.0]),
+    "wide": (800, 600, 300.0, 301.0, 401.0, 299.0, [0.05, -0.01, 0.003, -0.001, 0.0]),
 }
+FISHEYE = "wide"
 GRID = np.stack(np.meshgrid([-0.6, 0.1, 0.5], [-0.4, 0.0, 0.3], [-0.5, 0.2, 0.6]), axis=-1).reshape(-1, 3)
 EXACT_PX = 1e-9  # doubles carry 16 digits, pixels have 4 before the point: 1e-12, times a few operations
 
 
 def rig_cameras() -> dict[str, Camera]:
-    """Three cameras around the origin, 2 m away, looking at it, each rolled in its own way."""
+    """Four cameras around the origin, 2 m away, looking at it, each rolled in its own way."""
     rng, out = np.random.default_rng(3), {}
     for n, (name, (width, height, fx, fy, cx, cy, lens)) in enumerate(LENSES.items()):
         angle = 0.9 * n
@@ -40,15 +43,18 @@ def rig_cameras() -> dict[str, Camera]:
         x = np.cross(up, z) / np.linalg.norm(np.cross(up, z))
         R = np.stack([x, np.cross(z, x), z])
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        out[name] = Camera(width, height, K, np.column_stack([R, -R @ centre]), np.array(lens))
+        model = "OPENCV_FISHEYE" if name == FISHEYE else "OPENCV"
+        out[name] = Camera(width, height, K, np.column_stack([R, -R @ centre]), np.array(lens), model)
     return out
 
 
 def written(format_name: str, folder: Path) -> tuple[dict[str, Camera], Path]:
     """The cameras, written; and what a user names in calibration.rig.given."""
     cameras = rig_cameras()
+    if format_name == "rig-easymocap":  # cannot say that a lens is a fisheye
+        del cameras[FISHEYE]
     if format_name == "rig-kalibr":  # its lens has no k3, its world is its first camera
-        cameras = {n: replace_lens(c, [*c.distortion[:4].tolist(), 0.0]) for n, c in cameras.items()}
+        cameras = {n: replace(c, distortion=c.distortion * [1, 1, 1, 1, 0]) for n, c in cameras.items()}
         world = cameras["left"].cam_from_world
         turn = np.vstack([world, [0, 0, 0, 1]])
         cameras = {n: c.moved(turn) for n, c in cameras.items()}
@@ -57,17 +63,13 @@ def written(format_name: str, folder: Path) -> tuple[dict[str, Camera], Path]:
     return cameras, files[0] if len(files) == 1 and files[0].is_file() else folder
 
 
-def replace_lens(camera: Camera, lens: list[float]) -> Camera:
-    return Camera(camera.width, camera.height, camera.K, camera.cam_from_world, np.array(lens))
-
-
 @pytest.mark.parametrize("format_name", RIG_WRITERS)
 def test_written_and_read_back_it_is_the_same_rig(format_name: str, tmp_path: Path) -> None:
     cameras, given = written(format_name, tmp_path)
     names = list(cameras)
     if format_name == "rig-caliscope":  # numbers its cameras: read by number
-        cameras = dict(zip(("cam0", "cam1", "cam2"), cameras.values(), strict=True))
-        names = list(cameras)
+        names = [f"cam{n}" for n in range(len(cameras))]
+        cameras = dict(zip(names, cameras.values(), strict=True))
     found = read_given(given, names, {n: (c.width, c.height) for n, c in cameras.items()})
     assert found.rig is not None
     assert found.rig.scale.metric == (format_name != "rig-colmap")  # COLMAP has no unit
@@ -78,16 +80,20 @@ def test_written_and_read_back_it_is_the_same_rig(format_name: str, tmp_path: Pa
             T = rig_cameras()["left"].cam_from_world
             grid = GRID @ T[:, :3].T + T[:, 3]
         pixels = camera.project(grid)
-        assert np.isfinite(pixels).all()
+        assert np.isfinite(pixels).all() and back.model == camera.model
         np.testing.assert_allclose(back.project(grid), pixels, rtol=0, atol=EXACT_PX)
         assert (back.width, back.height) == (camera.width, camera.height)
 
 
-def opencv_pixels(K: object, lens: object, rotation: object, t: object) -> np.ndarray:
+def opencv_pixels(K: object, lens: object, rotation: object, t: object, fisheye: bool) -> np.ndarray:
     """Where OpenCV's projectPoints sees the grid; its first pixel is at 0."""
     rotation = np.array(rotation, dtype=np.float64)
     rvec = rotation if rotation.size == 3 else cv2.Rodrigues(rotation)[0]
     K, lens, t = (np.array(v, dtype=np.float64) for v in (K, lens, t))
+    if fisheye:
+        return cv2.fisheye.projectPoints(GRID[:, None], rvec, t.reshape(3, 1), K, lens.ravel())[0].reshape(
+            -1, 2
+        )
     return cv2.projectPoints(GRID, rvec, t, K, lens)[0].reshape(-1, 2)
 
 
@@ -114,7 +120,7 @@ def test_opencv_projects_what_is_written_half_a_pixel_less(format_name: str, tmp
             T = file.getNode("cam_from_world").mat()
             keys = ("camera_matrix", "distortion_coefficients")
             values = [*(file.getNode(key).mat() for key in keys), T[:, :3], T[:, 3]]
-        seen = opencv_pixels(*values)
+        seen = opencv_pixels(*values, fisheye=name == FISHEYE)
         np.testing.assert_allclose(seen + 0.5, camera.project(GRID), rtol=0, atol=EXACT_PX)
 
 
@@ -133,6 +139,11 @@ def test_kalibr_chain_steps_from_camera_to_camera(tmp_path: Path) -> None:
 def test_kalibr_refuses_a_lens_that_it_cannot_hold(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"camera 'left': k3 = 0.0666.*rig-anipose"):
         RIG_WRITERS["rig-kalibr"](tmp_path, rig_cameras(), True)
+
+
+def test_easymocap_refuses_a_lens_that_it_cannot_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"camera 'wide' has a fisheye lens.*rig-opencv"):
+        RIG_WRITERS["rig-easymocap"](tmp_path, rig_cameras(), True)
 
 
 def test_pycolmap_projects_what_is_written(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +19,7 @@ from devrf.calibration.scale import closest_point, scale_from_board, scale_from_
 from devrf.calibration.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError, HealthError, InputError
+from devrf.capture.errors import CaptureError, HealthError
 
 SIZE = (640, 480)
 VECTOR = np.array([520.0, 520.0, 324.0, 236.0, -0.06, 0.0, 0.0, 0.0, 0.0])

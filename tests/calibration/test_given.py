@@ -1,0 +1,231 @@
+"""A calibration people own, fitted to a capture: names, picture sizes, unit of length; what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration.formats import RIG_WRITERS
+from devrf.calibration.given import Given, read_given
+from devrf.calibration.rig import Rig, RigCamera, Scale, write_rig
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+from devrf.capture.formats.colmap_model import Model, read_model, write_model
+
+SIZE = (640, 480)
+NAMES = ("cam0", "cam1", "cam2")
+
+
+def cameras(names: tuple[str, ...] = NAMES, apart: float = 1.0) -> dict[str, Camera]:
+    """Cameras side by side, each with a focal length of its own."""
+    out = {}
+    for n, name in enumerate(names):
+        K = np.array([[500.0 + n, 0, 320], [0, 500 + n, 240], [0, 0, 1]])
+        out[name] = Camera(*SIZE, K, np.column_stack([np.eye(3), [-apart * n, 0.0, 0.0]]), np.zeros(5))
+    return out
+
+
+def own_rig(path: Path, metric: bool = True, **changes: Camera) -> Path:
+    """A rig.json with doubts."""
+    rig = {n: RigCamera(c, "board", 0.01, 0.002, 120, 0.4) for n, c in {**cameras(), **changes}.items()}
+    write_rig(path, Rig(rig, Scale(metric, "tape" if metric else "arbitrary scale", 1.0, None)))
+    return path
+
+
+def read(
+    path: Path, names: tuple[str, ...] = NAMES, size: tuple[int, int] = SIZE, **options: object
+) -> Given:
+    return read_given(path, list(names), dict.fromkeys(names, size), **options)  # type: ignore[arg-type]
+
+
+def rig_of(given: Given) -> Rig:
+    assert given.rig is not None
+    return given.rig
+
+
+def test_our_own_rig_keeps_its_doubts(tmp_path: Path) -> None:
+    own_rig(tmp_path / "rig.json")
+    found = rig_of(read(tmp_path / "rig.json"))
+    np.testing.assert_array_equal(found.cameras["cam2"].camera.K, cameras()["cam2"].K)
+    assert found.cameras["cam1"].position_std == 0.002 and found.cameras["cam1"].inliers == 120
+    assert found.scale.metric and found.route == "given"
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours", "focal", "word"),
+    [
+        (("cam0", "cam1", "cam2"), ("cam2", "cam0"), {"cam2": 502, "cam0": 500}, None),
+        (("Cam_00", "Cam_02", "Cam_01"), ("c1", "c2"), {"c1": 502, "c2": 501}, "matched by number"),
+        (
+            ("int_cam01_img", "int_cam02_img"),
+            ("cam02", "cam01"),
+            {"cam01": 500, "cam02": 501},
+            "matched by number",
+        ),
+        (("cam0", "cam1"), ("left", "right"), {"left": 500, "right": 501}, "matched by order"),
+        (("cam0", "cam1"), ("camA", "camB"), {"camA": 500, "camB": 501}, "matched by order"),
+    ],
+)
+def test_names_are_matched(
+    theirs: tuple[str, ...], ours: tuple[str, ...], focal: dict[str, float], word: str | None, tmp_path: Path
+) -> None:
+    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(theirs), True)
+    given = read(tmp_path / "Calib.toml", ours)
+    assert {n: c.camera.K[0, 0] for n, c in rig_of(given).cameras.items()} == focal
+    said = [n for n in given.notes if "matched" in n.check]
+    assert [n.check.split(", ")[1] for n in said] == ([word] if word else [])
+    assert all(bool(n.remedy) == (word == "matched by order") for n in said)  # a guess is to be looked at
+
+
+def test_names_that_do_not_match_are_listed(tmp_path: Path) -> None:
+    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(("a", "b", "c")), True)
+    with pytest.raises(
+        InputError, match=r"has no camera cam0, cam1; it has a, b, c, the capture has cam0, cam1"
+    ):
+        read(tmp_path / "Calib.toml", ("cam0", "cam1"))
+
+
+def test_a_missing_name_is_not_taken_for_a_renamed_one(tmp_path: Path) -> None:
+    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(("cam0", "cam1")), True)
+    with pytest.raises(InputError, match=r"has no camera cam2; it has cam0, cam1"):
+        read(tmp_path / "Calib.toml", ("cam1", "cam2"))
+
+
+def test_a_smaller_clip_scales_the_calibration(tmp_path: Path) -> None:
+    """Half the size: the same rays through half the pixels, corners of the picture and not centres of pixels fixed."""
+    own_rig(tmp_path / "rig.json")
+    given = read(tmp_path / "rig.json", size=(320, 240))
+    whole, half = cameras()["cam1"], rig_of(given).cameras["cam1"].camera
+    points = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (20, 3))
+    np.testing.assert_allclose(half.project(points), whole.project(points) / 2, rtol=0, atol=1e-12)
+    assert "calibrated at 640x480, scaled by 0.5 to the clip's 320x240" in [n.text for n in given.notes]
+
+
+def test_a_cropped_clip_is_refused(tmp_path: Path) -> None:
+    own_rig(tmp_path / "rig.json")
+    with pytest.raises(InputError, match=r"'cam0' is calibrated at 640x480, its clip is 632x480.*cropped"):
+        read(tmp_path / "rig.json", size=(632, 480))
+
+
+def without_size(folder: Path, apart: float = 1.0) -> Path:
+    """EasyMocap's files as its older versions wrote them."""
+    RIG_WRITERS["rig-easymocap"](folder, cameras(apart=apart), True)
+    lines = (folder / "intri.yml").read_text().splitlines()
+    (folder / "intri.yml").write_text("\n".join(line for line in lines if not line.startswith(("H_", "W_"))))
+    return folder / "intri.yml"
+
+
+def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path) -> None:
+    given = read(without_size(tmp_path))
+    assert "the file has no picture size; taken as the clip's, 640x480" in [n.text for n in given.notes]
+    with pytest.raises(InputError, match=r"principal point at 320, 240, its clip is 320x240"):
+        read(tmp_path / "intri.yml", size=(320, 240))
+
+
+def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
+    RIG_WRITERS["rig-easymocap"](tmp_path, cameras(), True)
+    for name in ("intri.yml", "extri.yml"):
+        assert rig_of(read(tmp_path / name)).cameras["cam2"].camera.K[0, 0] == 502
+    (tmp_path / "intri.yml").unlink()
+    with pytest.raises(InputError, match=r"expected intri.yml beside it"):
+        read(tmp_path / "extri.yml")
+
+
+def test_without_poses_it_gives_intrinsics(tmp_path: Path) -> None:
+    RIG_WRITERS["rig-easymocap"](tmp_path, cameras(), True)
+    (tmp_path / "extri.yml").unlink()
+    given = read(tmp_path)
+    assert given.rig is None and given.intrinsics["cam1"].K[0, 0] == 501
+
+
+def one_file(path: Path, camera: Camera) -> Path:
+    """OpenCV's file of one camera."""
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("image_width", camera.width)
+    file.write("image_height", camera.height)
+    file.write("camera_matrix", camera.K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    file.write("distortion_coefficients", camera.distortion[None])
+    file.release()
+    return path
+
+
+@pytest.mark.parametrize("ending", ["yml", "xml"])
+def test_a_file_a_camera_in_a_folder_or_by_name(ending: str, tmp_path: Path) -> None:
+    files = {n: one_file(tmp_path / f"{n}.{ending}", c) for n, c in cameras().items()}
+    (tmp_path / "notes.xml").write_text("<?xml version='1.0'?><opencv_storage><a>1</a></opencv_storage>")
+    for source in (tmp_path, files):
+        given = read_given(source, list(NAMES), dict.fromkeys(NAMES, SIZE))
+        assert given.rig is None
+        assert {n: k.K[0, 2] for n, k in given.intrinsics.items()} == dict.fromkeys(NAMES, 320.0)
+    with pytest.raises(InputError, match=r"notes.xml: has no camera_matrix.*'cam0'"):
+        read_given({"cam0": tmp_path / "notes.xml"}, ["cam0"], {"cam0": SIZE})
+
+
+@pytest.mark.parametrize(
+    ("apart", "options", "metres", "guessed"),
+    [
+        (1.0, {}, 1.0, True),  # one unit apart can be metres, ...
+        (700.0, {}, 0.7, True),  # ... 700 are millimetres
+        (700.0, {"unit": "mm"}, 0.7, False),
+        (70.0, {"unit": "cm"}, 0.7, False),
+        (3.3, {"known_distance_m": 0.0832}, 0.0832, False),  # in squares of the board
+    ],
+)
+def test_a_unit_that_the_format_leaves_open(
+    apart: float, options: dict[str, object], metres: float, guessed: bool, tmp_path: Path
+) -> None:
+    RIG_WRITERS["rig-anipose"](tmp_path, cameras(apart=apart), True)
+    given = read(tmp_path / "calibration.toml", **options)
+    rig = rig_of(given)
+    assert rig.scale.metric and rig.scale.factor == 1.0
+    assert rig.cameras["cam1"].camera.centre == pytest.approx([metres, 0, 0])
+    units = [n for n in given.notes if n.check == "unit of the given calibration"]
+    assert [bool(n.remedy) for n in units] == ([True] if guessed else [])
+
+
+def test_a_unit_that_the_format_says_is_not_guessed(tmp_path: Path) -> None:
+    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(apart=100.0), True)
+    given = read(tmp_path / "Calib.toml")
+    assert rig_of(given).cameras["cam1"].camera.centre[0] == 100.0
+    assert not any(n.remedy for n in given.notes)
+
+
+def test_an_arbitrary_scale_stays_so_or_is_measured(tmp_path: Path) -> None:
+    RIG_WRITERS["rig-colmap"](tmp_path, cameras(), False)
+    assert not rig_of(read(tmp_path)).scale.metric
+    measured = rig_of(read(tmp_path, known_distance_m=0.25))
+    assert measured.scale.metric and measured.cameras["cam2"].camera.centre[0] == pytest.approx(0.5)
+    path = own_rig(tmp_path / "rig.json", metric=False)
+    doubts = rig_of(read(path, known_distance_m=0.25)).cameras["cam1"]
+    assert doubts.position_std == pytest.approx(0.25 * 0.002)
+
+
+def test_cameras_on_top_of_each_other_are_refused(tmp_path: Path) -> None:
+    other = replace(cameras()["cam1"], cam_from_world=cameras()["cam0"].cam_from_world)
+    own_rig(tmp_path / "rig.json", cam1=other)
+    with pytest.raises(InputError, match=r"'cam0' and 'cam1' have the same pose"):
+        read(tmp_path / "rig.json")
+
+
+def test_pictures_of_a_camera_that_moved_are_refused(tmp_path: Path) -> None:
+    """Two images in one camera's folder: a fixed camera has one pose."""
+    RIG_WRITERS["rig-colmap"](tmp_path, cameras(("0", "1", "2")), False)
+    folder = tmp_path / "sparse" / "0"
+    model = read_model(folder)
+    names = {1: "a/000.png", 2: "a/001.png", 3: "b.png"}
+    images = {n: replace(image, name=names[n]) for n, image in model.images.items()}
+    write_model(folder, Model(model.cameras, images, {}))
+    with pytest.raises(InputError, match=r"the 2 images of 'a' stand at different places"):
+        read(tmp_path, ("a", "b"))
+    images[2] = replace(images[1], name=names[2])
+    write_model(folder, Model(model.cameras, images, {}))
+    assert set(rig_of(read(tmp_path, ("a", "b"))).cameras) == {"a", "b"}
+
+
+@pytest.mark.parametrize(("name", "text"), [("rig.json", "nonsense"), ("rig.json", "{}"), ("rig", " {}")])
+def test_a_damaged_rig_is_named(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match="not a rig.json"):
+        read(tmp_path / name)
