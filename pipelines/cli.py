@@ -137,7 +137,12 @@ def render(
 def export(
     scene: SceneArgument,
     dataset_format: Annotated[
-        str, typer.Option("--format", help="nerfstudio, colmap, llff, devrf or blender")
+        str,
+        typer.Option(
+            "--format",
+            help="nerfstudio, colmap, llff, devrf or blender; only the cameras: rig-anipose, rig-caliscope, "
+            "rig-colmap, rig-easymocap, rig-kalibr, rig-opencv or rig-pose2sim",
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; default: export/FORMAT in the run")
@@ -146,7 +151,7 @@ def export(
     overrides: SetOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Write the calibrated scene as a data set for other programs."""
+    """Write the calibrated scene as a data set, or the cameras as a calibration, for other programs."""
     talk = talk_of(quiet)
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
     from devrf.pipelines import export_command

@@ -1,32 +1,63 @@
-"""`devrf-pipeline export`: the calibrated scene of a run, written as a data set for other programs."""
+"""`devrf-pipeline export`: the calibrated scene of a run as a data set, or its cameras as a calibration."""
 
 import difflib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from devrf.calibration.formats import RIG_WRITERS
+from devrf.calibration.rig import read_rig
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats import DATASET_FORMATS, DatasetFormat, read_scene, write_dataset
-from devrf.capture.formats.export import check_target
+from devrf.capture.formats.export import README, check_target, new_folder
 from devrf.capture.formats.flow_files import Flow
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import read_flows
 from devrf.pipelines.console import Talk
 from devrf.pipelines.stamp import STAMP
 
+RIG_README = """Cameras of a devrf rig.
+
+Axes: OpenCV's (x right, y down, z forward), world to camera. Lengths: {unit}.
+Read again with calibration.rig.given in scene.yaml.
+"""
+
 
 def export(talk: Talk, run_dir: Path, dataset_format: str, out: Path | None) -> Path:
-    """Write the scene of a run as a data set and say where it is.
+    """Write the scene or the rig of a run and say where it is.
 
     Args:
         talk: Where to speak.
         run_dir: The run folder.
-        dataset_format: One of `DATASET_FORMATS`.
+        dataset_format: One of `DATASET_FORMATS` (the scene) or of `RIG_WRITERS` (the rig).
         out: Folder to write; None: `export/<format>` in the run folder.
     Raises:
-        InputError: Seen before anything is written: an unknown format, a folder in use, no scene yet.
-        CaptureError: The format cannot hold this scene, or a picture is missing.
+        InputError: An unknown format, a folder in use, no scene or rig yet, or a lens that the format lacks.
+        CaptureError: The format cannot hold this scene, a picture is missing, or nothing can be written.
     """
-    chosen = _format(dataset_format)
-    folder = run_dir / "export" / chosen if out is None else out.expanduser().resolve()
+    name = _known(dataset_format)
+    folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
+    for scene_format in DATASET_FORMATS:
+        if name == scene_format:
+            _export_scene(talk, run_dir, scene_format, folder)
+            return folder
+    _export_rig(talk, run_dir, name, folder)
+    return folder
+
+
+def _export_rig(talk: Talk, run_dir: Path, name: str, folder: Path) -> None:
+    if not (run_dir / "rig" / STAMP).is_file():
+        raise InputError(f"{run_dir}: the rig has not been made yet; run with --until rig")
+    rig = read_rig(run_dir / "rig" / "rig.json")
+    with _told(folder), new_folder(folder, name) as new:
+        RIG_WRITERS[name](new, {n: c.camera for n, c in rig.cameras.items()}, rig.scale.metric)
+        (new / README).write_text(RIG_README.format(unit="metres" if rig.scale.metric else rig.scale.source))
+    if not rig.scale.metric:
+        talk.say("  note: lengths have an arbitrary scale; programs that take them for metres are wrong")
+    talk.say(f"  calibration ({name}): {folder}")
+
+
+def _export_scene(talk: Talk, run_dir: Path, chosen: DatasetFormat, folder: Path) -> None:
     if not (run_dir / "scene" / STAMP).is_file():
         raise InputError(
             f"{run_dir}: the scene has not been made yet; run with --until scene (or flow) first"
@@ -44,24 +75,29 @@ def export(talk: Talk, run_dir: Path, dataset_format: str, out: Path | None) -> 
         flow = flows[frame.camera_name]
         return flow.flow[place].astype("float32"), flow.valid[place]
 
+    with _told(folder), talk.progress(f"export {chosen}") as progress:
+        notes = write_dataset(chosen, scene, folder, find_flow, progress)
+    for text in notes:
+        talk.say(f"  note: {text}")
+    talk.say(f"  data set ({chosen}): {folder}")
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    """A disk that is full or may not be written, in words."""
     try:
-        with talk.progress(f"export {chosen}") as progress:
-            notes = write_dataset(chosen, scene, folder, find_flow, progress)
+        yield
     except OSError as error:
         raise CaptureError(
             f"{folder}: cannot be written ({error.strerror or error}); nothing is left there; free space or name "
             "another folder with --out"
         ) from None
-    for text in notes:
-        talk.say(f"  note: {text}")
-    talk.say(f"  data set ({chosen}): {folder}")
-    return folder
 
 
-def _format(name: str) -> DatasetFormat:
-    for known in DATASET_FORMATS:
-        if name == known:
-            return known
-    near = difflib.get_close_matches(name, DATASET_FORMATS, n=1)
+def _known(name: str) -> str:
+    known = [*DATASET_FORMATS, *RIG_WRITERS]
+    if name in known:
+        return name
+    near = difflib.get_close_matches(name, known, n=1)
     hint = f", did you mean {near[0]}?" if near else ""
-    raise InputError(f"--format {name}: expected {', '.join(DATASET_FORMATS)}{hint}")
+    raise InputError(f"--format {name}: expected {', '.join(known)}{hint}")

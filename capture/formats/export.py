@@ -6,7 +6,8 @@ replaced; any other folder that holds something is left alone.
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,15 +66,27 @@ def write_export(
         InputError: The folder holds something else.
         CaptureError: The format cannot hold this scene, or a picture is missing.
     """
+    with new_folder(folder, dataset_format) as new:
+        export = Export(scene, new, find_flow, progress)
+        write(export)
+        (new / README).write_text(readme(scene, dataset_format, export.notes))
+    return export.notes
+
+
+@contextmanager
+def new_folder(folder: Path, dataset_format: str) -> Iterator[Path]:
+    """A folder to write an export into, which gets its name when it is whole; an earlier one is replaced.
+
+    Raises:
+        InputError: The folder holds something else.
+    """
     check_target(folder, dataset_format)
     folder.parent.mkdir(parents=True, exist_ok=True)
     new = folder.with_name(f".new-{folder.name}")
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir()
-    export = Export(scene, new, find_flow, progress)
     try:
-        write(export)
-        (new / README).write_text(readme(scene, dataset_format, export.notes))
+        yield new
         (new / MARKER).write_text(f"{dataset_format}\n")
         if folder.exists():
             shutil.rmtree(folder)
@@ -81,7 +94,6 @@ def write_export(
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)
         raise
-    return export.notes
 
 
 def check_target(folder: Path, dataset_format: str) -> None:

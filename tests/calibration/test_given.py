@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,10 +35,8 @@ def own_rig(path: Path, metric: bool = True, **changes: Camera) -> Path:
     return path
 
 
-def read(
-    path: Path, names: tuple[str, ...] = NAMES, size: tuple[int, int] = SIZE, **options: object
-) -> Given:
-    return read_given(path, list(names), dict.fromkeys(names, size), **options)  # type: ignore[arg-type]
+def read(path: Path, names: tuple[str, ...] = NAMES, size: tuple[int, int] = SIZE, **options: Any) -> Given:
+    return read_given(path, list(names), dict.fromkeys(names, size), **options)
 
 
 def rig_of(given: Given) -> Rig:
@@ -174,7 +173,7 @@ def test_a_file_a_camera_in_a_folder_or_by_name(ending: str, tmp_path: Path) -> 
     ],
 )
 def test_a_unit_that_the_format_leaves_open(
-    apart: float, options: dict[str, object], metres: float, guessed: bool, tmp_path: Path
+    apart: float, options: dict[str, Any], metres: float, guessed: bool, tmp_path: Path
 ) -> None:
     RIG_WRITERS["rig-anipose"](tmp_path, cameras(apart=apart), True)
     given = read(tmp_path / "calibration.toml", **options)

@@ -4,9 +4,13 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 
+from devrf.calibration.given import read_given
+from devrf.calibration.rig import read_rig
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
 from devrf.capture.scene import Scene
 
@@ -114,3 +118,66 @@ def _flow_of_nothing(frame):
 
     shape = (frame.camera.height, frame.camera.width)
     return np.zeros((*shape, 2), np.float32), np.ones(shape, bool)
+
+
+def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
+    """Webcams calibrated by caliscope: named in scene.yaml, used, and written for aniposelib."""
+    source = data_dir / "caliscope_post_optimization"
+    clips = {f"cam{n}": str(source / f"calibration/extrinsic/cam_{n}.mp4") for n in range(4)}
+    value = {
+        "name": "webcams",
+        "output": "run",
+        "preset": "tiny",
+        "capture": {"cameras": clips, "range_s": [0, 0.4]},
+        "calibration": {"rig": {"given": str(source / "camera_array.toml")}, "sync": {"method": "none"}},
+    }
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(yaml.safe_dump(value))
+    early = devrf("export", scene, "--format", "rig-anipose")
+    assert early.code == 2 and "run with --until rig" in early.err
+    result = devrf("run", scene, "--until", "rig", "--verbose")
+    assert result.code == 0, result.said
+    assert "caliscope" in result.said and "cam0: 0" in result.said
+    assert devrf("export", scene, "--format", "rig-anipose").code == 0
+    given = read_given(
+        tmp_path / "run/export/rig-anipose/calibration.toml",
+        list(clips),
+        dict.fromkeys(clips, (1280, 720)),
+        "m",
+    )
+    assert given.rig is not None
+    rig = read_rig(tmp_path / "run/rig/rig.json")
+    for name, camera in rig.cameras.items():
+        np.testing.assert_allclose(
+            given.rig.cameras[name].camera.cam_from_world, camera.camera.cam_from_world, atol=1e-12
+        )
+    wrong = devrf("export", scene, "--format", "rig-anipos")
+    assert wrong.code == 2 and "did you mean rig-anipose?" in wrong.err
+    assert "metres" in (tmp_path / "run/export/rig-anipose/README.txt").read_text()
+
+
+def test_a_calibration_for_other_cameras_is_told_before_anything_starts(
+    devrf: Callable, data_dir: Path, tmp_path: Path
+) -> None:
+    source = data_dir / "opencv_stereo_chessboard"
+    clips = {f"cam{n}": str(data_dir / f"pose2sim_single/videos/cam0{n}.mp4") for n in (1, 3)}
+
+    def check(given: object) -> str:
+        value = {"name": "x", "capture": {"cameras": clips}, "calibration": {"rig": {"given": given}}}
+        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(value))
+        result = devrf("run", tmp_path / "scene.yaml", "--until", "flow", "--dry-run")
+        assert result.code == 2
+        return " ".join(result.err.split())
+
+    assert "has no camera cam1, cam3; it has left_intrinsics" in check(str(source / "left_intrinsics.yml"))
+    single = str(source / "left_intrinsics.yml")
+    assert "calibrated at 640x480, its clip is 1080x1920" in check({"cam1": single, "cam3": single})
+    assert "'nothing.yml': no such file" in check({"cam1": "nothing.yml", "cam3": single})
+    qualisys = data_dir / "pose2sim_single/calibration/Calib.qca.txt"
+    said = check(str(qualisys))
+    assert "Calib.qca.txt: camera 'cam1' is calibrated at 1088x1920, its clip is 1080x1920" in said
+    file = cv2.FileStorage(str(tmp_path / "lens.yml"), cv2.FILE_STORAGE_WRITE)
+    file.write("camera_matrix", np.array([[1600.0, 0, 540], [0, 1600, 960], [0, 0, 1]]))
+    file.release()
+    lens = str(tmp_path / "lens.yml")
+    assert "holds intrinsics only" in check({"cam1": lens, "cam3": lens})
