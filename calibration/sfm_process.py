@@ -28,6 +28,9 @@ def run_job(
 ) -> dict[str, Any]:
     """Run `job` in a subprocess and give back its result.
 
+    A worker may leave a result and go on to a better one: if it is stopped or crashes then, that result counts,
+    and its `stopped` says how it ended (None otherwise).
+
     Args:
         job: For `sfm_worker.main`; must be JSON.
         work: Existing folder for job.json, result.json and the database.
@@ -62,13 +65,13 @@ def run_job(
         for reader in readers:
             reader.join(timeout=GRACE_S)
     result = work / "result.json"
-    if process.returncode != 0 or not result.is_file():
-        late = deadline is not None and time.monotonic() >= deadline
-        ended = _how_it_ended(process.returncode, timeout_s if late else None)
+    late = deadline is not None and time.monotonic() >= deadline
+    ended = _how_it_ended(process.returncode, timeout_s if late else None)
+    if not result.is_file():
         raise CalibrationError(
             f"structure from motion (pycolmap) {ended}; the last lines of its log ({log}):\n{_tail(log)}"
         )
-    return json.loads(result.read_text())
+    return json.loads(result.read_text()) | {"stopped": None if process.returncode == 0 else ended}
 
 
 def _follow_stdout(process: subprocess.Popen[str], progress: Progress) -> None:

@@ -9,6 +9,7 @@ frame of the mapper; `rig` finds the metric scale.
 import json
 import shutil
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,48 +17,55 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from devrf.calibration.intrinsics import Intrinsics, guess
 from devrf.calibration.sfm_process import run_job
+from devrf.calibration.sweep_devices import PRINCIPAL_POINT_FROM, DeviceGroup
+from devrf.calibration.sweep_gps import UP_STD, align, local_metres, why_not
+from devrf.calibration.sweep_pairs import plan_pairs
+from devrf.calibration.two_views import pair_report, read_two_views
 from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CalibrationError, HealthError
+from devrf.capture.exif import Place
 from devrf.capture.progress import Progress, no_progress
 
-Mapper = Literal["incremental", "global"]
+Mapper = Literal["incremental", "global", "both"]
 
 MAX_IMAGE_SIZE = 1280  # SIFT on larger pictures costs seconds each and gains little
 MAX_FEATURES = 1600  # per picture; orientation copies come on top; matching time grows with the square
 FINE_OCTAVE_BELOW = (
     720  # pictures up to this size are doubled first (SIFT octave -1), larger ones need not be
 )
-PRINCIPAL_POINT_FROM = 20  # registered pictures; fewer do not fix the principal point
-EXHAUSTIVE_UP_TO = 70  # pictures; all pairs beyond that would take many minutes without a GPU
-OVERLAP = 8  # neighbours in a longer sequence
-LOOP_PICTURES = 28  # of a longer sequence are matched with each other, to close loops
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
+COMPARE_UP_TO = 30  # pictures; the other mapper then takes seconds
+HOMOGRAPHY_SHARE = 0.8  # of verified pairs; in a sweep with depth and sideways motion most have a parallax
+LATE, LATE_S = (
+    1.2,
+    60.0,
+)  # the worker keeps its time budget itself; it is stopped at 1.2 times that and a minute
 LADDER: tuple[dict[str, Any], ...] = (
     {"name": "incremental", "mapper": "incremental", "pose_inliers": 30, "init_inliers": 100,
      "init_angle_deg": 16.0, "accept": 0.8},
     {"name": "incremental 15 inliers", "mapper": "incremental", "pose_inliers": 15, "init_inliers": 50,
      "init_angle_deg": 4.0, "accept": 0.8},
-    {"name": "global", "mapper": "global", "accept": 0.0},
+    {"name": "global", "mapper": "global", "accept": 0.8},
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class DeviceGroup:
-    """Pictures of one device at one size: they share a camera.
+class SweepOptions:
+    """How the sweep is recovered.
 
     Attributes:
-        names: Picture files, relative to the picture folder.
-        intrinsics: Start values, or what to hold fixed.
-        trusted: The focal is a prior (EXIF, board), not a guess.
-        fixed: Hold the intrinsics (they come from a board).
+        mapper: Which mapper to begin with; `both`: run both and keep the better model.
+        check_seed: Map with another seed too and report how far the poses move.
+        time_minutes: Budget; None for none.
     """
 
-    names: tuple[str, ...]
-    intrinsics: Intrinsics
-    trusted: bool = False
-    fixed: bool = False
+    mapper: Mapper = "incremental"
+    check_seed: bool = False
+    time_minutes: float | None = 30.0
+
+
+DEFAULT_OPTIONS = SweepOptions()
 
 
 @dataclass(frozen=True)
@@ -90,10 +98,11 @@ def recover_static_poses(
     groups: list[DeviceGroup],
     out: Path,
     *,
-    mapper: Mapper = "incremental",
+    options: SweepOptions = DEFAULT_OPTIONS,
     ordered: bool = True,
+    masks: Path | None = None,
+    places: Mapping[str, Place | None] | None = None,
     progress: Progress = no_progress,
-    timeout_s: float | None = None,
 ) -> SweepModel:
     """Register the sweep and write `static_poses.json`, `colmap/`, `points.npz` and `colmap.log` into `out`.
 
@@ -101,10 +110,11 @@ def recover_static_poses(
         image_folder: Folder that the groups' names are relative to.
         groups: Pictures by device.
         out: Existing folder.
-        mapper: Which mapper to begin with.
+        options: Mapper, checks, time.
         ordered: The pictures follow each other in time (a video), so neighbours overlap.
+        masks: What `prepare_masks` wrote; None without masks.
+        places: Where pictures were taken, by GPS.
         progress: Told how far it is.
-        timeout_s: Limit for the whole worker.
     Raises:
         CalibrationError: The worker crashed; carries its last log lines.
         HealthError: Nothing could be registered; says how near the best pair came.
@@ -112,45 +122,59 @@ def recover_static_poses(
     names = sorted(name for group in groups for name in group.names)
     if len(names) < MIN_MODEL:
         raise CalibrationError(f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer")
-    ladder = [rung for rung in LADDER if rung["mapper"] == mapper]
-    ladder += [rung for rung in LADDER if rung["mapper"] != mapper]
+    metres, std_m = local_metres(places or {})
+    no_gps = why_not(metres, std_m, len(names))
+    nowhere = np.full(3, np.nan)
+    plan = plan_pairs(
+        names, ordered, None if no_gps else np.array([metres.get(name, nowhere) for name in names])
+    )
+    first = "global" if options.mapper == "global" else "incremental"
+    budget_s = None if options.time_minutes is None else 60.0 * options.time_minutes
     with tempfile.TemporaryDirectory(dir=out, prefix="work-") as work:
         result = run_job(
             {
                 "task": "map",
                 "work": work,
                 "image_path": str(image_folder),
+                "mask_path": None if masks is None else str(masks),
                 "groups": [_worker_group(group) for group in groups],
-                "pairs": plan_pairs(names, ordered),
+                "places": {} if no_gps else {n: _prior(metres[n], std_m[n]) for n in metres},
+                "pairs": plan.pairs,
+                "wanted": plan.wanted,
                 "features": feature_options(
                     max(max(g.intrinsics.width, g.intrinsics.height) for g in groups)
                 ),
-                "ladder": ladder,
+                "ladder": sorted(LADDER, key=lambda rung: rung["mapper"] != first),
+                "compare": "always" if options.mapper == "both" or len(names) <= COMPARE_UP_TO else "weak",
+                "check_seed": options.check_seed,
                 "principal_point_from": PRINCIPAL_POINT_FROM,
+                "budget_s": budget_s,
                 "out": work,
             },
             Path(work),
             out / "colmap.log",
             progress,
-            timeout_s,
+            None if budget_s is None else LATE * budget_s + LATE_S,
         )
-        _refuse_unregistered(result, len(names))
+        views = read_two_views(Path(work) / "two_views.npz")
+        pairs_say = pair_report(views)
+        _refuse_unregistered(result, pairs_say, len(names))
         for made in ("colmap", "points.npz"):
             shutil.move(str(Path(work) / made), out / made)
     report = {key: result[key] for key in (
-        "given", "mean_reprojection_px", "mean_track_length", "points", "mapper", "attempts", "best_pair",
-        "features_per_image", "frames", "cameras",
+        "given", "mean_reprojection_px", "mean_track_length", "points", "mapper", "attempts", "compared",
+        "adjustment", "stopped", "skipped_pictures", "pairs", "best_pair", "features_per_image", "frames",
+        "cameras",
     )}  # fmt: skip
     report["registered"] = len(result["frames"])
     report["models"] = [len(model) for model in result["models"]]
     report["other_models"] = result["models"][1:]
     report["unregistered"] = sorted(set(names) - set(result["frames"]))
-    report["start"] = [
-        {"names": len(g.names), "focal_px": g.intrinsics.K[0, 0], "trusted": g.trusted, "fixed": g.fixed}
-        for g in groups
-    ]
+    report["verified_pairs"] = pairs_say
+    report["start"] = _starts(groups, result)
     (out / "static_poses.json").write_text(json.dumps(report))
     model = read_static_poses(out)
+    report["gps"] = _gps(model, metres, std_m, no_gps) if places else None
     report["median_triangulation_angle_deg"] = median_triangulation_angle_deg(model)
     report["points_per_image"] = {
         name: int(n)
@@ -180,18 +204,6 @@ def read_static_poses(folder: Path) -> SweepModel:
     return SweepModel(names, tuple(cameras), report=report, **arrays)
 
 
-def plan_pairs(names: list[str], ordered: bool) -> list[tuple[str, str]]:
-    """Which pictures to match: all pairs of a small set; neighbours and a loop-closing sample else."""
-    n = len(names)
-    if n <= EXHAUSTIVE_UP_TO or not ordered:
-        return [(names[i], names[j]) for i in range(n) for j in range(i + 1, n)]
-    pairs = {(i, i + step) for i in range(n) for step in range(1, OVERLAP + 1) if i + step < n}
-    pairs |= {(i, i + 2**k) for i in range(n) for k in range(3, n.bit_length()) if i + 2**k < n}
-    sample = np.unique(np.linspace(0, n - 1, LOOP_PICTURES).round().astype(int)).tolist()
-    pairs |= {(a, b) for k, a in enumerate(sample) for b in sample[k + 1 :]}
-    return [(names[i], names[j]) for i, j in sorted(pairs)]
-
-
 def feature_options(longest_side_px: int) -> dict[str, Any]:
     """SIFT settings for pictures whose longer side is `longest_side_px`."""
     return {
@@ -215,29 +227,6 @@ def median_triangulation_angle_deg(model: SweepModel) -> float:
     return float(np.median(angles)) if angles else 0.0
 
 
-def device_groups(
-    sizes: dict[str, tuple[int, int]], focal_px: float | None, known: Intrinsics | None
-) -> list[DeviceGroup]:
-    """Group pictures by size; each group shares a camera.
-
-    Args:
-        sizes: (width, height) of each picture.
-        focal_px: Focal length by EXIF at the first picture's size, or None.
-        known: Board calibration of the device; used where the size agrees: held in a short sweep, a start
-            in a longer one, which fixes the lens better than a board clip does.
-    """
-    groups = []
-    first = max(next(iter(sizes.values())))
-    for size in sorted(set(sizes.values())):
-        names = tuple(sorted(name for name, s in sizes.items() if s == size))
-        if known is not None and (known.width, known.height) == size:
-            groups.append(DeviceGroup(names, known, trusted=True, fixed=len(names) < PRINCIPAL_POINT_FROM))
-        else:
-            focal = None if focal_px is None else focal_px * max(size) / first
-            groups.append(DeviceGroup(names, guess(*size, focal), trusted=focal is not None))
-    return groups
-
-
 def _worker_group(group: DeviceGroup) -> dict[str, Any]:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = group.intrinsics.vector.tolist()
     fisheye = group.intrinsics.model == "OPENCV_FISHEYE"  # its vector is already COLMAP's: k3, k4 for p1, p2
@@ -251,16 +240,69 @@ def _worker_group(group: DeviceGroup) -> dict[str, Any]:
     }
 
 
-def _refuse_unregistered(result: dict[str, Any], given: int) -> None:
+def _prior(position_m: np.ndarray, std_m: float) -> dict[str, list[float]]:
+    return {"position": position_m.tolist(), "std": [std_m, std_m, UP_STD * std_m]}
+
+
+def _starts(groups: list[DeviceGroup], result: dict[str, Any]) -> list[dict[str, Any]]:
+    """What each camera began with, and its number in `cameras` (None where none of its pictures is registered)."""
+    frames = result["frames"]
+    return [
+        {
+            "names": len(g.names),
+            "registered": sum(name in frames for name in g.names),
+            "label": g.label,
+            "camera_id": next((frames[name]["camera_id"] for name in g.names if name in frames), None),
+            "focal_px": g.intrinsics.K[0, 0],
+            "trusted": g.trusted,
+            "fixed": g.fixed,
+        }
+        for g in groups
+    ]
+
+
+def _gps(
+    model: SweepModel, metres: Mapping[str, np.ndarray], std_m: Mapping[str, float], no_gps: str
+) -> dict[str, Any]:
+    """How the model lies among its pictures' places; `why` where it cannot be said."""
+    at = [n for n, name in enumerate(model.names) if name in metres]
+    out: dict[str, Any] = {"places": len(at), "why": no_gps or None}
+    if no_gps:
+        return out
+    names = [model.names[n] for n in at]
+    std = np.array([std_m[name] for name in names])
+    fit = align(np.array([model.cameras[n].centre for n in at]), np.array([metres[n] for n in names]), std)
+    out["std_m"] = float(np.median(std))
+    if fit is None:
+        return out | {"why": "no position of the model agrees with enough of the places"}
+    return out | {
+        "factor": fit.factor,
+        "factor_std": fit.factor_std,
+        "metres_from_model": fit.metres_from_model.tolist(),
+        "agreeing": int(fit.used.sum()),
+        "rms_m": fit.rms_m,
+        "off_m": dict(zip(names, fit.off_m.tolist(), strict=True)),
+    }
+
+
+def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: int) -> None:
     largest = max((len(model) for model in result["models"]), default=0)
     if largest >= MIN_MODEL:
         return
     pair, features = result["best_pair"], result["features_per_image"]
     median = float(np.median(list(features.values()))) if features else 0.0
     what = "two pictures always fit each other, so this says nothing" if largest else "nothing to start from"
+    angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
+    turned = pairs["verified"] >= MIN_MODEL and pairs["homography_share"] > HOMOGRAPHY_SHARE
+    cause = (
+        f"{100 * pairs['homography_share']:.0f} % of its pairs fit a homography: the camera turned and did not "
+        "move, or it saw one flat surface. Walk sideways around the scene, with depth in view"
+        if turned
+        else "Film a scene with texture (blank walls give none), walk sideways instead of turning on the spot, "
+        "and keep 70 % overlap"
+    )
     raise HealthError(
         f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: "
-        f"{pair['inliers']} inliers {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
-        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. Film a scene with "
-        "texture (blank walls give none), walk sideways instead of turning on the spot, and keep 70 % overlap"
+        f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
+        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {cause}"
     )

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.exif import Exif
 from devrf.capture.frames import (
     LISTED,
     CameraFrames,
@@ -201,7 +202,7 @@ def extract_folder(
     sizes: list[tuple[int, int]] = []
     sharp: list[float] = []
     levels: list[float] = []
-    focals: list[float] = []
+    exifs: list[Exif | None] = []
     turned, clipped = 0, 0
     for i, picture in enumerate(pictures):
         progress(i / len(pictures), f"{name}: {i + 1} of {len(pictures)} photos")
@@ -210,11 +211,12 @@ def extract_folder(
             file = f"{i:06d}.png"
             write_picture(folder / file, photo.rgb)
             clipped += photo.clipped > 0.01
+            exifs.append(None)
         else:
             info = probe_picture(picture)
             file = copy_upright(info, folder, f"{i:06d}")
             turned += info.turned
-            focals += [info.focal_px] if info.focal_px else []
+            exifs.append(info.exif)
         rgb = read_picture(folder / file)
         grey = grey_small(rgb)
         files.append(f"frames/{name}/{file}")
@@ -230,7 +232,7 @@ def extract_folder(
         used = i in chosen
         if not used:
             (out / file).unlink()
-        records.append(FrameRecord(i, None, sharp[i], used, file if used else None))
+        records.append(FrameRecord(i, None, sharp[i], used, file if used else None, exifs[i]))
     notes = []
     if turned:
         notes.append(f"{turned} photos turned as their EXIF tag says")
@@ -242,6 +244,7 @@ def extract_folder(
         )
     if clipped:
         notes.append(f"{clipped} RAW photos have more than 1 % white pixels; lower the exposure")
+    focals = [exif.focal_px for exif in exifs if exif is not None and exif.focal_px is not None]
     return CameraFrames(
         role=role,
         source=source,

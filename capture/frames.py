@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.exif import Exif, exif_from_dict
 
 Role = Literal["sweep", "camera", "test", "board", "joint"]
 
@@ -40,6 +41,7 @@ class FrameRecord:
         sharpness: Variance of the Laplacian.
         used: Whether later stages use it.
         file: Picture on disk, relative to the ingest folder; None where it was not kept.
+        exif: What a photo's tags say of device, lens and place; None for frames of a video.
     """
 
     index: int
@@ -47,6 +49,7 @@ class FrameRecord:
     sharpness: float
     used: bool
     file: str | None
+    exif: Exif | None = None
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ class FrameSet:
 
 
 def _camera_frames(raw: dict[str, Any]) -> CameraFrames:
-    frames = tuple(FrameRecord(**frame) for frame in raw["frames"])
+    frames = tuple(FrameRecord(**{**frame, "exif": exif_from_dict(frame["exif"])}) for frame in raw["frames"])
     return CameraFrames(**{**raw, "frames": frames, "notes": tuple(raw["notes"])})
 
 

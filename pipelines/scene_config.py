@@ -170,8 +170,14 @@ class DatasetConfig(_Section):
 class StaticPosesConfig(_Section):
     """Structure from motion of the sweep."""
 
-    mapper: Literal["incremental", "global"] = "incremental"
-    """COLMAP's mapper to begin with; others are tried where it fails."""
+    mapper: Literal["incremental", "global", "both"] = "incremental"
+    """COLMAP's mapper to begin with, others are tried where it fails; both: run both, keep the better model."""
+    masks: str | None = None
+    """Folder of masks of what moves or reflects in the sweep, by picture or frame; black is ignored."""
+    check_seed: bool = False
+    """Map with another seed too, and report how far the poses move."""
+    time_minutes: float | None = Field(default=30.0, gt=0)
+    """Time for this stage; what does not fit into it is left out and named. null: no limit."""
 
 
 class SyncConfig(_Section):

@@ -73,6 +73,11 @@ def _beside_given(config: SceneConfig, scene_dir: Path) -> list[Path]:
     return [path.with_name(PAIRS[path.stem]).with_suffix(path.suffix)]
 
 
+def _masks(config: SceneConfig, scene_dir: Path) -> list[Path]:
+    masks = config.calibration.static_poses.masks
+    return [] if masks is None else sorted(config.path(scene_dir, masks).glob("*.png"))
+
+
 STAGES = (
     Stage(
         name="ingest",
@@ -96,6 +101,7 @@ STAGES = (
         config_keys=("calibration.static_poses", "capture.board"),
         applies=_from_the_sweep,
         run=_glue("static_poses"),
+        inputs=_masks,
     ),
     Stage(
         name="sync",

@@ -1,5 +1,6 @@
 """Stage `static_poses`: where the sweep's pictures were taken, and whether that can be trusted."""
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -7,38 +8,87 @@ from PIL import Image
 
 from devrf.calibration.board import find_board
 from devrf.calibration.board_intrinsics import BoardCalibration, calibrate_intrinsics
-from devrf.calibration.static_poses import SweepModel, device_groups, recover_static_poses
-from devrf.capture.frames import SWEEP, FrameSet
+from devrf.calibration.intrinsics import Intrinsics
+from devrf.calibration.static_poses import SweepModel, SweepOptions, recover_static_poses
+from devrf.calibration.sweep_devices import device_groups
+from devrf.calibration.sweep_masks import prepare_masks
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
+from devrf.capture.pictures import list_pictures
+from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.health import HealthRow, note, row
+from devrf.pipelines.health import HealthRow, row
+from devrf.pipelines.scene_config import SceneConfig, StaticPosesConfig
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.sweep_health import board_focal_row, mask_rows, sweep_rows
 
 LISTED = 6  # names in a message
-FOCAL_REMEDY = (
-    "Zoom, stabilisation or a wrong EXIF focal length: film the sweep at one fixed zoom without "
-    "stabilisation, or film a board with the same settings (capture.board.clips.static)."
-)
 
 
 def run(context: StageContext) -> None:
     """Write `static_poses.json`, `colmap/`, `points.npz` and `colmap.log`."""
     ingest = context.run_dir / "ingest"
     frames = FrameSet.read(ingest)
-    sweep = frames.cameras[SWEEP]
-    files = [frame.file for frame in sweep.used if frame.file is not None]
-    folder = ingest / "frames"
-    sizes = {f.removeprefix("frames/"): _size(ingest / f) for f in files}
     board = _board(context, frames)
-    known = None if board is None else board.intrinsics
-    model = recover_static_poses(
-        folder,
-        device_groups(sizes, sweep.exif_focal_px, known),
+    model, without_mask = recover_sweep(
+        ingest,
+        frames.cameras[SWEEP],
         context.out,
-        mapper=context.config.calibration.static_poses.mapper,
-        ordered=sweep.fps_mean is not None,
+        context.config.calibration.static_poses,
+        context.scene_dir,
+        known=None if board is None else board.intrinsics,
         progress=context.progress,
     )
-    context.health.extend(health(model, sweep.exif_focal_px, board))
+    context.health.extend(sweep_rows(model))
+    context.health.extend(mask_rows(without_mask))
+    if board is not None:
+        context.health.append(board_focal_row(model, board))
+        context.health.extend(board_rows(SWEEP, board))
+
+
+def recover_sweep(
+    ingest: Path,
+    sweep: CameraFrames,
+    out: Path,
+    config: StaticPosesConfig,
+    scene_dir: Path,
+    known: Intrinsics | None = None,
+    progress: Progress = no_progress,
+) -> tuple[SweepModel, list[str]]:
+    """Structure from motion of the pictures that ingest left, with all that their tags say.
+
+    Args:
+        ingest: The ingest folder.
+        sweep: Its entry of the sweep.
+        out: Where `recover_static_poses` writes.
+        config: Keys of `calibration.static_poses`.
+        scene_dir: What paths of the configuration, and the sweep's source, are relative to.
+        known: Intrinsics by a board.
+        progress: Told how far it is.
+    Returns:
+        The model, and the pictures that have no mask where masks are given.
+    """
+    used = {f.file.removeprefix("frames/"): f for f in sweep.used if f.file is not None}
+    sizes = {name: _size(ingest / "frames" / name) for name in used}
+    exif = {name: frame.exif for name, frame in used.items() if frame.exif is not None}
+    film = sweep.fps_mean is not None
+    with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
+        without = []
+        if config.masks is not None:
+            source = scene_dir / sweep.source
+            photos = [] if film else [photo.name for photo in list_pictures(source)]
+            called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
+            without = prepare_masks(SceneConfig.path(scene_dir, config.masks), called, sizes, Path(masks))
+        model = recover_static_poses(
+            ingest / "frames",
+            device_groups(sizes, exif, known),
+            out,
+            options=SweepOptions(config.mapper, config.check_seed, config.time_minutes),
+            ordered=film,
+            masks=None if config.masks is None else Path(masks),
+            places={name: tags.place for name, tags in exif.items()},
+            progress=progress,
+        )
+    return model, without
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -56,93 +106,6 @@ def _board(context: StageContext, frames: FrameSet) -> BoardCalibration | None:
     files = [ingest / frame.file for frame in clip.used if frame.file is not None]
     views, settled = find_board(f"board_{SWEEP} ({clip.source})", files, spec, context.progress)
     return calibrate_intrinsics(SWEEP, views, settled, (clip.width, clip.height))
-
-
-def health(model: SweepModel, exif_focal_px: float | None, board: BoardCalibration | None) -> list[HealthRow]:
-    """Rows about how much was registered and how well it is fixed."""
-    r = model.report
-    lost: list[str] = r["unregistered"]
-    fewest = min(r["points_per_image"].values(), default=0)
-    rows = [
-        row(
-            "registered share of the sweep",
-            r["registered"] / r["given"],
-            "",
-            warn=0.8,
-            fail=0.4,
-            remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(lost)}. A small model can "
-            "look perfect: film with 70 % overlap between pictures, walk sideways, and show texture.",
-        ),
-        row(
-            "mean reprojection error",
-            r["mean_reprojection_px"],
-            "px",
-            warn=1.0,
-            fail=2.0,
-            low_is_bad=False,
-            remedy="Something moved during the sweep, or the lens changed: keep the scene at "
-            "rest, lock focus and zoom.",
-        ),
-        row(
-            "mean track length",
-            r["mean_track_length"],
-            "pictures",
-            warn=3.0,
-            remedy="Points are seen in too few pictures: more overlap between neighbouring pictures.",
-        ),
-        row(
-            "points of the poorest picture",
-            fewest,
-            "",
-            warn=100,
-            fail=30,
-            remedy=f"Weak texture in {_some([n for n, p in r['points_per_image'].items() if p < 100])}: "
-            "keep textured things in view, or add some for the sweep.",
-        ),
-        row(
-            "median triangulation angle",
-            r["median_triangulation_angle_deg"],
-            "deg",
-            warn=3.0,
-            fail=1.5,
-            remedy="The camera turned more than it moved: walk sideways around the scene.",
-        ),
-    ]
-    if len(r["models"]) > 1:
-        joined = "; ".join(f"{len(m)}: {_some(m)}" for m in r["other_models"])
-        rows.append(
-            note(
-                "one model",
-                f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures",
-                verdict="warn",
-                remedy=f"The largest is used; apart from it stand {joined}. Film pictures that join them.",
-            )
-        )
-    rows += _focal(model, exif_focal_px, board)
-    rows.append(note("mapper", str(r["mapper"])))
-    return rows
-
-
-def _focal(model: SweepModel, exif_focal_px: float | None, board: BoardCalibration | None) -> list[HealthRow]:
-    found = {c["K"][0][0]: c for c in model.report["cameras"].values()}
-    focal = next(iter(found))
-    rows: list[HealthRow] = []
-    for source, start in (("EXIF", exif_focal_px), ("the board", board and board.intrinsics.K[0, 0])):
-        if start:
-            rows.append(
-                row(
-                    f"focal length against {source}",
-                    100 * abs(focal / start - 1),
-                    "%",
-                    warn=5.0,
-                    fail=15.0 if source == "the board" else None,
-                    low_is_bad=False,
-                    remedy=FOCAL_REMEDY,
-                )
-            )
-    if board is not None:
-        rows += board_rows(SWEEP, board)
-    return rows
 
 
 def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:

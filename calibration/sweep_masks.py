@@ -1,0 +1,79 @@
+"""Masks of what moves or reflects in a sweep: black is ignored (COLMAP's convention).
+
+A picture's mask has its size and its name plus `.png` (`IMG_1.jpg.png`), or its name with `.png` instead
+(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`).
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from devrf.capture.errors import InputError
+from devrf.capture.picture_files import read_pixels
+
+GROWN = 0.01  # of the longer side: contact shadows, and the width of the filter that finds a feature
+BLACK_BELOW = 128  # of 255; masks saved as JPEG or resized are not quite black and white
+LISTED = 4
+
+
+def prepare_masks(
+    folder: Path, pictures: Mapping[str, str], sizes: Mapping[str, tuple[int, int]], out: Path
+) -> list[str]:
+    """Write every picture's mask, what is ignored grown a little, where COLMAP looks for it.
+
+    Args:
+        folder: The user's masks.
+        pictures: Name of each picture (relative to the picture folder) -> what it was called when filmed.
+        sizes: (width, height) of each picture.
+        out: Folder for COLMAP's masks.
+    Returns:
+        Pictures without a mask; all of them is used.
+    Raises:
+        InputError: No folder, no mask at all, a mask of another size, or one that ignores everything.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml")
+    without, problems = [], []
+    for name, original in pictures.items():
+        file = _find(folder, name, original)
+        if file is None:
+            without.append(name)
+            continue
+        keep = read_pixels(file)[:, :, :3].max(axis=2) >= BLACK_BELOW
+        if keep.shape[::-1] != sizes[name]:
+            size, want = "x".join(map(str, keep.shape[::-1])), "x".join(map(str, sizes[name]))
+            problems.append(
+                f"{file}: {size}, the picture {original} is {want} (upright); save it at that size"
+            )
+            continue
+        side = 2 * max(2, round(GROWN * max(keep.shape))) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        kept = cv2.erode(keep.astype(np.uint8) * 255, disc, borderType=cv2.BORDER_REPLICATE)
+        if not kept.any():
+            problems.append(
+                f"{file}: ignores the whole picture; black is ignored, white is used: invert the mask, or take "
+                "the picture out of the sweep"
+            )
+            continue
+        target = out / f"{name}.png"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(target), kept)
+    if problems:
+        more = f"\n(and {len(problems) - LISTED} more)" if len(problems) > LISTED else ""
+        raise InputError("\n".join(problems[:LISTED]) + more)
+    if len(without) == len(pictures):
+        example = next(iter(pictures.values()))
+        raise InputError(
+            f"{folder}: holds no mask of the sweep's {len(pictures)} pictures; expected names such as "
+            f"{example}.png"
+        )
+    return without
+
+
+def _find(folder: Path, name: str, original: str) -> Path | None:
+    stems = (original, Path(original).stem, Path(name).stem)
+    names = [f"{stem}.png" for stem in stems]
+    names += [f"{int(stem)}.png" for stem in stems if stem.isdigit()]
+    return next((folder / n for n in names if (folder / n).is_file()), None)
