@@ -81,7 +81,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
         "models": [],
     }
     if mapping.best is None:
-        _write_two_views(database, Path(job["out"]), {})
+        _write_two_views(database, Path(job["out"]))
         return out | mapping.report()
     if mapping.costly_comparison:  # what follows has no limit of its own: leave what there is
         _leave(job, out | _publish(mapping, database, job, adjust=False))
@@ -274,7 +274,7 @@ def _publish(mapping: _Mapping, database: Path, job: dict[str, Any], adjust: boo
         _say(0.98, "bundle adjustment")
         adjusted = _polish(mapping.best, job, mapping.held)
     out = Path(job["out"])
-    _write_two_views(database, out, _poses(mapping.best))
+    _write_two_views(database, out)
     return {
         **mapping.report(),
         "models": [sorted(i.name for i in m.images.values() if i.has_pose) for m in mapping.models],
@@ -314,7 +314,8 @@ def _import_group(database: Path, image_path: str, group: dict[str, Any]) -> int
         options.camera_params = ",".join(repr(float(p)) for p in group["params"])
     pycolmap.import_images(str(database), image_path, pycolmap.CameraMode.SINGLE, group["names"], options)
     db = pycolmap.Database.open(str(database))
-    camera = db.read_camera(db.read_image_with_name(group["names"][0]).camera_id)
+    image = next(i for i in db.read_all_images() if i.name == group["names"][0])
+    camera = db.read_camera(image.camera_id)
     if group["params"] is not None:
         camera.has_prior_focal_length = True
         db.update_camera(camera)
@@ -515,40 +516,31 @@ def _features(db: pycolmap.Database, image_id: int) -> tuple[np.ndarray, np.ndar
     return xy, np.asarray(getattr(descriptors, "data", descriptors), dtype=np.uint8).reshape(len(xy), 128)
 
 
-def _write_two_views(database: Path, out: Path, poses: dict[str, np.ndarray]) -> None:
+def _write_two_views(database: Path, out: Path) -> None:
     """`two_views.npz`: what is known of every verified pair; see `two_views.TwoViews`."""
     db = pycolmap.Database.open(str(database))
     images = sorted(db.read_all_images(), key=lambda i: i.name)
     row_of = {image.image_id: n for n, image in enumerate(images)}
     keypoints = {i.image_id: np.asarray(db.read_keypoints(i.image_id))[:, :2] for i in images}
-    cameras = {c.camera_id: c for c in db.read_all_cameras()}
     pair_ids, geometries = db.read_two_view_geometries()
-    pairs, kinds, inliers, relative, match_pair, match_xy, match_inlier = [], [], [], [], [], [], []
+    pairs, kinds, match_pair, match_xy, match_inlier = [], [], [], [], []
     for pair_id, geometry in zip(pair_ids, geometries, strict=True):
         a, b = _image_ids(pair_id)
         agreeing = np.asarray(geometry.inlier_matches).reshape(-1, 2)
         if len(agreeing) < FEWEST_INLIERS:
             continue
         matches = np.asarray(db.read_matches(a, b)).reshape(-1, 2)
-        pose = geometry.cam2_from_cam1
         pairs.append((row_of[a], row_of[b]))
-        kinds.append(geometry.config.name)
-        inliers.append(len(agreeing))
-        relative.append(np.full((3, 3), np.nan) if pose is None else pose.rotation.matrix())
+        kinds.append(pycolmap.TwoViewGeometryConfiguration(geometry.config).name)
         match_pair.append(np.full(len(matches), len(pairs) - 1))
         match_xy.append(np.stack([keypoints[a][matches[:, 0]], keypoints[b][matches[:, 1]]], axis=1))
         match_inlier.append(np.isin(matches @ (1 << 32, 1), agreeing @ (1 << 32, 1)))
     db.close()
-    sizes = [(cameras[i.camera_id].width, cameras[i.camera_id].height) for i in images]
     np.savez(
         out / "two_views.npz",
         names=np.array([i.name for i in images]),
-        size=np.array(sizes).reshape(-1, 2),
-        turn=np.array([poses[i.name][:, :3] if i.name in poses else np.full((3, 3), np.nan) for i in images]),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         kinds=np.array(kinds, dtype=np.str_),
-        inliers=np.array(inliers, dtype=np.int64),
-        relative=np.array(relative).reshape(-1, 3, 3),
         match_pair=np.concatenate([*match_pair, np.zeros(0, np.int64)]).astype(np.int64),
         match_xy=np.concatenate([*match_xy, np.zeros((0, 2, 2))]).astype(np.float64),
         match_inlier=np.concatenate([*match_inlier, np.zeros(0, bool)]).astype(bool),

@@ -21,7 +21,7 @@ from devrf.calibration.sfm_process import run_job
 from devrf.calibration.sweep_devices import PRINCIPAL_POINT_FROM, DeviceGroup
 from devrf.calibration.sweep_gps import UP_STD, align, local_metres, why_not
 from devrf.calibration.sweep_pairs import plan_pairs
-from devrf.calibration.two_views import pair_report, read_two_views
+from devrf.calibration.two_views import against_model, kinds_report, read_two_views
 from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CalibrationError, HealthError
 from devrf.capture.exif import Place
@@ -157,8 +157,7 @@ def recover_static_poses(
             None if budget_s is None else LATE * budget_s + LATE_S,
         )
         views = read_two_views(Path(work) / "two_views.npz")
-        pairs_say = pair_report(views)
-        _refuse_unregistered(result, pairs_say, len(names))
+        _refuse_unregistered(result, kinds_report(views), len(names))
         for made in ("colmap", "points.npz"):
             shutil.move(str(Path(work) / made), out / made)
     report = {key: result[key] for key in (
@@ -170,10 +169,11 @@ def recover_static_poses(
     report["models"] = [len(model) for model in result["models"]]
     report["other_models"] = result["models"][1:]
     report["unregistered"] = sorted(set(names) - set(result["frames"]))
-    report["verified_pairs"] = pairs_say
     report["start"] = _starts(groups, result)
     (out / "static_poses.json").write_text(json.dumps(report))
     model = read_static_poses(out)
+    registered = dict(zip(model.names, model.cameras, strict=True))
+    report["verified_pairs"] = kinds_report(views) | against_model(views, registered)
     report["gps"] = _gps(model, metres, std_m, no_gps) if places else None
     report["median_triangulation_angle_deg"] = median_triangulation_angle_deg(model)
     report["points_per_image"] = {

@@ -15,6 +15,8 @@ FEWEST_OBSERVATIONS = 40  # of a picture, for a fit of 13 numbers to its residua
 SURE_FOCAL = 0.02  # standard deviation of a picture's own focal, relative; others have no say
 TWO_PEAKS_APART = 4.0  # gap between two groups over the scatter within them
 FEWEST_OF_A_ZOOM = 3  # pictures
+FLAT = 0.01  # of the distance: relief that moves a focal length by less than other errors do
+PLANE_TRIALS = 200  # triplets; half the points on a plane are found by the 30th
 NEAR = 0.25  # centres nearer than this share of the depth see the same things, ...
 SAME_WAY_DEG = 20.0  # ... if they look the same way
 NOT_NEIGHBOURS = 0.25  # of the sweep; pictures further apart in time close a loop
@@ -128,6 +130,24 @@ def principal_point_off(camera: Camera) -> float:
     """Largest distance of the principal point from the middle, over the width."""
     off = np.abs(camera.K[:2, 2] - [camera.width / 2, camera.height / 2])
     return float(off.max() / camera.width)
+
+
+def plane_share(model: SweepModel) -> float:
+    """Share of the points that lie on one plane, as far as the nearest camera can tell (least median of squares)."""
+    centres = np.array([camera.centre for camera in model.cameras])
+    xyz = model.xyz[model.error_px < np.inf]
+    if len(xyz) < 4:
+        return 0.0
+    depth = float(np.median(np.linalg.norm(xyz[:, None] - centres.mean(0), axis=-1)))
+    rng = np.random.default_rng(0)
+    best = 0.0
+    for _ in range(PLANE_TRIALS):
+        a, b, c = xyz[rng.choice(len(xyz), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length > 0:
+            best = max(best, float((np.abs((xyz - a) @ (normal / length)) < FLAT * depth).mean()))
+    return best
 
 
 def open_loop(model: SweepModel) -> tuple[float, tuple[str, str]] | None:

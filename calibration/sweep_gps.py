@@ -114,7 +114,7 @@ def align(
                 best = (float(cost), off <= OUTLIER)
     if best is None:
         return None
-    used = best[1]
+    metres_from_model, used = np.eye(4), best[1]
     for _ in range(3):  # the fit decides who agrees, those decide the fit
         if used.sum() < FEWEST:
             return None

@@ -1,25 +1,29 @@
-"""What verified pairs of pictures say, before and beside the model: COLMAP's kinds of pairs, matches that do not
-fit, relative turns that contradict the model.
+"""What pairs of pictures say, beside the model: COLMAP's kinds of pairs, and matches that do not fit the model.
 
 COLMAP calls a pair PLANAR, PANORAMIC or PLANAR_OR_PANORAMIC where a homography explains at least 0.8 as many
 matches as an essential or fundamental matrix, and WATERMARK where matches at the border do not move.
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from devrf.calibration.truth import rotation_angle_deg
+from devrf.capture.camera import Camera, undistort
 
-STRONG_PAIR = 30  # inliers; pairs with fewer are wrong now and then
+FITS_PX = 4.0  # from the epipolar line: COLMAP's own bound for an inlier of a pair
+STRONG_PAIR = 100  # inliers; COLMAP begins a model with such a pair, so it can decide where things are
+CONTRADICTS = (
+    0.5  # of a pair's inliers do not fit the model: the pair agrees with itself, not with the others
+)
+TRUE_PAIR, TRUE_MATCHES = 0.7, 30  # of a pair's matches fit the model: its others are not wrong by chance
 TILES = 8  # per side of a picture, for what moves in it
 TILE_MATCHES = 8  # a tile with fewer says nothing
-TILE_MOVES = 0.5  # of a tile's matches do not fit, ...
-USUAL_OUTLIERS = 0.25  # ... and that much more than in the rest of the picture
-CONTRADICTS_DEG = 10.0  # GLOMAP's limit for a relative turn against the averaged ones
+TILE_MOVES = 0.5  # of a tile's matches do not fit
 HOMOGRAPHY = ("PLANAR", "PANORAMIC", "PLANAR_OR_PANORAMIC")
 
 
@@ -29,23 +33,15 @@ class TwoViews:
 
     Attributes:
         names: Pictures, sorted [N].
-        size: Width, height [N, 2].
-        turn: Rotation of `cam_from_world` in the model [N, 3, 3]; NaN for pictures that are not in it.
         pairs: Rows of both pictures [P, 2].
         kinds: COLMAP's kind of each pair [P].
-        inliers: Matches that fit [P].
-        relative: Rotation of `second_from_first` by the pair alone [P, 3, 3]; NaN where it has none.
-        match_pair, match_xy, match_inlier: Every match's pair, pixels in both pictures, whether it fits
-            [M], [M, 2, 2], [M].
+        match_pair, match_xy, match_inlier: Every match's pair, pixels in both pictures, whether it fits the
+            pair's own geometry [M], [M, 2, 2], [M].
     """
 
     names: tuple[str, ...]
-    size: Int[np.ndarray, "images 2"]
-    turn: Float[np.ndarray, "images 3 3"]
     pairs: Int[np.ndarray, "pairs 2"]
     kinds: tuple[str, ...]
-    inliers: Int[np.ndarray, " pairs"]
-    relative: Float[np.ndarray, "pairs 3 3"]
     match_pair: Int[np.ndarray, " matches"]
     match_xy: Float[np.ndarray, "matches 2 2"]
     match_inlier: Bool[np.ndarray, " matches"]
@@ -59,60 +55,100 @@ def read_two_views(file: Path) -> TwoViews:
     return TwoViews(names=names, kinds=kinds, **arrays)
 
 
-def pair_report(views: TwoViews) -> dict:
-    """For `static_poses.json`: shares of kinds, pairs that contradict the model, pictures in which things move."""
-    count = max(1, len(views.kinds))
-    kinds = Counter(views.kinds)
-    moving = moving_tiles(views)
+def kinds_report(views: TwoViews) -> dict[str, Any]:
+    """How many pairs were verified, and shares of COLMAP's kinds."""
+    kinds, count = Counter(views.kinds), max(1, len(views.kinds))
     return {
         "verified": len(views.kinds),
         "kinds": dict(sorted(kinds.items())),
-        "homography_share": sum(kinds[k] for k in HOMOGRAPHY) / count,
-        "panoramic_share": kinds["PANORAMIC"] / count,
+        "homography_share": sum(kinds[kind] for kind in HOMOGRAPHY) / count,
         "watermark_share": kinds["WATERMARK"] / count,
-        "contradicting": contradicting_pairs(views),
-        "strong": int((views.inliers >= STRONG_PAIR).sum()),
-        "moving_tiles": moving,
     }
 
 
-def contradicting_pairs(views: TwoViews) -> list[dict]:
-    """Strong pairs whose own relative turn is far from the model's: repeated texture, merged sides."""
-    out = []
-    for n, (a, b) in enumerate(views.pairs.tolist()):
-        by_model = views.turn[b] @ views.turn[a].T
-        if views.inliers[n] < STRONG_PAIR or not np.isfinite(by_model + views.relative[n]).all():
-            continue
-        deg = rotation_angle_deg(by_model, views.relative[n])
-        if deg > CONTRADICTS_DEG:
-            names = [views.names[a], views.names[b]]
-            out.append({"names": names, "deg": deg, "inliers": int(views.inliers[n])})
-    return sorted(out, key=lambda pair: -pair["inliers"])
+def against_model(views: TwoViews, cameras: Mapping[str, Camera]) -> dict[str, Any]:
+    """Pairs and places in pictures that contradict the model.
 
-
-def moving_tiles(views: TwoViews) -> dict[str, float]:
-    """Share of each picture's textured tiles in which most matches do not fit the camera's motion.
-
-    Pictures without such a tile are left out. Matches between neighbours that are wrong by chance spread over
-    the picture; those on something that moved stay together.
+    Args:
+        views: The pairs.
+        cameras: The model's cameras by picture.
+    Returns:
+        `strong_pairs`: how many pairs with `STRONG_PAIR` inliers are between registered pictures;
+        `contradicting`: those whose inliers do not fit the model (repeated texture, merged sides);
+        `moving`: by picture, the share of its textured tiles whose matches do not fit in pairs that fit as a
+        whole: what moves stays together, what is wrong by chance does not. Pictures without are left out.
     """
-    strong = (views.inliers >= STRONG_PAIR)[views.match_pair]
-    out: dict[str, float] = {}
-    sides = []
+    off = epipolar_px(views, cameras)
+    known = np.isfinite(off)
+    fits = off <= FITS_PX
+    count = len(views.pairs)
+    of_all, of_inliers = (np.bincount(views.match_pair[known & m], minlength=count)
+                          for m in (np.ones(len(off), dtype=bool), views.match_inlier))  # fmt: skip
+    fit_all, fit_inliers = (np.bincount(views.match_pair[fits & m], minlength=count)
+                            for m in (np.ones(len(off), dtype=bool), views.match_inlier))  # fmt: skip
+    strong = of_inliers >= STRONG_PAIR
+    wrong = strong & (fit_inliers < CONTRADICTS * of_inliers)
+    true = (fit_all >= TRUE_MATCHES) & (fit_all > TRUE_PAIR * of_all)
+    used = known & true[views.match_pair]
+    contradicting = [
+        {
+            "names": [views.names[a], views.names[b]],
+            "inliers": int(of_inliers[n]),
+            "fit": int(fit_inliers[n]),
+        }
+        for n, (a, b) in enumerate(views.pairs.tolist())
+        if wrong[n]
+    ]
+    return {
+        "strong_pairs": int(strong.sum()),
+        "contradicting": sorted(contradicting, key=lambda pair: -pair["inliers"]),
+        "moving": _moving(views, cameras, used, ~fits),
+    }
+
+
+def epipolar_px(views: TwoViews, cameras: Mapping[str, Camera]) -> Float[np.ndarray, " matches"]:
+    """Sampson distance of every match from the model's epipolar geometry, pixels; NaN where a picture is not in it.
+
+    A point at rest, seen by two cameras of the model, is as near as the model's own reprojection error,
+    however short the way between the cameras (Hartley & Zisserman, 2nd ed., 11.4.3).
+    """
+    off = np.full(len(views.match_pair), np.nan)
+    order = np.argsort(views.match_pair, kind="stable")
+    ends = np.searchsorted(views.match_pair[order], np.arange(len(views.pairs) + 1))
+    for n, (a, b) in enumerate(views.pairs.tolist()):
+        first, second = cameras.get(views.names[a]), cameras.get(views.names[b])
+        mine = order[ends[n] : ends[n + 1]]
+        if first is None or second is None or not len(mine):
+            continue
+        x, y = (_normalised(c, views.match_xy[mine, k]) for k, c in enumerate((first, second)))
+        R = second.cam_from_world[:, :3] @ first.cam_from_world[:, :3].T
+        t = second.cam_from_world[:, 3] - R @ first.cam_from_world[:, 3]
+        E = np.cross(np.eye(3), t / max(float(np.linalg.norm(t)), 1e-12)) @ R
+        to, back = x @ E.T, y @ E
+        across = np.sqrt((to[:, :2] ** 2).sum(1) + (back[:, :2] ** 2).sum(1))
+        focal = (first.K[0, 0] + second.K[0, 0]) / 2
+        off[mine] = focal * np.abs((y * to).sum(1)) / np.maximum(across, 1e-12)
+    return off
+
+
+def _moving(
+    views: TwoViews, cameras: Mapping[str, Camera], used: np.ndarray, wrong: np.ndarray
+) -> dict[str, float]:
+    matches = np.zeros((len(views.names), TILES * TILES))
+    outliers = np.zeros_like(matches)
     for side in (0, 1):
-        image = views.pairs[views.match_pair[strong], side]
-        sides.append((image, views.match_xy[strong, side], ~views.match_inlier[strong]))
-    image, xy, outlier = (np.concatenate(part) for part in zip(*sides, strict=True))
-    cell = np.clip(TILES * xy / views.size[image], 0, TILES - 1).astype(np.int64)
-    place = (image * TILES + cell[:, 1]) * TILES + cell[:, 0]
-    shape, length = (len(views.names), TILES * TILES), len(views.names) * TILES * TILES
-    matches = np.bincount(place, minlength=length).reshape(shape)
-    outliers = np.bincount(place, weights=outlier, minlength=length).reshape(shape)
+        image = views.pairs[views.match_pair[used], side]
+        size = np.array([[c.width, c.height] if (c := cameras.get(n)) else [1, 1] for n in views.names])
+        cell = np.clip(TILES * views.match_xy[used, side] / size[image], 0, TILES - 1).astype(np.int64)
+        tile = cell[:, 1] * TILES + cell[:, 0]
+        np.add.at(matches, (image, tile), 1)
+        np.add.at(outliers, (image, tile), wrong[used])
     enough = matches >= TILE_MATCHES
-    share = outliers / np.maximum(1, matches)
-    usual = np.nan_to_num(np.nanmedian(np.where(enough, share, np.nan), axis=1)) if enough.any() else 0.0
-    moves = enough & (share > TILE_MOVES) & (share > np.reshape(usual, (-1, 1)) + USUAL_OUTLIERS)
-    for name, count, all_ in zip(views.names, moves.sum(1).tolist(), enough.sum(1).tolist(), strict=True):
-        if count:
-            out[name] = count / all_
-    return out
+    moves = enough & (outliers > TILE_MOVES * matches)
+    counts = zip(views.names, moves.sum(1).tolist(), enough.sum(1).tolist(), strict=True)
+    return {name: count / textured for name, count, textured in counts if count}
+
+
+def _normalised(camera: Camera, xy: np.ndarray) -> np.ndarray:
+    x = (xy - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    return np.column_stack([undistort(x, camera.distortion, camera.model), np.ones(len(x))])

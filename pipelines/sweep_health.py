@@ -13,6 +13,7 @@ from devrf.calibration.sweep_checks import (
     fold,
     open_loop,
     picture_fits,
+    plane_share,
     principal_point_off,
     two_zooms,
 )
@@ -112,7 +113,8 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
             "deg",
             warn=3.0,
             fail=1.5,
-            remedy="The camera turned more than it moved: walk sideways around the scene.",
+            remedy="The camera turned more than it moved (one homography explains "
+            f"{100 * r['verified_pairs']['homography_share']:.0f} % of the pairs): walk sideways around the scene.",
         ),
         _texture(r),
     ]
@@ -158,25 +160,13 @@ def _texture(r: dict[str, Any]) -> HealthRow:
 
 def _pairs(r: dict[str, Any]) -> list[HealthRow]:
     pairs = r["verified_pairs"]
-    turned = r["median_triangulation_angle_deg"] < 3.0 or pairs["panoramic_share"] > 0.5
-    moving = sorted(n for n, share in pairs["moving_tiles"].items() if share > MOVING_SHARE)
+    moving = sorted(n for n, share in pairs["moving"].items() if share > MOVING_SHARE)
     wrong = pairs["contradicting"]
     listed = _some([" - ".join(pair["names"]) for pair in wrong])
     return [
         row(
-            "pairs that one homography explains",
-            pairs["homography_share"],
-            "",
-            warn=0.8,
-            low_is_bad=False,
-            remedy="The camera turned and did not move: walk sideways around the scene."
-            if turned
-            else "The scene is flat, which leaves the focal length poorly fixed: film a board with the same "
-            "settings (capture.board.clips.static), or bring depth into view.",
-        ),
-        row(
             "strong pairs that contradict the model",
-            100 * len(wrong) / max(1, pairs["strong"]),
+            100 * len(wrong) / max(1, pairs["strong_pairs"]),
             "%",
             warn=5.0,
             low_is_bad=False,
@@ -253,14 +243,6 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
             "(capture.board.clips.static).",
         ),
         row(
-            "picture radius within which the lens model is one-to-one",
-            min((fold(c) for c in cameras), default=None),
-            "of the corner's",
-            warn=1.0,
-            remedy="The distortion folds inside the picture, so its corners are wrong: film things near the corners, "
-            "or a board (capture.board.clips.static).",
-        ),
-        row(
             "field of view",
             max((field_of_view_deg(c) for c in cameras if c.model == "OPENCV"), default=0.0),
             "deg",
@@ -270,6 +252,18 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
             "the camera's linear mode.",
         ),
     ]
+    folds = [fold(c) for c in cameras]
+    if min(folds) < float("inf"):
+        rows.append(
+            row(
+                "picture radius within which the lens model is one-to-one",
+                min(folds),
+                "of the corner's",
+                warn=1.0,
+                remedy="The distortion folds inside the picture, so its corners are wrong: film things near the "
+                "corners, or a board (capture.board.clips.static).",
+            )
+        )
     return rows
 
 
@@ -278,6 +272,15 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
     zooms = two_zooms(model, fits, ZOOMS_APART)
     rows = [
         row(
+            "share of points on one plane",
+            plane_share(model),
+            "",
+            warn=0.9,
+            low_is_bad=False,
+            remedy="The scene is flat, which leaves the focal length poorly fixed: film a board with the same "
+            "settings (capture.board.clips.static), or bring depth into view.",
+        ),
+        row(
             "residuals by row of the picture",
             max(0.0, fits.rows_px**2 - fits.columns_px**2) ** 0.5,
             "px",
@@ -285,7 +288,7 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
             low_is_bad=False,
             remedy="Errors depend on the row: a rolling shutter in motion. Move slowly, use a short shutter and a mode "
             "with fast readout, or take still photos.",
-        )
+        ),
     ]
     if zooms is not None:
         rows.append(

@@ -11,17 +11,13 @@ import numpy as np
 import pytest
 
 from devrf.calibration import sfm_process
-from devrf.calibration.intrinsics import from_vector, guess
+from devrf.calibration.intrinsics import from_vector
 from devrf.calibration.sfm_process import run_job
-from devrf.calibration.static_poses import (
-    EXHAUSTIVE_UP_TO,
-    device_groups,
-    plan_pairs,
-    read_static_poses,
-    recover_static_poses,
-)
+from devrf.calibration.static_poses import read_static_poses, recover_static_poses
+from devrf.calibration.sweep_devices import device_groups
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.errors import CalibrationError, HealthError
+from devrf.capture.exif import Exif
 
 SIZE = (320, 240)
 FOCAL = 300.0
@@ -70,12 +66,17 @@ def render_corner(folder: Path) -> dict[str, np.ndarray]:
     return truth
 
 
+def tags(names) -> dict[str, Exif]:
+    """Photos that know their focal length."""
+    return dict.fromkeys(names, Exif("camera", FOCAL))
+
+
 @pytest.fixture(scope="module")
 def corner(tmp_path_factory):
     """(picture folder, truth, result folder, model) of one run."""
     pictures, out = tmp_path_factory.mktemp("pictures"), tmp_path_factory.mktemp("out")
     truth = render_corner(pictures)
-    groups = device_groups(dict.fromkeys(truth, SIZE), FOCAL, None)
+    groups = device_groups(dict.fromkeys(truth, SIZE), tags(truth), None)
     return pictures, truth, out, recover_static_poses(pictures, groups, out)
 
 
@@ -111,7 +112,7 @@ def test_what_is_left_on_disk(corner):
 
 def test_the_same_pictures_give_the_same_model(corner, tmp_path):
     pictures, truth, _, model = corner
-    groups = device_groups(dict.fromkeys(truth, SIZE), FOCAL, None)
+    groups = device_groups(dict.fromkeys(truth, SIZE), tags(truth), None)
     again = recover_static_poses(pictures, groups, tmp_path)
     for a, b in zip(model.cameras, again.cameras, strict=True):
         np.testing.assert_array_equal(a.cam_from_world, b.cam_from_world)
@@ -125,13 +126,13 @@ def test_blank_walls_are_refused_with_counts(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(HealthError, match=r"0 of 4 pictures.*best pair: 0 inliers.*blank walls"):
-        recover_static_poses(tmp_path, device_groups(dict.fromkeys(names, (160, 120)), None, None), out)
+        recover_static_poses(tmp_path, device_groups(dict.fromkeys(names, (160, 120)), {}, None), out)
 
 
 def test_two_pictures_are_no_sweep(tmp_path):
     sizes = {"a.png": (160, 120), "b.png": (160, 120)}
     with pytest.raises(CalibrationError, match="the sweep has 2 pictures, need at least 3"):
-        recover_static_poses(tmp_path, device_groups(sizes, None, None), tmp_path)
+        recover_static_poses(tmp_path, device_groups(sizes, {}, None), tmp_path)
 
 
 def test_a_crash_of_the_worker_is_an_error_with_its_last_words(tmp_path):
@@ -147,6 +148,18 @@ def test_a_worker_that_ignores_sigterm_is_killed(tmp_path, monkeypatch):
     with pytest.raises(CalibrationError, match="was stopped after 2 s"):
         run_job({}, tmp_path, tmp_path / "colmap.log", timeout_s=2.0, command=[sys.executable, "-c", code])
     assert time.monotonic() - start < 60
+
+
+def test_what_a_stopped_worker_left_counts(tmp_path):
+    code = (
+        "import json, pathlib, time\n"
+        f"pathlib.Path({str(tmp_path)!r}, 'result.json').write_text(json.dumps({{'given': 3}}))\n"
+        "time.sleep(600)"
+    )
+    result = run_job(
+        {}, tmp_path, tmp_path / "colmap.log", timeout_s=2.0, command=[sys.executable, "-c", code]
+    )
+    assert result["given"] == 3 and "was stopped after 2 s" in result["stopped"]
 
 
 def test_a_worker_without_a_result_is_an_error(tmp_path):
@@ -167,25 +180,3 @@ def test_importing_pycolmap_first_through_the_package_does_not_corrupt_zlib():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stdout.strip() == "fine", done.stderr
-
-
-def test_pairs_of_small_and_long_sweeps():
-    names = [f"{n:03d}" for n in range(10)]
-    assert len(plan_pairs(names, ordered=True)) == 45
-    names = [f"{n:03d}" for n in range(EXHAUSTIVE_UP_TO + 130)]
-    pairs = plan_pairs(names, ordered=True)
-    assert len(pairs) == len(set(pairs)) < len(names) * (len(names) - 1) / 4
-    assert (names[0], names[1]) in pairs and (names[0], names[-1]) in pairs  # neighbours, and the loop
-    assert all(a < b for a, b in pairs)
-    assert len(plan_pairs(names, ordered=False)) == len(names) * (len(names) - 1) // 2
-
-
-def test_groups_by_size_share_a_camera():
-    known = from_vector(320, 240, np.array([300.0, 300, 160, 120, 0, 0, 0, 0, 0]))
-    sizes = {"a": (320, 240), "b": (240, 320), "c": (320, 240)}
-    tall, wide = device_groups(sizes, None, known)
-    assert wide.names == ("a", "c") and wide.fixed and wide.intrinsics is known
-    assert tall.names == ("b",) and not tall.trusted
-    by_exif = device_groups({"a": (320, 240)}, 280.0, None)[0]
-    assert by_exif.trusted and not by_exif.fixed and by_exif.intrinsics.K[0, 0] == 280.0
-    assert guess(320, 240).K[0, 0] == pytest.approx(384.0)

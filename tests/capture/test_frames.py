@@ -189,5 +189,5 @@ def test_real_photos(data_dir, tmp_path):
     path = data_dir / "fox_static" / "images"
     frames = extract_folder(path, tmp_path, "static", "sweep", "images")
     assert len(frames.used) == 50 and (frames.width, frames.height) == (540, 960)
-    focal = probe_picture(list_pictures(data_dir / "sceaux_castle" / "images")[0]).exif.focal_px
-    assert focal == pytest.approx(1452.94, rel=0.03)  # K.txt
+    exif = probe_picture(list_pictures(data_dir / "sceaux_castle" / "images")[0]).exif
+    assert exif is not None and exif.focal_px == pytest.approx(1452.94, rel=0.03)  # K.txt

@@ -1,6 +1,9 @@
 """Which parts `bench calibration` and `bench sync` have; each is a function from `Cases` to rows."""
 
 from devrf.pipelines.bench.accuracy.cases import Part
+from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
-CALIBRATION: dict[str, Part] = {}
+CALIBRATION: dict[str, Part] = {
+    "sweeps": sweeps,
+}
 SYNC: dict[str, Part] = {}

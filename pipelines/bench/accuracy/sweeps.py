@@ -1,0 +1,112 @@
+"""Static poses of two public photo sets, by the stage's own entry point with production defaults.
+
+`fox_static` (instant-ngp): poses and focal length against the set's COLMAP model. `sceaux_castle` (openMVG): focal
+length against its K.txt, which is the EXIF focal length over the sensor's width, not a calibration.
+"""
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+
+from devrf.calibration.static_poses import SweepModel
+from devrf.calibration.truth import rotation_angle_deg, similarity
+from devrf.capture.frames import SWEEP
+from devrf.capture.ingest import write_frames
+from devrf.capture.pictures import list_pictures
+from devrf.capture.session import CaptureSession
+from devrf.pipelines.bench.accuracy.cases import Cases, not_there
+from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.scene_config import StaticPosesConfig
+from devrf.pipelines.stages.static_poses import recover_sweep
+
+FOX = "instant-ngp's COLMAP model of data/nerf/fox (transforms.json)"
+SCEAUX = "openMVG ImageDataset_SceauxCastle, images/K.txt"
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def sweeps(cases: Cases) -> list[Row]:
+    """Registered pictures, rotation, focal length, time, pairs and mapper of both sets."""
+    return _fox(cases) + _sceaux(cases)
+
+
+def _fox(cases: Cases) -> list[Row]:
+    folder = cases.real("fox_static")
+    if folder is None:
+        return [not_there("sweeps/fox_static", "", "fox_static")]
+    model, photos, seconds = _recover(cases, folder)
+    truth = json.loads((folder / "transforms.json").read_text())
+    reference = {
+        Path(f["file_path"]).name: np.array(f["transform_matrix"]) @ OPENCV_FROM_OPENGL
+        for f in truth["frames"]
+    }
+    true = [reference[photos[int(Path(name).stem)]] for name in model.names]
+    rotation = np.array(rotations_deg([c.world_from_cam for c in model.cameras], true))
+    focal = 100 * (model.cameras[0].K[0, 0] / truth["fl_x"] - 1)
+    return [
+        *_registered("fox_static", model, 50),
+        with_goal(
+            Row("sweeps/fox_static/rotation, median", float(np.median(rotation)), "deg", source=FOX),
+            0.2,
+            low_is_good=True,
+        ),
+        Row("sweeps/fox_static/rotation, largest", float(rotation.max()), "deg", source=FOX),
+        with_goal(Row("sweeps/fox_static/focal, off by", abs(focal), "%", source=FOX), 2.0, low_is_good=True),
+        *_cost("fox_static", model, seconds),
+    ]
+
+
+def _sceaux(cases: Cases) -> list[Row]:
+    folder = cases.real("sceaux_castle")
+    if folder is None:
+        return [not_there("sweeps/sceaux_castle", "", "sceaux_castle")]
+    model, _, seconds = _recover(cases, folder)
+    true = float((folder / "images" / "K.txt").read_text().split()[0])
+    camera = model.cameras[0]
+    focal = 100 * (camera.K[0, 0] / true - 1)
+    return [
+        *_registered("sceaux_castle", model, 11),
+        Row("sweeps/sceaux_castle/focal", float(camera.K[0, 0]), "px", anchor=true, source=SCEAUX),
+        with_goal(
+            Row("sweeps/sceaux_castle/focal, off by", abs(focal), "%", source=SCEAUX), 2.0, low_is_good=True
+        ),
+        *_cost("sceaux_castle", model, seconds),
+    ]
+
+
+def rotations_deg(ours: list[np.ndarray], true: list[np.ndarray]) -> list[float]:
+    """Angle of each recovered `world_from_cam` [4, 4] to the true one, after a similarity of the centres."""
+    true_from_ours = similarity(np.array([p[:3, 3] for p in ours]), np.array([p[:3, 3] for p in true]))
+    turn = true_from_ours[:3, :3] / np.cbrt(np.linalg.det(true_from_ours[:3, :3]))
+    return [rotation_angle_deg(turn @ a[:3, :3], b[:3, :3]) for a, b in zip(ours, true, strict=True)]
+
+
+def _recover(cases: Cases, folder: Path) -> tuple[SweepModel, list[str], float]:
+    """The model, the photos' own names by number, and seconds."""
+    out = cases.out / "sweeps" / folder.name
+    shutil.rmtree(out, ignore_errors=True)
+    (out / "static_poses").mkdir(parents=True)
+    photos = folder / "images"
+    frames = write_frames(CaptureSession(static=photos), {}, out / "ingest", out)
+    start = time.monotonic()
+    model, _ = recover_sweep(
+        out / "ingest", frames.cameras[SWEEP], out / "static_poses", StaticPosesConfig(), out
+    )
+    return model, [photo.name for photo in list_pictures(photos)], time.monotonic() - start
+
+
+def _registered(name: str, model: SweepModel, all_: int) -> list[Row]:
+    return [
+        with_goal(Row(f"sweeps/{name}/registered", float(len(model.names)), f"of {all_}"), float(all_)),
+        Row(f"sweeps/{name}/reprojection error", model.report["mean_reprojection_px"], "px"),
+    ]
+
+
+def _cost(name: str, model: SweepModel, seconds: float) -> list[Row]:
+    return [
+        Row(f"sweeps/{name}/time", seconds, "s"),
+        Row(f"sweeps/{name}/pairs matched", float(model.report["pairs"]["matched"]), ""),
+        Row(f"sweeps/{name}/mapper: {model.report['mapper']}", float(len(model.report["attempts"])), "tried"),
+    ]

@@ -1,0 +1,108 @@
+"""Which pictures share a camera, which pairs are matched, masks on disk."""
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration.intrinsics import from_vector, guess
+from devrf.calibration.sweep_devices import device_groups
+from devrf.calibration.sweep_masks import prepare_masks
+from devrf.calibration.sweep_pairs import EXHAUSTIVE_UP_TO, affordable, matching_s, plan_pairs, products
+from devrf.capture.errors import InputError
+from devrf.capture.exif import Exif
+
+
+def test_groups_by_size_share_a_camera():
+    known = from_vector(320, 240, np.array([300.0, 300, 160, 120, 0, 0, 0, 0, 0]))
+    sizes = {"a": (320, 240), "b": (240, 320), "c": (320, 240)}
+    tall, wide = device_groups(sizes, {}, known)
+    assert wide.names == ("a", "c") and wide.fixed and wide.intrinsics is known
+    assert tall.names == ("b",) and not tall.trusted
+    by_exif = device_groups({"a": (320, 240)}, {"a": Exif("", 280.0)}, None)[0]
+    assert by_exif.trusted and not by_exif.fixed and by_exif.intrinsics.K[0, 0] == 280.0
+    assert guess(320, 240).K[0, 0] == pytest.approx(384.0)
+
+
+def test_each_zoom_and_each_device_has_a_camera():
+    exif = {
+        "a": Exif("phone", 300.0),
+        "b": Exif("phone", 303.0),  # 1 %: rounding of the tag
+        "c": Exif("phone", 600.0),
+        "d": Exif("camera", 300.0),
+        "e": Exif("phone", None),
+    }
+    groups = device_groups(dict.fromkeys(exif, (320, 240)), exif, None)
+    assert sorted(group.names for group in groups) == [("a", "b"), ("c",), ("d",), ("e",)]
+    by_name = {group.names[0]: group for group in groups}
+    assert by_name["a"].intrinsics.K[0, 0] == pytest.approx(301.5)
+    assert by_name["c"].intrinsics.K[0, 0] == 600.0 and "phone 320x240 at 600 px" in by_name["c"].label
+    assert not by_name["e"].trusted
+
+
+def test_pairs_of_small_and_long_films():
+    names = [f"{n:03d}" for n in range(10)]
+    small = plan_pairs(names, ordered=True)
+    assert small.wanted == len(small.pairs) == 45
+    names = [f"{n:03d}" for n in range(EXHAUSTIVE_UP_TO + 130)]
+    plan, all_ = plan_pairs(names, ordered=True), len(names) * (len(names) - 1) // 2
+    wanted = plan.pairs[: plan.wanted]
+    assert len(set(plan.pairs)) == all_ and plan.wanted < all_ / 2
+    assert (names[0], names[1]) in wanted and (names[0], names[-1]) in wanted  # neighbours, and the loop
+    assert all(a < b for a, b in plan.pairs)
+    assert plan_pairs(names, ordered=False).wanted == all_
+
+
+def test_what_is_cut_for_time_is_far_away():
+    names = [f"{n:03d}" for n in range(40)]
+    features = dict.fromkeys(names, 1000)
+    plan = plan_pairs(names, ordered=False)
+    measured = 0.32 / products(plan.pairs[:32], features)  # 32 pairs took 0.32 s: 0.01 s each
+    assert matching_s(plan.pairs, features, measured) == pytest.approx(7.8)  # 780 pairs
+    count = affordable(plan.pairs, features, measured, 2.005)
+    assert count == 200  # at 0.01 s each
+    steps = [int(b) - int(a) for a, b in plan.pairs[:count]]
+    assert {1, 2, 3, 4} <= set(steps) and steps.count(1) == 39  # neighbours first, and all of them
+
+
+def test_places_decide_which_pairs_come_first():
+    names = [f"{n:03d}" for n in range(60)]
+    places = np.zeros((60, 3))
+    places[:, 0] = np.r_[np.arange(30), np.arange(30)[::-1]]  # there and back on the same path, metres
+    first = plan_pairs(names, ordered=False, places=places).pairs[:500]
+    assert (names[2], names[57]) in first  # 55 pictures apart, at the same place
+    assert (names[2], names[28]) not in first  # 26 metres apart
+
+
+def masked(tmp_path, name, mask):
+    """Two pictures, one mask; what `prepare_masks` makes of it."""
+    folder = tmp_path / "masks"
+    folder.mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / name), mask)
+    pictures = {"static/000000.jpg": "IMG_1.jpg", "static/000001.jpg": "IMG_2.jpg"}
+    return prepare_masks(folder, pictures, dict.fromkeys(pictures, (200, 100)), tmp_path / "out")
+
+
+def half(width: int = 200) -> np.ndarray:
+    mask = np.full((100, width), 255, dtype=np.uint8)
+    mask[:, : width // 2] = 0
+    return mask
+
+
+@pytest.mark.parametrize("name", ["IMG_1.jpg.png", "IMG_1.png", "000000.png", "0.png"])
+def test_masks_by_any_of_a_pictures_names(tmp_path, name):
+    assert masked(tmp_path, name, half()) == ["static/000001.jpg"]
+    written = cv2.imread(str(tmp_path / "out" / "static" / "000000.jpg.png"), cv2.IMREAD_GRAYSCALE)
+    assert written is not None and set(np.unique(written)) == {0, 255}
+    assert not written[:, :102].any() and written[:, 103:].all()  # grown by 1 % of 200 pixels
+
+
+def test_bad_masks_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"IMG_1.png: 100x100, the picture IMG_1.jpg is 200x100"):
+        masked(tmp_path, "IMG_1.png", half(100))
+    with pytest.raises(InputError, match=r"IMG_1.png: ignores the whole picture.*invert the mask"):
+        masked(tmp_path, "IMG_1.png", np.zeros((100, 200), dtype=np.uint8))
+    (tmp_path / "masks" / "IMG_1.png").unlink()
+    with pytest.raises(InputError, match=r"no mask of the sweep's 2 pictures; expected.*IMG_1.jpg.png"):
+        masked(tmp_path, "other.png", half())
+    with pytest.raises(InputError, match=r"no such folder; check calibration.static_poses.masks"):
+        prepare_masks(tmp_path / "nowhere", {}, {}, tmp_path)
