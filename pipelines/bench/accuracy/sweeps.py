@@ -44,7 +44,7 @@ def _fox(cases: Cases) -> list[Row]:
     }
     true = [reference[photos[int(Path(name).stem)]] for name in model.names]
     rotation = np.array(rotations_deg([c.world_from_cam for c in model.cameras], true))
-    focal = 100 * (model.cameras[0].K[0, 0] / truth["fl_x"] - 1)
+    focal = 100 * float(model.cameras[0].K[0, 0] / truth["fl_x"] - 1)
     return [
         *_registered("fox_static", model, 50),
         with_goal(
@@ -65,7 +65,7 @@ def _sceaux(cases: Cases) -> list[Row]:
     model, _, seconds = _recover(cases, folder)
     true = float((folder / "images" / "K.txt").read_text().split()[0])
     camera = model.cameras[0]
-    focal = 100 * (camera.K[0, 0] / true - 1)
+    focal = 100 * float(camera.K[0, 0] / true - 1)
     return [
         *_registered("sceaux_castle", model, 11),
         Row("sweeps/sceaux_castle/focal", float(camera.K[0, 0]), "px", anchor=true, source=SCEAUX),
