@@ -235,7 +235,7 @@ def _worker_group(group: DeviceGroup) -> dict[str, Any]:
     return {
         "names": list(group.names),
         "model": "OPENCV_FISHEYE" if fisheye else "FULL_OPENCV" if rich else "OPENCV",
-        "params": params if group.trusted else None,
+        "params": None if group.source == "guess" else params,
         "fixed": group.fixed,
     }
 
@@ -254,7 +254,7 @@ def _starts(groups: list[DeviceGroup], result: dict[str, Any]) -> list[dict[str,
             "label": g.label,
             "camera_id": next((frames[name]["camera_id"] for name in g.names if name in frames), None),
             "focal_px": g.intrinsics.K[0, 0],
-            "trusted": g.trusted,
+            "source": g.source,
             "fixed": g.fixed,
         }
         for g in groups

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -19,14 +20,14 @@ class DeviceGroup:
     Attributes:
         names: Picture files, relative to the picture folder.
         intrinsics: Start values, or what to hold fixed.
-        trusted: The focal is a prior (EXIF, board), not a guess.
+        source: Where the focal length is from; a guess is no prior.
         fixed: Hold the intrinsics (they come from a board).
         label: What tells it from the others, in words.
     """
 
     names: tuple[str, ...]
     intrinsics: Intrinsics
-    trusted: bool = False
+    source: Literal["guess", "EXIF", "board"] = "guess"
     fixed: bool = False
     label: str = ""
 
@@ -57,12 +58,12 @@ def device_groups(
         size, device, _ = key
         if known is not None and key == with_board:
             held = len(names) < PRINCIPAL_POINT_FROM
-            groups.append(DeviceGroup(tuple(names), known, True, held, _label(size, device, None)))
+            groups.append(DeviceGroup(tuple(names), known, "board", held, _label(size, device, None)))
             continue
         focals = [f for name in names if name in exif and (f := exif[name].focal_px) is not None]
         focal = float(np.median(focals)) if focals else None
-        label = _label(size, device, focal)
-        groups.append(DeviceGroup(tuple(names), guess(*size, focal), focal is not None, False, label))
+        source, label = "guess" if focal is None else "EXIF", _label(size, device, focal)
+        groups.append(DeviceGroup(tuple(names), guess(*size, focal), source, False, label))
     return groups
 
 

@@ -127,7 +127,7 @@ def align(
     rms_m = float(np.sqrt((off_m[used] ** 2).mean()))
     spread_m = moved[used] - moved[used].mean(0)
     # one axis' error over the root of the sum of squares: least squares of a scale
-    factor_std = rms_m / np.sqrt(3) / float(np.sqrt((spread_m**2).sum()))
+    factor_std = rms_m / float(np.sqrt(3 * (spread_m**2).sum()))
     factor = float(np.cbrt(np.linalg.det(metres_from_model[:3, :3])))
     return GpsAlignment(metres_from_model, factor, factor_std, rms_m, off_m, used)
 

@@ -199,19 +199,19 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
     cameras = list({camera.lens: camera for camera in model.cameras}.values())
     rows: list[HealthRow] = []
     found = {k: c["K"][0][0] for k, c in r["cameras"].items()}
-    priors = [s for s in r["start"] if s["trusted"] and not s["fixed"] and s["camera_id"] is not None]
+    priors = [s for s in r["start"] if s["source"] == "EXIF" and s["camera_id"] is not None]
     for start in priors:
         focal = found[str(start["camera_id"])]
         percent = 100 * abs(focal / start["focal_px"] - 1)
         which = "" if len(priors) == 1 else f" of {start['label']}"
         rows.append(
             row(
-                f"focal length against its start{which}",
+                f"focal length against EXIF{which}",
                 percent,
                 "%",
                 warn=EXIF_WARN,
                 low_is_bad=False,
-                remedy=f"The start said {start['focal_px']:.0f} px, the pictures say {focal:.0f} px"
+                remedy=f"EXIF says {start['focal_px']:.0f} px, the pictures say {focal:.0f} px"
                 f"{CROP if percent > EXIF_BAD else '. '}{FOCAL_REMEDY}",
             )
         )

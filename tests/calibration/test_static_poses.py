@@ -4,84 +4,24 @@ import json
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from devrf.calibration import sfm_process
-from devrf.calibration.intrinsics import from_vector
 from devrf.calibration.sfm_process import run_job
 from devrf.calibration.static_poses import read_static_poses, recover_static_poses
 from devrf.calibration.sweep_devices import device_groups
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.errors import CalibrationError, HealthError
-from devrf.capture.exif import Exif
 
-SIZE = (320, 240)
-FOCAL = 300.0
+FOCAL = 300.0  # what the corner is drawn with
 VIEWS = 9
 
 
-def texture(rng: np.random.Generator, side: int) -> np.ndarray:
-    """Blobs of many sizes: what SIFT likes."""
-    picture = np.full((side, side), 128, dtype=np.uint8)
-    for _ in range(900):
-        centre = tuple(int(x) for x in rng.integers(0, side, 2))
-        cv2.circle(picture, centre, int(rng.integers(3, 18)), int(rng.integers(0, 256)), -1)
-    return cv2.GaussianBlur(picture, (0, 0), 1.0)
-
-
-def render_corner(folder: Path) -> dict[str, np.ndarray]:
-    """Pictures of two textured walls that meet in a corner; true world_from_cam [4, 4] by name."""
-    rng = np.random.default_rng(0)
-    walls = [texture(rng, 900) for _ in range(2)]
-    corners = [  # of each wall, metres: the walls stand at right angles along z
-        np.array([[0, 0, 0], [3, 0, 0], [3, 0, -3], [0, 0, -3.0]]),
-        np.array([[0, 0, 0], [0, 3, 0], [0, 3, -3], [0, 0, -3.0]]),
-    ]
-    k = from_vector(*SIZE, np.array([FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2, 0, 0, 0, 0, 0]))
-    truth = {}
-    for n, angle in enumerate(np.linspace(0.15, 1.2, VIEWS)):
-        centre = np.array([4.2 * np.cos(angle), 4.2 * np.sin(angle), -1.5 + 0.5 * np.sin(5 * angle)])
-        forward = np.array([0.5, 0.5, -1.5]) - centre
-        forward /= np.linalg.norm(forward)
-        right = np.cross([0.0, 0.0, 1.0], forward)  # z points down
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward])
-        camera = k.at(np.column_stack([R, -R @ centre]))
-        picture = np.full(SIZE[::-1], 90, dtype=np.uint8)
-        for wall, corner in zip(walls, corners, strict=True):
-            source = np.array([[0, 0], [899, 0], [899, 899], [0, 899]], dtype=np.float32)
-            target = (camera.project(corner) - 0.5).astype(np.float32)
-            H = cv2.getPerspectiveTransform(source, target)
-            drawn = cv2.warpPerspective(wall, H, SIZE, flags=cv2.INTER_AREA)
-            inside = cv2.warpPerspective(np.full_like(wall, 255), H, SIZE) > 127
-            picture[inside] = drawn[inside]
-        name = f"static/{n:06d}.png"
-        (folder / "static").mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(folder / name), picture)
-        truth[name] = camera.world_from_cam
-    return truth
-
-
-def tags(names) -> dict[str, Exif]:
-    """Photos that know their focal length."""
-    return dict.fromkeys(names, Exif("camera", FOCAL))
-
-
-@pytest.fixture(scope="module")
-def corner(tmp_path_factory):
-    """(picture folder, truth, result folder, model) of one run."""
-    pictures, out = tmp_path_factory.mktemp("pictures"), tmp_path_factory.mktemp("out")
-    truth = render_corner(pictures)
-    groups = device_groups(dict.fromkeys(truth, SIZE), tags(truth), None)
-    return pictures, truth, out, recover_static_poses(pictures, groups, out)
-
-
 def test_every_view_is_registered_where_it_was(corner):
-    _, truth, _, model = corner
+    truth, model = corner.corner.truth, corner.model
     assert list(model.names) == sorted(truth)
     ours = np.array([c.centre for c in model.cameras])
     true = np.array([truth[n][:3, 3] for n in model.names])
@@ -95,7 +35,7 @@ def test_every_view_is_registered_where_it_was(corner):
 
 
 def test_what_is_left_on_disk(corner):
-    _, _, out, model = corner
+    out, model = corner.out, corner.model
     report = json.loads((out / "static_poses.json").read_text())
     assert report["registered"] == report["given"] == VIEWS
     assert report["unregistered"] == [] and report["models"] == [VIEWS]
@@ -111,10 +51,8 @@ def test_what_is_left_on_disk(corner):
 
 
 def test_the_same_pictures_give_the_same_model(corner, tmp_path):
-    pictures, truth, _, model = corner
-    groups = device_groups(dict.fromkeys(truth, SIZE), tags(truth), None)
-    again = recover_static_poses(pictures, groups, tmp_path)
-    for a, b in zip(model.cameras, again.cameras, strict=True):
+    again = corner.corner.recover(tmp_path)
+    for a, b in zip(corner.model.cameras, again.cameras, strict=True):
         np.testing.assert_array_equal(a.cam_from_world, b.cam_from_world)
 
 

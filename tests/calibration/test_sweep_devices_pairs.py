@@ -16,10 +16,10 @@ def test_groups_by_size_share_a_camera():
     known = from_vector(320, 240, np.array([300.0, 300, 160, 120, 0, 0, 0, 0, 0]))
     sizes = {"a": (320, 240), "b": (240, 320), "c": (320, 240)}
     tall, wide = device_groups(sizes, {}, known)
-    assert wide.names == ("a", "c") and wide.fixed and wide.intrinsics is known
-    assert tall.names == ("b",) and not tall.trusted
+    assert wide.names == ("a", "c") and wide.source == "board" and wide.fixed and wide.intrinsics is known
+    assert tall.names == ("b",) and tall.source == "guess"
     by_exif = device_groups({"a": (320, 240)}, {"a": Exif("", 280.0)}, None)[0]
-    assert by_exif.trusted and not by_exif.fixed and by_exif.intrinsics.K[0, 0] == 280.0
+    assert by_exif.source == "EXIF" and not by_exif.fixed and by_exif.intrinsics.K[0, 0] == 280.0
     assert guess(320, 240).K[0, 0] == pytest.approx(384.0)
 
 
@@ -36,7 +36,7 @@ def test_each_zoom_and_each_device_has_a_camera():
     by_name = {group.names[0]: group for group in groups}
     assert by_name["a"].intrinsics.K[0, 0] == pytest.approx(301.5)
     assert by_name["c"].intrinsics.K[0, 0] == 600.0 and "phone 320x240 at 600 px" in by_name["c"].label
-    assert not by_name["e"].trusted
+    assert by_name["e"].source == "guess"
 
 
 def test_pairs_of_small_and_long_films():
