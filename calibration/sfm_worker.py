@@ -26,6 +26,7 @@ from devrf.calibration.sweep_pairs import Pair, affordable, matching_s, products
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
 POLISH_TOLERANCE = 1e-8  # relative fall of the cost in one step; at 1e-6 focals still move by 0.01 px
 POLISH_ITERATIONS = 200  # 20 to 40 are usual
+MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
 FEWEST_INLIERS = 15  # of a verified pair (COLMAP's own bound)
 EXTRACT_PROBE, MATCH_PROBE = 4, 32  # pictures and pairs whose time tells what the others will take
 EXTRACT_SHARE, MATCH_SHARE = 0.4, 0.5  # of the time that is left; mapping takes about as long as matching
@@ -237,6 +238,7 @@ class _Mapping:
         folder = self.work / f"attempt{len(self.attempts)}"
         folder.mkdir()
         models = _attempt(self.database, folder, self.job, rung, self.held, seed, left, len(self.names))
+        models = [m for m in models if m.num_points3D() >= MIN_POINTS]
         models.sort(key=_worth, reverse=True)
         self.attempts.append(
             {

@@ -37,6 +37,7 @@ FINE_OCTAVE_BELOW = (
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
 COMPARE_UP_TO = 30  # pictures; the other mapper then takes seconds
 HOMOGRAPHY_SHARE = 0.8  # of verified pairs; in a sweep with depth and sideways motion most have a parallax
+OVERLAY_SHARE = 0.5  # of verified pairs; what does not move then hides the rest
 LATE, LATE_S = (
     1.2,
     60.0,
@@ -294,8 +295,12 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
     what = "two pictures always fit each other, so this says nothing" if largest else "nothing to start from"
     angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
     turned = pairs["verified"] >= MIN_MODEL and pairs["homography_share"] > HOMOGRAPHY_SHARE
+    overlay = pairs["watermark_share"] > OVERLAY_SHARE
     cause = (
-        f"{100 * pairs['homography_share']:.0f} % of its pairs fit a homography: the camera turned and did not "
+        f"{100 * pairs['watermark_share']:.0f} % of its pairs match on a static overlay (logo, time stamp, dirt on the "
+        "lens): switch it off, crop it, or mask it (calibration.static_poses.masks)"
+        if overlay
+        else f"{100 * pairs['homography_share']:.0f} % of its pairs fit a homography: the camera turned and did not "
         "move, or it saw one flat surface. Walk sideways around the scene, with depth in view"
         if turned
         else "Film a scene with texture (blank walls give none), walk sideways instead of turning on the spot, "

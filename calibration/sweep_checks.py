@@ -38,21 +38,20 @@ class PictureFits:
     Attributes:
         focal: Relative change of focal length that suits the picture (with its pose free) [N]; NaN: too few points.
         focal_std: Its standard deviation [N].
-        rows_px, columns_px: Size of the residuals that a pose drifting from the first row to the last
-            explains, root mean square over all pictures; the same for columns, which no shutter does.
+        rows_px: Size of the residuals that a pose drifting from the first row to the last explains beyond
+            chance, root mean square over all pictures.
     """
 
     focal: Float[np.ndarray, " n"]
     focal_std: Float[np.ndarray, " n"]
     rows_px: float
-    columns_px: float
 
 
 def picture_fits(model: SweepModel) -> PictureFits:
-    """Fit focal, and drift along rows and columns, to every picture's residuals."""
+    """Fit focal, and drift along rows, to every picture's residuals."""
     n = len(model.cameras)
     focal, focal_std = np.full(n, np.nan), np.full(n, np.nan)
-    rows = columns = observations = 0.0
+    rows = observations = 0.0
     order = np.argsort(model.obs_image, kind="stable")
     ends = np.searchsorted(model.obs_image[order], np.arange(n + 1))
     for i, camera in enumerate(model.cameras):
@@ -71,15 +70,13 @@ def picture_fits(model: SweepModel) -> PictureFits:
         solution, left = _fit(with_zoom, r)
         covariance = np.linalg.pinv(with_zoom.T @ with_zoom) * left / max(1, len(r) - with_zoom.shape[1])
         focal[i], focal_std[i] = solution[-1], np.sqrt(covariance[-1, -1])
-        _, before = _fit(base, r)
-        down, across = (
-            xy[:, k, None, None] / size - 0.5 for k, size in ((1, camera.height), (0, camera.width))
-        )
-        rows += before - _fit(np.column_stack([base, _columns(weight, pose * down)]), r)[1]
-        columns += before - _fit(np.column_stack([base, _columns(weight, pose * across)]), r)[1]
+        down = xy[:, 1, None, None] / camera.height - 0.5
+        drifting = np.column_stack([base, _columns(weight, pose * down)])
+        after = _fit(drifting, r)[1]
+        by_chance = 6 * after / max(1, len(r) - drifting.shape[1])  # six more unknowns fit some of the noise
+        rows += _fit(base, r)[1] - after - by_chance
         observations += len(xy)
-    size = max(1.0, observations)
-    return PictureFits(focal, focal_std, float(np.sqrt(rows / size)), float(np.sqrt(columns / size)))
+    return PictureFits(focal, focal_std, float(np.sqrt(max(0.0, rows) / max(1.0, observations))))
 
 
 def two_zooms(model: SweepModel, fits: PictureFits, apart: float) -> TwoZooms | None:

@@ -39,7 +39,7 @@ def sweep_rows(model: SweepModel) -> list[HealthRow]:
         *_pairs(model.report),
         *_lenses(model),
         *_residuals(model),
-        *_loop(model),
+        *loop_rows(model),
         *_agreement(model.report),
         *_gps(model.report),
         *_time(model.report),
@@ -100,10 +100,10 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
         ),
         row(
             "points of the poorest picture",
-            min(counts.values(), default=0),
+            float(min(counts.values(), default=0)),
             "",
-            warn=100,
-            fail=30,
+            warn=100.0,
+            fail=30.0,
             remedy=f"Weak texture in {_some([n for n, p in counts.items() if p < 100])}: "
             "keep textured things in view, or add some for the sweep.",
         ),
@@ -229,18 +229,19 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
                 "camera at one zoom for the sweep.",
             )
         )
-    put_back = (r["adjustment"] or {}).get("principal_point_put_back", [])
+    middle = "the principal point, which can be put anywhere then: use whole pictures, or film a board "
+    middle += "(capture.board.clips.static)."
+    if r["adjustment"] is not None and r["adjustment"]["principal_point_put_back"]:
+        text = "left the middle by more than 5 % of the width and was put back"
+        rows.append(note("principal point", text, verdict="warn", remedy=f"The sweep does not fix {middle}"))
     rows += [
         row(
             "principal point off the middle",
-            max([100 * principal_point_off(c) for c in cameras] + [5.1 for _ in put_back], default=None),
+            max((100 * principal_point_off(c) for c in cameras), default=0.0),
             "% of the width",
             warn=5.0,
             low_is_bad=False,
-            remedy="The principal point left the middle"
-            + (" and was put back" if put_back else "")
-            + ": pictures were cropped, or the sweep does not fix it. Use whole pictures, or film a board "
-            "(capture.board.clips.static).",
+            remedy=f"The pictures were cropped, or the sweep does not fix {middle}",
         ),
         row(
             "field of view",
@@ -282,7 +283,7 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
         ),
         row(
             "residuals by row of the picture",
-            max(0.0, fits.rows_px**2 - fits.columns_px**2) ** 0.5,
+            fits.rows_px,
             "px",
             warn=0.3,
             low_is_bad=False,
@@ -303,7 +304,8 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
     return rows
 
 
-def _loop(model: SweepModel) -> list[HealthRow]:
+def loop_rows(model: SweepModel) -> list[HealthRow]:
+    """Whether pictures of the same place, taken far apart in time, share points."""
     loop = open_loop(model) if len(model.names) > 2 else None
     if loop is None:
         return []

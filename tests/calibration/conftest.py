@@ -79,6 +79,7 @@ def draw_corner(
     draw: Draw = untouched,
     focal_px: Callable[[int], float] = lambda n: FOCAL,
     exif_focal_px: float | None = FOCAL,
+    views: int = VIEWS,
 ) -> Corner:
     """Draw the pictures; `draw` changes each, `focal_px` is the true focal length of each."""
     rng = np.random.default_rng(0)
@@ -89,7 +90,7 @@ def draw_corner(
     ]
     truth: dict[str, np.ndarray] = {}
     (folder / "static").mkdir(parents=True, exist_ok=True)
-    for n, angle in enumerate(np.linspace(0.15, 1.2, VIEWS)):
+    for n, angle in enumerate(np.linspace(0.15, 1.2, views)):
         f = focal_px(n)
         k = from_vector(*SIZE, np.array([f, f, SIZE[0] / 2, SIZE[1] / 2, 0, 0, 0, 0, 0]))
         centre, target = path(float(angle))

@@ -1,0 +1,392 @@
+"""Each way a sweep goes wrong fires its own health row with its remedy; a healthy sweep fires none.
+
+Numbers in brackets (B5, ...) are the failure cases of static poses. Faults that pictures show go through the whole
+worker; faults of lens or motion are made by projecting the recovered points with a camera that has them.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration.static_poses import SweepModel, SweepOptions
+from devrf.calibration.sweep_agreement import disagreement_deg
+from devrf.calibration.sweep_checks import picture_fits, two_zooms
+from devrf.calibration.two_views import TwoViews, against_model
+from devrf.capture.camera import Camera
+from devrf.capture.errors import HealthError
+from devrf.capture.exif import Exif, Place
+from devrf.pipelines.health import HealthRow
+from devrf.pipelines.sweep_health import loop_rows, mask_rows, sweep_rows
+
+FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
+
+
+def fired(model: SweepModel) -> dict[str, HealthRow]:
+    return {row.check: row for row in sweep_rows(model) if row.verdict != "ok"}
+
+
+def changed(model: SweepModel, **report) -> SweepModel:
+    return replace(model, report=model.report | report)
+
+
+def rotation_about_y(deg: float) -> np.ndarray:
+    a = np.radians(deg)
+    return np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+
+
+# --- healthy ---
+
+
+def test_a_healthy_sweep_fires_nothing(corner):
+    assert fired(corner.model) == {}
+    compared = [c["name"] for c in corner.model.report["compared"]]
+    assert any("seed 1" in name for name in compared) and len(compared) == 2  # the other mapper, another seed
+    assert mask_rows([]) == []
+
+
+# --- what pictures show ---
+
+
+def test_turning_on_the_spot_is_named(draw, tmp_path):
+    """B1, B5: all pairs fit a homography, nothing can be triangulated."""
+
+    def turning(angle):
+        aim = 0.2 * angle - 0.15
+        return np.array([4.2, 4.2, -1.5]), np.array([0.5 + 5 * aim, 0.5 - 5 * aim, -1.5])
+
+    with pytest.raises(HealthError, match=r"homography: the camera turned and did not move.*Walk sideways"):
+        draw(tmp_path / "in", path=turning, views=5).recover(tmp_path / "out")
+
+
+def test_a_flat_scene_is_named(draw, tmp_path):
+    """B6: one wall."""
+
+    def before(angle):
+        return np.array([0.5 + 2 * angle, 3.0 + 0.5 * np.sin(4 * angle), -1.5]), np.array([1.5, 0.0, -1.5])
+
+    rows = fired(draw(tmp_path / "in", path=before, walls=1).recover(tmp_path / "out"))
+    assert "focal length poorly fixed" in rows["share of points on one plane"].remedy
+
+
+def test_pictures_without_texture_are_named(draw, tmp_path):
+    """B9: three pictures see a blank wall."""
+
+    def blank(picture, n):
+        return np.full_like(picture, 120) if n in (3, 4, 5) else picture
+
+    rows = fired(draw(tmp_path / "in", draw=blank).recover(tmp_path / "out"))
+    assert "static/000003.png" in rows["pictures with enough features"].remedy
+    assert "posters" in rows["pictures with enough features"].remedy
+    assert "static/000004.png" in rows["registered share of the sweep"].remedy  # 6 of 9, B2's row
+
+
+def wanderer(picture: np.ndarray, n: int) -> np.ndarray:
+    """A textured board that moves up and down while the camera goes around: 90 x 110 pixels."""
+    rng = np.random.default_rng(5)
+    board = cv2.GaussianBlur(rng.integers(0, 256, (110, 90)).astype(np.uint8), (0, 0), 1.5)
+    board = cv2.normalize(board, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    top = (10, 60, 30, 110, 80, 20, 120, 50, 90)[n]
+    out = picture.copy()
+    out[top : top + 110, 120:210] = board
+    return out
+
+
+def test_something_that_moves_is_named_and_masks_take_it_out(draw, tmp_path):
+    """B11."""
+    drawn = draw(tmp_path / "in", draw=wanderer, views=6)
+    row = fired(drawn.recover(tmp_path / "out"))["pictures in which something moves"]
+    assert "calibration.static_poses.masks" in row.remedy and "static/00000" in row.remedy
+    masks = tmp_path / "masks"
+    (masks / "static").mkdir(parents=True)
+    mask = np.full(SIZE[::-1], 255, dtype=np.uint8)
+    mask[:, 115:215] = 0
+    for name in drawn.truth:
+        cv2.imwrite(str(masks / f"{name}.png"), mask)
+    masked = drawn.recover(tmp_path / "masked", masks=masks)
+    assert not ((masked.obs_xy[:, 0] > 116) & (masked.obs_xy[:, 0] < 214)).any()
+    assert "pictures in which something moves" not in fired(masked)
+
+
+def test_a_logo_is_named(draw, tmp_path):
+    """B21: a frame of text that is the same in every picture."""
+    rng = np.random.default_rng(7)
+    text = cv2.resize(
+        rng.integers(0, 2, (60, 80)).astype(np.uint8) * 255, SIZE, interpolation=cv2.INTER_NEAREST
+    )
+
+    def overlay(picture, n):
+        out = text.copy()
+        out[24:-24, 32:-32] = picture[24:-24, 32:-32]  # 10 % on each side
+        return out
+
+    try:
+        rows = fired(draw(tmp_path / "in", draw=overlay, views=4).recover(tmp_path / "out"))
+    except HealthError as refused:
+        assert "static overlay" in str(refused)
+    else:
+        assert "mask it" in rows["pairs matched on a static overlay"].remedy
+
+
+def test_two_zooms_are_two_cameras_where_exif_tells(draw, tmp_path):
+    """B12, first half: tags tell the zooms apart, and each focal length is found."""
+    drawn = draw(tmp_path / "in", focal_px=lambda n: 300.0 if n % 2 else 390.0)
+    exif = {name: Exif("camera", 300.0 if n % 2 else 390.0) for n, name in enumerate(sorted(drawn.truth))}
+    model = replace(drawn, exif=exif).recover(tmp_path / "out")
+    found = sorted(c["K"][0][0] for c in model.report["cameras"].values())
+    # The corner's 9 pictures fix one focal length within 2 % (test_static_poses); with half of them each, 3 %
+    assert found == pytest.approx([300.0, 390.0], rel=0.03)
+    assert fired(model) == {}
+
+
+def test_a_wrong_exif_focal_is_named(draw, tmp_path):
+    """B17: 35 mm equivalent of another crop, 30 % too long."""
+    model = draw(tmp_path / "in", exif_focal_px=1.3 * FOCAL, views=6).recover(tmp_path / "out")
+    row = fired(model)["focal length against EXIF"]
+    assert row.value == pytest.approx(100 * (1 - 1 / 1.3), abs=2.0)  # recovered within 2 %
+    assert "EXIF says 390 px" in row.remedy and "35 mm equivalent" in row.remedy
+
+
+def test_out_of_time_says_what_was_left_out(draw, tmp_path):
+    """B25: 0.6 s; the first four pictures alone take longer than the share that features may take."""
+    drawn = draw(tmp_path / "in")
+    try:
+        model = drawn.recover(tmp_path / "out", SweepOptions(time_minutes=0.01))
+    except HealthError as refused:  # a machine so slow that nothing was mapped
+        assert "time" in str(refused)
+        return
+    row = fired(model)["time for the sweep"]
+    assert isinstance(row.value, str) and "pictures left out" in row.value
+    assert "time_minutes" in row.remedy
+
+
+def test_pairs_left_out_are_counted_in_minutes(corner):
+    """B25 as the issue words it."""
+    pairs = {"all": 4950, "wanted": 4950, "matched": 1200, "seconds": 390.0, "wanted_s": 1620.0}
+    row = fired(changed(corner.model, pairs=pairs))["time for the sweep"]
+    assert row.value == "4950 pairs ≈ 27.0 min on this CPU; 3750 left out"
+
+
+# --- GPS ---
+
+
+def place(metres: np.ndarray, std_m: float) -> Place:
+    """East, north, up about 47 N 8 E; a degree of latitude is 111.17 km there (WGS 84), of longitude 76.06 km."""
+    return Place(47 + metres[1] / 111_170, 8 + metres[0] / 76_060, 400 + metres[2], std_m)
+
+
+def test_gps_gives_scale_and_bad_places_are_named(corner, tmp_path):
+    """B22: two of nine places are 40 m off; scale comes from the others."""
+    rng = np.random.default_rng(0)
+    truth = corner.corner.truth
+    places = {n: place(10 * w[:3, 3] + rng.normal(0, 0.3, 3), 0.3) for n, w in truth.items()}
+    for name in sorted(truth)[:2]:
+        places[name] = place(10 * truth[name][:3, 3] + [40, 0, 0], 0.3)
+    model = corner.corner.recover(tmp_path, places=places)
+    gps = model.report["gps"]
+    distance = [np.linalg.norm(model.cameras[0].centre - c.centre) for c in model.cameras[1:]]
+    true = [10 * np.linalg.norm(truth[model.names[0]][:3, 3] - truth[n][:3, 3]) for n in model.names[1:]]
+    factor = float(np.median(np.array(true) / np.array(distance)))
+    # 7 places of 0.3 m over a spread of 10 m: 1 %, within three standard deviations
+    assert gps["factor"] == pytest.approx(factor, rel=3 * gps["factor_std"]) and gps["factor_std"] < 0.02
+    assert gps["agreeing"] == 7
+    row = fired(model)["share of GPS places that agree"]
+    assert "up to 40 m at static/000000.png, static/000001.png" in row.remedy
+
+
+def test_gps_that_is_all_wrong_and_gps_that_says_nothing(corner):
+    off = {name: 13.0 for name in corner.model.names}
+    gps = {"places": 9, "why": None, "std_m": 4.0, "agreeing": 9, "off_m": off}
+    assert (
+        "GPS off by 13 m"
+        in fired(changed(corner.model, gps=gps))["distance of GPS places from the model"].remedy
+    )
+    why = {"places": 9, "why": "no position of the model agrees with enough of the places", "std_m": 4.0}
+    assert "wait for a fix" in fired(changed(corner.model, gps=why))["GPS"].remedy
+    little = {"places": 9, "why": "the places spread over 2.0 m, their own error is about 4.0 m"}
+    assert fired(changed(corner.model, gps=little)) == {}
+
+
+# --- lens and motion: the recovered points, seen by a camera with the fault ---
+
+
+def seen_by(model: SweepModel, cameras: dict[int, Camera]) -> np.ndarray:
+    """Observations [M, 2] where pictures are taken by other cameras than the model's."""
+    out = model.obs_xy.copy()
+    for n, camera in cameras.items():
+        mine = model.obs_image == n
+        out[mine] = camera.project(model.xyz[model.obs_point[mine]])
+    return out
+
+
+def test_two_zooms_in_one_camera_are_named(corner):
+    """B12: four pictures were taken 10 % closer, and nothing tells them apart."""
+    model = corner.model
+    K = np.diag([1.1, 1.1, 1.0]) @ model.cameras[0].K
+    K[:2, 2] = model.cameras[0].K[:2, 2]
+    closer = {n: replace(model.cameras[n], K=K) for n in (0, 2, 4, 6)}
+    faulty = replace(model, obs_xy=seen_by(model, closer))
+    zooms = two_zooms(faulty, picture_fits(faulty), 0.05)
+    # One linear step towards 10 %, with the pose free to follow it: the second order is about a tenth of it
+    assert zooms is not None and zooms.ratio == pytest.approx(1.1, abs=0.02)
+    assert zooms.long == tuple(model.names[n] for n in (0, 2, 4, 6))
+    row = fired(faulty)["one focal length for all pictures"]
+    assert "static/000000.png" in row.remedy and "EXIF" in row.remedy
+
+
+def test_a_rolling_shutter_is_named(corner):
+    """B20: the camera turns by 1 degree while it reads the picture out."""
+    model, obs = corner.model, corner.model.obs_xy.copy()
+    for n, camera in enumerate(model.cameras):
+        mine = np.flatnonzero(model.obs_image == n)
+        for m in mine:
+            turn = rotation_about_y((-1.0 if n % 2 else 1.0) * (obs[m, 1] / camera.height - 0.5))
+            pose = turn @ camera.cam_from_world
+            obs[m] = replace(camera, cam_from_world=pose).project(model.xyz[model.obs_point[m]])
+    row = fired(replace(model, obs_xy=obs))["residuals by row of the picture"]
+    # 5.2 px from the first row to the last: 1.5 px root mean square; a roll of the camera takes half of it
+    assert row.value == pytest.approx(0.8, abs=0.3) and "rolling shutter" in row.remedy
+
+
+@pytest.mark.parametrize(
+    ("check", "remedy", "lens"),
+    [
+        ("principal point off the middle", "cropped", {"cx": 30.0}),  # B14: 9 % of the width
+        ("picture radius within which the lens model is one-to-one", "folds", {"k1": -1.2}),  # B15
+        ("field of view", "fisheye", {"f": 0.35}),  # B16: 117 degrees
+    ],
+)
+def test_lenses_beyond_their_model_are_named(corner, check, remedy, lens):
+    def bad(camera):
+        K, distortion = camera.K.copy(), camera.distortion.copy()
+        K[0, 2] += lens.get("cx", 0.0)
+        K[:2, :2] *= lens.get("f", 1.0)
+        distortion[:2] = [lens.get("k1", distortion[0]), 0.0]
+        return replace(camera, K=K, distortion=distortion)
+
+    faulty = replace(corner.model, cameras=tuple(bad(camera) for camera in corner.model.cameras))
+    assert remedy in fired(faulty)[check].remedy
+
+
+def test_a_principal_point_that_was_put_back_is_named(corner):
+    """B14: it ran away in the adjustment."""
+    adjustment = {"converged": True, "principal_point_free": False, "principal_point_put_back": [1]}
+    row = fired(changed(corner.model, adjustment=adjustment))["principal point"]
+    assert isinstance(row.value, str) and "put back" in row.value and "film a board" in row.remedy
+
+
+def test_an_adjustment_that_did_not_end_is_named(corner):
+    """B18."""
+    adjustment = corner.model.report["adjustment"] | {"converged": False}
+    assert "loose" in fired(changed(corner.model, adjustment=adjustment))["bundle adjustment"].remedy
+
+
+def test_focals_that_scatter_between_cameras_are_named(corner):
+    """B13: two cameras by the same tags, 12 % apart."""
+    cameras = corner.model.report["cameras"]
+    one = next(iter(cameras.values()))
+    K = np.array(one["K"])
+    K[0, 0] *= 1.12
+    start = corner.model.report["start"][0]
+    faulty = changed(
+        corner.model,
+        cameras={"1": one, "2": one | {"K": K.tolist()}},
+        start=[start | {"camera_id": 1, "label": "a"}, start | {"camera_id": 2, "label": "b"}],
+    )
+    assert "one camera at one zoom" in fired(faulty)["scatter of focal lengths between cameras"].remedy
+
+
+def test_an_open_loop_is_named():
+    """B19: a full circle whose end sees what its beginning saw, but shares no point with it."""
+    n, rng = 30, np.random.default_rng(0)
+    xyz = rng.uniform(-1, 1, (600, 3))
+    cameras = []
+    for angle in np.linspace(0, 2 * np.pi, n, endpoint=False):
+        centre = 4 * np.array([np.cos(angle), 0, np.sin(angle)])
+        z = -centre / 4
+        x = np.cross([0, 1.0, 0], z)
+        R = np.stack([x, np.cross(z, x), z])
+        K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+        cameras.append(Camera(*SIZE, K, np.column_stack([R, -R @ centre])))
+
+    def sweep(closed: bool) -> SweepModel:
+        image, point = [], []
+        for p in range(
+            len(xyz)
+        ):  # each point is followed through five pictures, over the end where it is closed
+            for i in range(p % n, p % n + 5):
+                if closed or i < n:
+                    image.append(i % n)
+                    point.append(p)
+        i, p = np.array(image), np.array(point)
+        xy = np.array([cameras[a].project(xyz[b]) for a, b in zip(i, p, strict=True)])
+        names = tuple(f"static/{k:06d}.png" for k in range(n))
+        some = np.zeros(len(xyz))
+        nothing = np.zeros((len(i), 128), np.uint8)
+        return SweepModel(
+            names, tuple(cameras), xyz, np.zeros((600, 3), np.uint8), some, p, i, xy, nothing, {}
+        )
+
+    assert [row.verdict for row in loop_rows(sweep(closed=True))] == ["ok"]
+    (row,) = loop_rows(sweep(closed=False))
+    assert row.verdict == "warn" and "static/000000.png and static/000029.png share no point" in row.remedy
+
+
+# --- pairs, models, agreement ---
+
+
+def test_views_of_two_sides_matched_as_one_are_named(corner):
+    """B7: a pair with 150 matches that agree among themselves, but not with where the model has its cameras."""
+    model, rng = corner.model, np.random.default_rng(0)
+    cameras = dict(zip(model.names, model.cameras, strict=True))
+    points = model.xyz[rng.choice(len(model.xyz), 150, replace=len(model.xyz) < 150)]
+
+    def views(second: Camera) -> TwoViews:
+        xy = np.stack([model.cameras[0].project(points), second.project(points)], axis=1)
+        return TwoViews(
+            model.names,
+            np.array([[0, 5]]),
+            ("CALIBRATED",),
+            np.zeros(150, dtype=np.int64),
+            xy,
+            np.ones(150, dtype=bool),
+        )
+
+    assert against_model(views(model.cameras[5]), cameras)["contradicting"] == []
+    turn = rotation_about_y(25.0)
+    other = replace(model.cameras[5], cam_from_world=turn @ model.cameras[5].cam_from_world)
+    found = against_model(views(other), cameras)
+    assert found["contradicting"][0]["names"] == [model.names[0], model.names[5]]
+    faulty = changed(model, verified_pairs=model.report["verified_pairs"] | found)
+    row = fired(faulty)["strong pairs that contradict the model"]
+    assert "static/000000.png - static/000005.png" in row.remedy and "unique" in row.remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "deg", "check"),
+    [
+        ("global", 0.8, "largest turn between two mappers"),  # B24
+        ("incremental with seed 1", 0.2, "largest turn by another seed"),  # B23
+    ],
+)
+def test_results_that_disagree_are_named_by_picture(corner, name, deg, check):
+    poses = {n: c.cam_from_world for n, c in zip(corner.model.names, corner.model.cameras, strict=True)}
+    world = rotation_about_y(70.0)  # another frame is no disagreement
+    other = {n: np.column_stack([p[:, :3] @ world, p[:, 3]]) for n, p in poses.items()}
+    other["static/000004.png"] = rotation_about_y(deg) @ other["static/000004.png"]
+    apart = disagreement_deg(poses, other)
+    assert apart["static/000004.png"] == pytest.approx(deg, abs=1e-3)
+    compared = [{"name": name, "against": "incremental", "apart_deg": apart}]
+    row = fired(changed(corner.model, compared=compared))[check]
+    assert "on 1 pictures: static/000004.png" in row.remedy
+
+
+def test_small_and_many_models_are_named(corner):
+    """B2, B3."""
+    small = changed(corner.model, registered=2, given=24, unregistered=["static/000007.png"])
+    row = fired(small)["registered share of the sweep"]
+    assert row.verdict == "fail" and "A small model can look perfect" in row.remedy
+    many = changed(corner.model, models=[61, 22, 9], other_models=[["a.png"], ["b.png"]])
+    row = fired(many)["one model"]
+    assert row.value == "3 models: 61, 22, 9 pictures" and "a.png" in row.remedy
