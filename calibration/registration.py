@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from devrf.calibration.bundle import Problem, Solution, adjust
+from devrf.calibration.bundle import Solution, adjust
+from devrf.calibration.bundle_problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics, from_vector
 from devrf.calibration.static_poses import SweepModel
 from devrf.capture.camera import Camera
@@ -29,6 +30,7 @@ FIRST_ROUND_INLIERS = (
 )
 RICH_MATCHES = 150  # from here on a picture can say something about its principal point
 PRINCIPAL_POINT_STD = 0.012  # of the longer side; phones and webcams are off by about 1 %
+FEATURE_STD_PX = 0.5  # of a SIFT feature's place
 INLIER_PX = 3.0  # of the final pose, at 1000 px; COLMAP filters at 4
 
 
@@ -95,7 +97,8 @@ def register(
     feature, point = match_model(xy, descriptors, model)
     if len(feature) < MIN_POINTS:
         return None, len(feature)
-    longest = max(intrinsics.width, intrinsics.height)
+    size = (intrinsics.width, intrinsics.height)
+    longest = max(size)
     pose, start, inliers = _ransac(xy[feature], model.xyz[point], intrinsics, known, RANSAC_SHARE * longest)
     if pose is None or inliers.sum() < FIRST_ROUND_INLIERS:
         return None, int(inliers.sum())
@@ -107,7 +110,7 @@ def register(
         guided_feature, guided_point = _guided(xy, descriptors, model, camera, radius)
         if len(guided_feature) < MIN_POINTS:
             return None, len(guided_feature)
-        start = from_vector(camera.width, camera.height, solution.problem.intrinsics[0])
+        start = from_vector(*size, solution.problem.intrinsics[0], None, intrinsics.model)
         prior = intrinsics if known else weak_prior(intrinsics, len(guided_feature))
         solution = refine(start, camera.cam_from_world, model.xyz[guided_point], xy[guided_feature], prior)
         camera = camera_of(solution.problem, intrinsics, 0)
@@ -129,22 +132,21 @@ def refine(
     prior: Intrinsics,
 ) -> Solution:
     """Pose and intrinsics of one camera with the points held; `prior.std` says what may move (None: none)."""
+    n = len(xyz)
     problem = Problem(
         poses=cam_from_world[None].copy(),
-        intrinsics=start.vector[None].copy(),
-        device=np.zeros(1, dtype=np.int64),
-        points=xyz,
-        obs_camera=np.zeros(len(xyz), dtype=np.int64),
-        obs_point=np.arange(len(xyz)),
-        obs_xy=xy.astype(np.float64),
         free_pose=np.ones(1, dtype=bool),
-        free_intrinsics=free_intrinsics(prior)[None],
-        free_points=False,
-        one_focal=np.array([has_one_focal(prior)]),
-        prior_mean=prior.vector[None].copy(),
-        prior_std=prior_std(prior)[None],
+        device=np.zeros(1, dtype=np.int64),
+        **lenses([start], [prior]),
+        bodies=bodies_of_points(xyz),
+        freedom=np.zeros(n, dtype=np.int64),
+        obs_camera=np.zeros(n, dtype=np.int64),
+        obs_body=np.arange(n),
+        obs_local=np.zeros((n, 3)),
+        obs_xy=xy.astype(np.float64),
+        obs_std=np.full(n, FEATURE_STD_PX),
     )
-    return adjust(problem, "cauchy", 1.0)
+    return adjust(problem)
 
 
 def weak_prior(start: Intrinsics, matches: int) -> Intrinsics:
@@ -161,24 +163,9 @@ def weak_prior(start: Intrinsics, matches: int) -> Intrinsics:
     return replace(start, std=std)
 
 
-def free_intrinsics(prior: Intrinsics) -> Bool[np.ndarray, "9"]:
-    """Which intrinsics may move: those with a standard deviation above zero."""
-    return np.zeros(9, dtype=bool) if prior.std is None else prior.std > 0
-
-
-def has_one_focal(prior: Intrinsics) -> bool:
-    """Whether fy follows fx: nothing is known of the focal length."""
-    return prior.std is not None and not np.isfinite(prior.std[0])
-
-
-def prior_std(prior: Intrinsics) -> Float[np.ndarray, "9"]:
-    """Standard deviations for a bundle problem; infinite where nothing is known or nothing moves."""
-    return np.full(9, np.inf) if prior.std is None else np.where(prior.std > 0, prior.std, np.inf)
-
-
 def camera_of(problem: Problem, like: Intrinsics, index: int) -> Camera:
     """Camera `index` of a bundle problem."""
-    k = from_vector(like.width, like.height, problem.intrinsics[problem.device[index]])
+    k = from_vector(like.width, like.height, problem.intrinsics[problem.device[index]], None, like.model)
     return k.at(_orthonormal(problem.poses[index]))
 
 
@@ -226,9 +213,9 @@ def _ransac(
         cv2.setRNGSeed(0)
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
             xyz.astype(np.float64),
-            (xy - 0.5).astype(np.float64),
+            k.undistorted(xy.astype(np.float64)) - 0.5,
             k.cv_matrix,
-            k.distortion,
+            None,
             iterationsCount=3000,
             reprojectionError=float(threshold_px),
             confidence=0.9999,

@@ -6,12 +6,13 @@ at (0.5, 0.5); distortion is as in `capture.camera`.
 """
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from devrf.calibration.rig_graph import Link
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 
@@ -60,11 +61,12 @@ ARBITRARY = Scale(False, "arbitrary scale", 1.0, None)
 
 @dataclass(frozen=True)
 class Rig:
-    """All fixed cameras, test cameras too, and the scale."""
+    """All fixed cameras, test cameras too, the scale, and which cameras are tied together by what."""
 
     cameras: dict[str, RigCamera]
     scale: Scale
     route: str = "sweep"
+    graph: tuple[Link, ...] = ()
 
 
 def write_rig(path: Path, rig: Rig) -> None:
@@ -86,7 +88,10 @@ def write_rig(path: Path, rig: Rig) -> None:
         }
     s = rig.scale
     scale = {"metric": s.metric, "source": s.source, "factor": s.factor, "std": s.std}
-    path.write_text(json.dumps({"route": rig.route, "cameras": cameras, "scale": scale}, indent=1))
+    content = {"route": rig.route, "cameras": cameras, "scale": scale}
+    if rig.graph:
+        content["graph"] = [asdict(link) for link in rig.graph]
+    path.write_text(json.dumps(content, indent=1))
 
 
 def read_rig(path: Path) -> Rig:

@@ -13,20 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from devrf.calibration.bundle import Problem, adjust
+from devrf.calibration.bundle import Solution, adjust
+from devrf.calibration.bundle_problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics, guess
-from devrf.calibration.registration import (
-    Registration,
-    camera_of,
-    free_intrinsics,
-    has_one_focal,
-    prior_std,
-    register,
-    weak_prior,
-)
+from devrf.calibration.registration import FEATURE_STD_PX, Registration, register, weak_prior
 from devrf.calibration.rig import RigCamera
+from devrf.calibration.rig_result import rig_camera
 from devrf.calibration.sfm_process import run_job
 from devrf.calibration.static_poses import SweepModel, feature_options
 from devrf.capture.errors import HealthError
@@ -54,13 +48,39 @@ class FixedCameraInput:
     height: int
     intrinsics: Intrinsics | None
 
+    @property
+    def like(self) -> Intrinsics:
+        """The calibration, or a guess in its place."""
+        return self.intrinsics or guess(self.width, self.height)
+
+    @property
+    def intrinsics_source(self) -> str:
+        """Where the intrinsics come from, as rig.json says it."""
+        return "self" if self.intrinsics is None else "board"
+
+
+@dataclass(frozen=True)
+class SweepRig:
+    """Fixed cameras in the sweep's world.
+
+    Attributes:
+        cameras: Name -> camera; index: name -> camera of the problem.
+        solution: The adjusted problem; the sweep's cameras come first.
+        support: Name -> its own observations that fit.
+    """
+
+    cameras: dict[str, RigCamera]
+    solution: Solution
+    index: dict[str, int]
+    support: dict[str, Int[np.ndarray, " n"]]
+
 
 def rig_from_sweep(
     model: SweepModel,
     inputs: list[FixedCameraInput],
     out: Path,
     progress: Progress = no_progress,
-) -> dict[str, RigCamera]:
+) -> SweepRig:
     """Register and refine the fixed cameras, in the sweep's unit.
 
     Args:
@@ -90,7 +110,7 @@ def rig_from_sweep(
             "; ".join(refused) + ". Add sweep pictures from near these cameras, looking the same way, "
             "and check that they film the same place"
         )
-    return _joint(model, inputs, found)
+    return _refined(model, inputs, found)
 
 
 def _features(inputs: list[FixedCameraInput], out: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -127,7 +147,7 @@ def _best_registration(
     for picture in item.pictures:
         xy, descriptors = features[picture.stem]
         known = item.intrinsics is not None
-        start = item.intrinsics or guess(item.width, item.height)
+        start = item.like
         registration, inliers = register(xy, descriptors, model, start, known)
         if inliers > best[2]:
             best = (registration, picture.stem, inliers)
@@ -136,48 +156,28 @@ def _best_registration(
     return best
 
 
-def _joint(
+def _refined(
     model: SweepModel, inputs: list[FixedCameraInput], found: dict[str, tuple[Registration, str]]
-) -> dict[str, RigCamera]:
+) -> SweepRig:
     problem, first_own = _problem(model, inputs, found)
-    solution = adjust(problem, "cauchy", 1.0)
-    cameras = {}
-    for n, item in enumerate(inputs):
-        registration, label = found[item.name]
-        c = len(model.cameras) + n
-        like = item.intrinsics or guess(item.width, item.height)
-        camera = camera_of(solution.problem, like, c)
-        mine = np.flatnonzero(problem.obs_camera[first_own:] == c) + first_own
+    solution = adjust(problem)
+    index = {item.name: len(model.cameras) + n for n, item in enumerate(inputs)}
+    support, cameras = {}, {}
+    for item in inputs:
+        name, longest = item.name, max(item.width, item.height)
+        registration, label = found[name]
+        mine = np.flatnonzero(problem.obs_camera[first_own:] == index[name]) + first_own
         error = np.linalg.norm(solution.residual_px[mine], axis=1)
-        good = error < max(INLIER_PX * max(item.width, item.height) / 1000, 3 * solution.sigma_px)
-        xy = problem.obs_xy[mine][good]
-        covariance = solution.pose_covariance[c]
-        axis = _axis_std(covariance)
-        cameras[item.name] = RigCamera(
-            camera=camera,
-            intrinsics_source="self" if item.intrinsics is None else "board",
-            rotation_std_deg=float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
-            position_std=_centre_std(camera.cam_from_world, covariance),
-            inliers=int(good.sum()),
-            rms_px=float(np.sqrt((error[good] ** 2).mean())),
-            details={
-                "picture": label,
-                "matches": registration.matches,
-                "inlier_area": _hull_share(xy, item.width, item.height),
-                "axis_std": axis[1],
-                "sideways_std": axis[0],
-                "focal_px": float(camera.K[0, 0]),
-                "focal_std_px": float(solution.intrinsics_std[problem.device[c], 0]),
-                "median_distance": float(
-                    np.median(
-                        np.linalg.norm(
-                            solution.problem.points[problem.obs_point[mine]] - camera.centre, axis=1
-                        )
-                    )
-                ),
-            },
+        support[name] = mine[error < max(INLIER_PX * longest / 1000, 3 * solution.sigma_px)]
+        details = {
+            "picture": label,
+            "matches": registration.matches,
+            "inlier_area": _hull_share(problem.obs_xy[support[name]], item.width, item.height),
+        }
+        cameras[name] = rig_camera(
+            solution, index[name], item.like, item.intrinsics_source, support[name], details
         )
-    return cameras
+    return SweepRig(cameras, solution, index, support)
 
 
 def _problem(
@@ -190,52 +190,33 @@ def _problem(
     number = np.full(len(model.xyz), -1)
     number[points] = np.arange(len(points))
     seen = np.flatnonzero(number[model.obs_point] >= 0)
-    sweep_vectors = np.array([_vector(model, n) for n in range(S)])
-    devices, device_of = np.unique(sweep_vectors, axis=0, return_inverse=True)
-    priors = []
-    for item, r in zip(inputs, registrations, strict=True):
-        priors.append(item.intrinsics or weak_prior(guess(item.width, item.height), len(r.points)))
-    fixed_vectors = np.array([r.solution.problem.intrinsics[0] for r in registrations])
-    D = len(devices)
+    lens_of: dict[tuple[object, ...], int] = {}
+    device = [lens_of.setdefault(c.lens, len(lens_of)) for c in model.cameras]
+    held = [model.cameras[device.index(d)] for d in range(len(lens_of))]
+    sweep = [Intrinsics(c.width, c.height, c.K, c.distortion, None, c.model) for c in held]
+    starts = [r.camera for r in registrations]
+    own = [Intrinsics(c.width, c.height, c.K, c.distortion, None, c.model) for c in starts]
+    known = [
+        item.intrinsics or weak_prior(item.like, len(r.points))
+        for item, r in zip(inputs, registrations, strict=True)
+    ]
+    n = len(seen) + sum(len(r.points) for r in registrations)
     problem = Problem(
-        poses=np.array(
-            [c.cam_from_world for c in model.cameras] + [r.camera.cam_from_world for r in registrations]
-        ),
-        intrinsics=np.concatenate([devices, fixed_vectors]),
-        device=np.concatenate([device_of.reshape(-1), D + np.arange(F)]),
-        points=model.xyz[points],
+        poses=np.array([c.cam_from_world for c in (*model.cameras, *starts)]),
+        free_pose=np.arange(S + F) >= S,
+        device=np.array([*device, *range(len(sweep), len(sweep) + F)]),
+        **lenses([*sweep, *own], [*sweep, *known]),
+        bodies=bodies_of_points(model.xyz[points]),
+        freedom=np.full(len(points), 3),
         obs_camera=np.concatenate(
             [model.obs_image[seen], *(np.full(len(r.points), S + n) for n, r in enumerate(registrations))]
         ),
-        obs_point=number[np.concatenate([model.obs_point[seen], *(r.points for r in registrations)])],
+        obs_body=number[np.concatenate([model.obs_point[seen], *(r.points for r in registrations)])],
+        obs_local=np.zeros((n, 3)),
         obs_xy=np.concatenate([model.obs_xy[seen].astype(np.float64), *(r.xy for r in registrations)]),
-        free_pose=np.arange(S + F) >= S,
-        free_intrinsics=np.concatenate([np.zeros((D, 9), dtype=bool), [free_intrinsics(p) for p in priors]]),
-        free_points=True,
-        one_focal=np.concatenate([np.zeros(D, dtype=bool), [has_one_focal(p) for p in priors]]),
-        prior_mean=np.concatenate([devices, [p.vector for p in priors]]),
-        prior_std=np.concatenate([np.full((D, 9), np.inf), [prior_std(p) for p in priors]]),
+        obs_std=np.full(n, FEATURE_STD_PX),
     )
     return problem, len(seen)
-
-
-def _vector(model: SweepModel, n: int) -> Float[np.ndarray, "9"]:
-    c = model.cameras[n]
-    return Intrinsics(c.width, c.height, c.K, c.distortion).vector
-
-
-def _centre_std(cam_from_world: Float[np.ndarray, "3 4"], covariance: Float[np.ndarray, "6 6"]) -> float:
-    """Standard deviation of the camera centre, from the pose's covariance in camera axes.
-
-    The centre is -R^T t; a step (w, d) moves it by R^T (-d), whatever the turn (t turns along with R).
-    """
-    return float(np.sqrt(max(np.trace(covariance[3:, 3:]), 0.0)))
-
-
-def _axis_std(covariance: Float[np.ndarray, "6 6"]) -> tuple[float, float]:
-    """Standard deviation of the position sideways and along the optical axis."""
-    variance = np.maximum(np.diag(covariance)[3:], 0.0)
-    return float(np.sqrt(variance[:2].mean())), float(np.sqrt(variance[2]))
 
 
 def _hull_share(xy: Float[np.ndarray, "n 2"], width: int, height: int) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.calibration.board import BoardSpec, BoardView
-from devrf.calibration.bundle import Problem, adjust
+from devrf.calibration.bundle import adjust
+from devrf.calibration.bundle_problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rig import Scale
 from devrf.calibration.truth import similarity
@@ -19,6 +20,7 @@ from devrf.capture.camera import Camera
 
 MIN_VIEWS = 3  # sweep pictures that must see a corner
 MIN_BOARD_CORNERS = 6
+CORNER_STD_PX = 0.3  # of a board corner's place
 MIN_ANGLE_DEG = 4.0  # between the outermost views of a corner
 RIGID_SHARE = 0.02  # of the board's size: corners that miss the print by more belong to a board that moved
 
@@ -78,22 +80,20 @@ def triangulate_corners(
         start.append(closest_point(centres, rays))
     if not ids:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3)), 0
-    intrinsics = np.array([Intrinsics(c.width, c.height, c.K, c.distortion).vector for c in cameras])
+    known = [Intrinsics(c.width, c.height, c.K, c.distortion, None, c.model) for c in cameras]
     solution = adjust(
         Problem(
             poses=np.array([c.cam_from_world for c in cameras]),
-            intrinsics=intrinsics,
-            device=np.arange(len(cameras)),
-            points=np.array(start),
-            obs_camera=np.array([c for c, _, _ in rows]),
-            obs_point=np.array([p for _, p, _ in rows]),
-            obs_xy=np.array([xy for _, _, xy in rows]),
             free_pose=np.zeros(len(cameras), dtype=bool),
-            free_intrinsics=np.zeros((len(cameras), 9), dtype=bool),
-            free_points=True,
-            one_focal=np.zeros(len(cameras), dtype=bool),
-            prior_mean=intrinsics,
-            prior_std=np.full((len(cameras), 9), np.inf),
+            device=np.arange(len(cameras)),
+            **lenses(known, known),
+            bodies=bodies_of_points(np.array(start)),
+            freedom=np.full(len(ids), 3),
+            obs_camera=np.array([c for c, _, _ in rows]),
+            obs_body=np.array([p for _, p, _ in rows]),
+            obs_local=np.zeros((len(rows), 3)),
+            obs_xy=np.array([xy for _, _, xy in rows]),
+            obs_std=np.full(len(rows), CORNER_STD_PX),
         )
     )
     return np.array(ids), solution.problem.points, len({c for c, _, _ in rows})
