@@ -41,7 +41,7 @@ class Registration:
     Attributes:
         camera: Pose and intrinsics.
         points, xy: Inlier points and where they are seen [N], [N, 2].
-        matches: 2D-3D matches before RANSAC.
+        matches: 2D-3D matches before RANSAC; verified: those of them that agreed on a pose.
         solution: The refinement with the points held (covariances).
     """
 
@@ -49,6 +49,7 @@ class Registration:
     points: Int[np.ndarray, " inliers"]
     xy: Float[np.ndarray, "inliers 2"]
     matches: int
+    verified: int
     solution: Solution
 
 
@@ -118,7 +119,12 @@ def register(
     keep = np.linalg.norm(solution.residual_px, axis=1) < limit
     return (
         Registration(
-            camera, guided_point[keep], xy[guided_feature[keep]].astype(np.float64), len(feature), solution
+            camera,
+            guided_point[keep],
+            xy[guided_feature[keep]].astype(np.float64),
+            len(feature),
+            int(inliers.sum()),
+            solution,
         ),
         int(keep.sum()),
     )

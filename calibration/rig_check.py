@@ -16,8 +16,10 @@ from devrf.calibration.board_views import TimedView, Views
 from devrf.calibration.bundle import adjust
 from devrf.calibration.bundle_model import image_rate
 from devrf.calibration.bundle_problem import Problem, bodies_of_points
-from devrf.calibration.rig_board import boards_before
+from devrf.calibration.intrinsics import Intrinsics
+from devrf.calibration.rig_board import boards_before, rig_from_board
 from devrf.capture.camera import Camera
+from devrf.capture.errors import HealthError
 
 HELD_OUT_FRAMES = 5  # in a row: a picture's time and motion need neighbours that are held out too
 HELD_OUT_EVERY = 3  # a third of the runs
@@ -44,6 +46,14 @@ class RigCheck:
         return 100 * abs(float(np.median(self.lengths_m)) / self.true_m - 1)
 
     @property
+    def near_to_far_percent(self) -> float:
+        """How much longer the same length comes out at the far end than at the near end (straight line)."""
+        near, far = np.quantile(self.distance_m, [0.05, 0.95])
+        centred = self.distance_m - self.distance_m.mean()
+        slope = centred @ self.lengths_m / max(centred @ centred, 1e-12)
+        return 100 * float(slope * (far - near) / self.true_m)
+
+    @property
     def spread_mm(self) -> float:
         """Standard deviation of the lengths."""
         return 1e3 * float(np.std(self.lengths_m))
@@ -66,6 +76,21 @@ def hold_out(
         {n: [v for v in own if not held(v)] for n, own in views.items()},
         {n: [v for v in own if held(v)] for n, own in views.items()},
     )
+
+
+def cross_check(
+    views: Mapping[str, list[TimedView]],
+    spec: BoardSpec,
+    start: Mapping[str, Intrinsics],
+    known: Mapping[str, Intrinsics],
+) -> RigCheck | None:
+    """Fit the rig without a third of the views and check it with these; None where a part is too small for it."""
+    fit, held = hold_out(views)
+    try:
+        rig = rig_from_board(fit, spec, start, known)
+    except HealthError:
+        return None
+    return check_rig(rig.cameras, rig.delay_s, held, spec)
 
 
 def check_rig(

@@ -51,6 +51,13 @@ def disagreement(world: Mapping[str, Camera], rig: Mapping[str, Camera]) -> dict
     }
 
 
+def median_baseline(cameras: Mapping[str, Camera]) -> float:
+    """Median distance between two cameras."""
+    centres = np.array([c.centre for c in cameras.values()])
+    i, j = np.triu_indices(len(centres), 1)
+    return float(np.median(np.linalg.norm(centres[i] - centres[j], axis=1)))
+
+
 def adjust_together(
     sweep: Solution, index: Mapping[str, int], cameras: Mapping[str, Camera], board: BoardRig
 ) -> Solution:

@@ -66,13 +66,14 @@ class SweepRig:
     Attributes:
         cameras: Name -> camera; index: name -> camera of the problem.
         solution: The adjusted problem; the sweep's cameras come first.
-        support: Name -> its own observations that fit.
+        support: Name -> its own observations that fit; like: name -> calibration or guess it started from.
     """
 
     cameras: dict[str, RigCamera]
     solution: Solution
     index: dict[str, int]
     support: dict[str, Int[np.ndarray, " n"]]
+    like: dict[str, Intrinsics]
 
 
 def rig_from_sweep(
@@ -172,12 +173,13 @@ def _refined(
         details = {
             "picture": label,
             "matches": registration.matches,
+            "verified": registration.verified,
             "inlier_area": _hull_share(problem.obs_xy[support[name]], item.width, item.height),
         }
         cameras[name] = rig_camera(
             solution, index[name], item.like, item.intrinsics_source, support[name], details
         )
-    return SweepRig(cameras, solution, index, support)
+    return SweepRig(cameras, solution, index, support, {item.name: item.like for item in inputs})
 
 
 def _problem(

@@ -22,6 +22,9 @@ MIN_VIEWS = 3  # sweep pictures that must see a corner
 MIN_BOARD_CORNERS = 6
 CORNER_STD_PX = 0.3  # of a board corner's place
 MIN_ANGLE_DEG = 4.0  # between the outermost views of a corner
+TAPE_STD = 0.01  # relative, of a length that somebody typed without saying how sure it is
+LEAST_STD = 5e-4  # relative: no print is known better
+AGREEMENT = 0.01  # relative: measures of length that differ by more have a mistake in them
 RIGID_SHARE = 0.02  # of the board's size: corners that miss the print by more belong to a board that moved
 
 
@@ -125,3 +128,20 @@ def scale_from_distances(
         else None
     )
     return Scale(True, source, factor, std)
+
+
+def combined(found: list[Scale]) -> Scale:
+    """One scale of several measures of length: the weighted mean of those that agree with the surest.
+
+    Args:
+        found: At least one; a `std` that is not known counts as `TAPE_STD`.
+    """
+    std = np.array([max(TAPE_STD if s.std is None else s.std, LEAST_STD) for s in found])
+    surest = found[int(np.argmin(std))]
+    factors = np.array([s.factor for s in found])
+    agree = np.abs(factors / surest.factor - 1) <= AGREEMENT
+    if agree.sum() == 1:
+        return surest
+    weight = agree / std**2
+    source = "; ".join(s.source for s, a in zip(found, agree, strict=True) if a)
+    return Scale(True, source, float(weight @ factors / weight.sum()), float(weight.sum() ** -0.5))

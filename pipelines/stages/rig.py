@@ -3,29 +3,32 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from devrf.calibration.board import BoardSpec, find_board
-from devrf.calibration.board_intrinsics import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
+from devrf.calibration.board import find_board
+from devrf.calibration.board_intrinsics import MIN_VIEWS, calibrate_intrinsics
 from devrf.calibration.clean_picture import clean_pictures
 from devrf.calibration.given import Given
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
-from devrf.calibration.rig_board import BoardRig, TimedView, joint_prior, rig_from_board
-from devrf.calibration.rig_sweep import FixedCameraInput, rig_from_sweep
-from devrf.calibration.scale import scale_from_board, scale_from_distances
+from devrf.calibration.rig_board import BoardRig, rig_from_board
+from devrf.calibration.rig_check import cross_check
+from devrf.calibration.rig_graph import Link, camera_graph
+from devrf.calibration.rig_joint import adjust_together, disagreement
+from devrf.calibration.rig_result import rig_camera
+from devrf.calibration.rig_sweep import FixedCameraInput, SweepRig, rig_from_sweep
+from devrf.calibration.scale import combined, scale_from_board, scale_from_distances
 from devrf.calibration.static_poses import SweepModel, read_static_poses
-from devrf.calibration.truth import rotation_angle_deg, similarity
+from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
-from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.frames import FrameSet
 from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.clocks import read_clocks
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages.joint_clips import JointViews, files_of, read_joint_views
+from devrf.pipelines.stages.rig_health import graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
 from devrf.pipelines.stages.static_poses import board_rows
 
 MIN_CAMERAS = 2  # of a rig from a board
@@ -38,7 +41,7 @@ def run(context: StageContext) -> None:
     route = job.route()
     rig = {"given": job.from_given, "sweep": job.from_sweep, "board": job.from_board}[route]()
     write_rig(context.out / "rig.json", rig)
-    context.health.extend([*job.rows, *health(rig)])
+    context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale)])
 
 
 class _Job:
@@ -54,6 +57,7 @@ class _Job:
         self.sweep_folder = context.run_dir / "static_poses"
         self.has_sweep = (self.sweep_folder / "static_poses.json").is_file()
         self.rows: list[HealthRow] = []
+        self.scales: list[Scale] = []
 
     def route(self) -> str:
         """given, sweep or board."""
@@ -97,57 +101,109 @@ class _Job:
         return found
 
     def from_sweep(self) -> Rig:
-        """Route A: one clean picture of each camera into the sweep's model."""
+        """Route A: one clean picture of each camera into the sweep's model; with joint clips one adjustment of both."""
         context = self.context
         model = read_static_poses(self.sweep_folder)
-        calibrations = self._clip_calibrations(_part(context.progress, 0.0, 0.3))
-        known = {name: c.intrinsics for name, c in calibrations.items()}
         given = {} if self.given is None else self.given.intrinsics
-        cameras = self._register(model, known | given, _part(context.progress, 0.3, 0.7))
-        cameras = {n: replace(c, intrinsics_source="given") if n in given else c for n, c in cameras.items()}
-        context.progress(0.75, "metric scale")
-        scale = self._scale(model, cameras)
-        return Rig({name: _scaled(c, scale.factor) for name, c in cameras.items()}, scale, "sweep")
+        known = self._clip_calibrations(_part(context.progress, 0.0, 0.3)) | given
+        swept = self._register(model, known, _part(context.progress, 0.3, 0.6))
+        cameras = {
+            n: replace(c, intrinsics_source="given") if n in given else c for n, c in swept.cameras.items()
+        }
+        for name, c in cameras.items():
+            self.rows += sweep_rows(name, c)
+        context.progress(0.65, "metric scale")
+        self.scales = self._scales(model, {n: c.camera.centre for n, c in cameras.items()})
+        joint = [name for name in cameras if name in self.frames.joint]
+        graph = camera_graph(swept.solution.problem, swept.index)
+        if self.spec is not None and len(joint) >= MIN_CAMERAS:
+            together = self._together(swept, cameras, joint, _part(context.progress, 0.7, 0.3))
+            if together is not None:
+                cameras, graph = together
+        scale = combined(self.scales) if self.scales else ARBITRARY
+        return Rig({n: _scaled(c, scale.factor) for n, c in cameras.items()}, scale, "sweep", graph)
 
     def from_board(self) -> Rig:
         """Route B: the board before several cameras at once; metres, in the first camera's frame."""
-        found, calibrations = self._board_rig(list(self.moving), self.context.progress)
-        self.rows += _board_rig_rows(found)
+        seen, found = self._board_rig(list(self.moving), self.context.progress)
+        problem = found.solution.problem
+        index = {name: c for c, name in enumerate(found.views.names)}
         cameras = {}
-        for name, camera in found.cameras.items():
-            cameras[name] = RigCamera(
-                camera,
-                "board",
-                found.rotation_std_deg[name],
-                found.position_std_m[name],
-                found.corners[name],
-                found.rms_px,
-                {"focal_px": float(camera.K[0, 0]), "board_rms_px": calibrations[name].rms_px},
+        for name, c in index.items():
+            support = np.flatnonzero(problem.obs_camera == c)
+            source = "given" if self.given is not None and name in self.given.intrinsics else "board"
+            cameras[name] = rig_camera(
+                found.solution, c, seen.start[name], source, support, _clock(found, name)
             )
-        return Rig(cameras, Scale(True, "board seen by several cameras at once", 1.0, None), "board")
+        self.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
+        rig = Rig(cameras, self.scales[0], "board", camera_graph(problem, index))
+        self.rows += graph_rows(rig.graph, rig)
+        return rig
+
+    def _together(
+        self,
+        swept: SweepRig,
+        cameras: dict[str, RigCamera],
+        names: list[str],
+        progress: Callable[[float, str], None],
+    ) -> tuple[dict[str, RigCamera], tuple[Link, ...]] | None:
+        """Both routes compared, then one adjustment of both; None where the joint clips cannot be used."""
+        try:
+            seen, board = self._board_rig(names, progress)
+        except HealthError as error:
+            remedy = "Hold the board where several cameras see it; the sweep alone was used."
+            self.rows.append(note("rig from the board", str(error), verdict="warn", remedy=remedy))
+            return None
+        ours = {n: c.camera for n, c in cameras.items()}
+        joint = adjust_together(swept.solution, swept.index, ours, board)
+        unit = joint.problem.unit
+        rows, same = route_rows(disagreement(ours, board.cameras), cameras, board, unit)
+        self.rows += rows
+        if not same:
+            remedy = "Film the joint clips again, with the cameras where they are now."
+            text = "the sweep's; the board's does not fit it"
+            self.rows.append(note("rig", text, verdict="warn", remedy=remedy))
+            return None
+        self.rows.append(note("rig", "sweep and board adjusted together"))
+        source = f"board seen at once by {', '.join(names)}"
+        self.scales.append(Scale(True, source, 1 / unit, joint.unit_std))
+        out = {}
+        for name, c in cameras.items():
+            own = np.flatnonzero(joint.problem.obs_camera == swept.index[name])
+            boards = own[own >= len(swept.solution.problem.obs_body)]
+            details = {k: c.details[k] for k in ("picture", "matches", "verified", "inlier_area")}
+            out[name] = rig_camera(
+                joint,
+                swept.index[name],
+                seen.start.get(name, swept.like[name]),
+                "board" if name in names and c.intrinsics_source == "self" else c.intrinsics_source,
+                np.concatenate([swept.support[name], boards]),
+                details | (_clock(board, name) if name in names else {}),
+            )
+        return out, camera_graph(joint.problem, swept.index)
 
     def _register(
         self, model: SweepModel, known: dict[str, Intrinsics], progress: Callable[[float, str], None]
-    ) -> dict[str, RigCamera]:
+    ) -> SweepRig:
         clean = self.context.out / "clean"
         clean.mkdir()
         rest = self.context.config.capture.rest if self.context.config.capture else "none"
         inputs = []
         for name, camera in self.moving.items():
-            pictures = clean_pictures(name, self._files(camera), rest, clean)
+            pictures = clean_pictures(name, files_of(self.context.run_dir, camera), rest, clean)
             inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))
-        cameras = rig_from_sweep(model, inputs, self.context.out, progress)
-        used = {c.details["picture"] for c in cameras.values()}
+        found = rig_from_sweep(model, inputs, self.context.out, progress)
+        used = {c.details["picture"] for c in found.cameras.values()}
         for picture in clean.iterdir():
             if picture.stem not in used:
                 picture.unlink()
-        return cameras
+        return found
 
-    def _clip_calibrations(self, progress: Callable[[float, str], None]) -> dict[str, BoardCalibration]:
+    def _clip_calibrations(self, progress: Callable[[float, str], None]) -> dict[str, Intrinsics]:
         """Intrinsics from each camera's own board clip, else from its joint clip."""
         if self.spec is None:
             return {}
-        out: dict[str, BoardCalibration] = {}
+        out: dict[str, Intrinsics] = {}
         for n, (name, camera) in enumerate(self.moving.items()):
             clip, required = self.frames.cameras.get(f"board_{name}"), True
             if clip is None and name in self.frames.joint:
@@ -156,7 +212,11 @@ class _Job:
                 continue
             step = _part(progress, n / len(self.moving), 1 / len(self.moving))
             views, spec = find_board(
-                f"{clip.source} of camera '{name}'", self._files(clip), self.spec, step, required
+                f"{clip.source} of camera '{name}'",
+                files_of(self.context.run_dir, clip),
+                self.spec,
+                step,
+                required,
             )
             if not required and len(views) < MIN_VIEWS:
                 continue
@@ -166,47 +226,42 @@ class _Job:
                     f"board clip {clip.source} is {size[0]}x{size[1]}, camera '{name}' films "
                     f"{camera.width}x{camera.height}; film the board in the same mode as the scene"
                 )
-            out[name] = calibrate_intrinsics(name, views, spec, size)
-            self.rows += board_rows(name, out[name])
+            calibration = calibrate_intrinsics(name, views, spec, size)
+            out[name] = calibration.intrinsics
+            self.rows += board_rows(name, calibration)
         return out
 
     def _board_rig(
         self, names: list[str], progress: Callable[[float, str], None]
-    ) -> tuple[BoardRig, dict[str, BoardCalibration]]:
-        """Cameras from the joint clips, with clocks applied."""
+    ) -> tuple[JointViews, BoardRig]:
+        """Cameras from the joint clips, with clocks applied, and what they measure on views kept out of a fit."""
         assert self.spec is not None
-        clocks = read_clocks(self.context.run_dir / "sync" / "sync.json")
-        views: dict[str, list[TimedView]] = {}
-        calibrations: dict[str, BoardCalibration] = {}
-        priors: dict[str, Intrinsics] = {}
-        spec: BoardSpec = self.spec
-        for n, name in enumerate(names):
-            entry = self.frames.joint[name]
-            clip = self.frames.cameras[entry]
-            step = _part(progress, 0.8 * n / len(names), 0.8 / len(names))
-            seen, spec = find_board(f"{clip.source} of camera '{name}'", self._files(clip), self.spec, step)
-            times = [frame.time_s for frame in clip.used if frame.file is not None]
-            offset_s, rate = clocks.get(entry, (0.0, 1.0))
-            views[name] = [
-                TimedView(view, offset_s + rate * t) for view in seen if (t := times[view.frame]) is not None
-            ]
-            own = self.frames.cameras.get(f"board_{name}")
-            size = (clip.width, clip.height)
-            if own is None:
-                calibrations[name] = calibrate_intrinsics(name, seen, spec, size)
-                priors[name] = joint_prior(calibrations[name].intrinsics)
-            else:
-                own_views, _ = find_board(f"{own.source} of camera '{name}'", self._files(own), self.spec)
-                calibrations[name] = calibrate_intrinsics(name, own_views, spec, size)
-                priors[name] = calibrations[name].intrinsics
-        start = {name: c.intrinsics for name, c in calibrations.items()}
-        found = rig_from_board(views, spec, start, priors, _part(progress, 0.8, 0.2))
-        for name, calibration in calibrations.items():
-            self.rows += board_rows(name, calibration)
-        return found, calibrations
+        known = {} if self.given is None else self.given.intrinsics
+        for name in names:
+            if name not in known and f"board_{name}" in self.frames.cameras:
+                known = known | {name: self._own_calibration(name)}
+        run_dir, step = self.context.run_dir, _part(progress, 0.0, 0.7)
+        seen = read_joint_views(run_dir, self.frames, names, self.spec, known, step)
+        found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, _part(progress, 0.7, 0.2))
+        progress(0.9, "held-out lengths")
+        check = cross_check(seen.views, seen.spec, seen.start, seen.known)
+        if not self.has_sweep:
+            for name, calibration in seen.own.items():
+                self.rows += board_rows(name, calibration)
+        self.rows += joint_rows(found, check)
+        return seen, found
 
-    def _scale(self, model: SweepModel, cameras: dict[str, RigCamera]) -> Scale:
-        """Metres from the board in the sweep, cameras that saw a board at once, or a known distance."""
+    def _own_calibration(self, name: str) -> Intrinsics:
+        """From the camera's own board clip."""
+        assert self.spec is not None
+        clip = self.frames.cameras[f"board_{name}"]
+        views, spec = find_board(
+            f"{clip.source} of camera '{name}'", files_of(self.context.run_dir, clip), self.spec
+        )
+        return calibrate_intrinsics(name, views, spec, (clip.width, clip.height)).intrinsics
+
+    def _scales(self, model: SweepModel, centres: dict[str, np.ndarray]) -> list[Scale]:
+        """Metres from the board in the sweep and from a known distance."""
         found: list[Scale] = []
         if self.spec is not None:
             scale, text = self._scale_from_sweep_board(model)
@@ -214,31 +269,13 @@ class _Job:
                 found.append(scale)
             elif text:
                 self.rows.append(note("board in the sweep", text))
-        centres = {name: c.camera.centre for name, c in cameras.items()}
-        joint = [name for name in cameras if name in self.frames.joint]
-        if self.spec is not None and len(joint) >= MIN_CAMERAS:
-            found += self._scale_from_joint_clips(joint, cameras)
         distance = self.settings.known_distance_m
         if distance is not None:
-            first, second = list(cameras)[:2]
-            ours = {name: centres[name] for name in (first, second)}
+            first, second = list(centres)[:2]
             true = {first: np.zeros(3), second: np.array([distance, 0.0, 0.0])}
-            scale = scale_from_distances(true, ours, f"known distance from {first} to {second}")
+            scale = scale_from_distances(true, centres, f"known distance from {first} to {second}")
             found += [] if scale is None else [scale]
-        if not found:
-            return ARBITRARY
-        for other in found[1:]:
-            self.rows.append(
-                row(
-                    f"scale: {found[0].source} against {other.source}",
-                    100 * abs(other.factor / found[0].factor - 1),
-                    "%",
-                    warn=1.0,
-                    low_is_bad=False,
-                    remedy="Two measures of length disagree: measure the squares and the distance again.",
-                )
-            )
-        return found[0]
+        return found
 
     def _scale_from_sweep_board(self, model: SweepModel) -> tuple[Scale | None, str]:
         assert self.spec is not None
@@ -250,44 +287,11 @@ class _Job:
         views, spec = find_board("the sweep", files, self.spec, required=False)
         return scale_from_board(views, list(model.cameras), spec)
 
-    def _scale_from_joint_clips(self, names: list[str], cameras: dict[str, RigCamera]) -> list[Scale]:
-        """Metres from the joint clips, and how far the two routes to the rig differ."""
-        try:
-            found, _ = self._board_rig(names, lambda fraction, message: None)
-        except HealthError as error:
-            self.rows.append(
-                note("rig from the board", str(error), verdict="warn", remedy="Not used for the scale.")
-            )
-            return []
-        metric = {name: c.centre for name, c in found.cameras.items()}
-        ours = {name: cameras[name].camera.centre for name in names}
-        scale = scale_from_distances(metric, ours, f"board seen at once by {', '.join(names)}")
-        if len(names) >= 3:
-            turn = similarity(np.array([ours[n] for n in names]), np.array([metric[n] for n in names]))
-            R = turn[:3, :3] / np.cbrt(np.linalg.det(turn[:3, :3]))
-            worst = max(
-                rotation_angle_deg(
-                    R @ cameras[n].camera.cam_from_world[:, :3].T, found.cameras[n].cam_from_world[:, :3].T
-                )
-                for n in names
-            )
-            self.rows.append(
-                row(
-                    "rig from the sweep against the rig from the board",
-                    worst,
-                    "deg",
-                    warn=1.0,
-                    low_is_bad=False,
-                    remedy="The two routes disagree: was a camera touched between the clips?",
-                )
-            )
-        return [] if scale is None else [scale]
-
     def _given_into_sweep(self, rig: Rig) -> Rig:
         """A given rig moved into the sweep's world by registering its cameras there; metres stay metres."""
         model = read_static_poses(self.sweep_folder)
         assert self.given is not None
-        found = self._register(model, self.given.intrinsics, self.context.progress)
+        found = self._register(model, self.given.intrinsics, self.context.progress).cameras
         if len(found) < 3:
             raise InputError(
                 "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "
@@ -320,96 +324,23 @@ class _Job:
         )
         return Rig(cameras, replace(rig.scale, factor=1 / unit), "given")
 
-    def _files(self, camera: CameraFrames) -> list[Path]:
-        return [self.ingest / frame.file for frame in camera.used if frame.file is not None]
 
-
-def health(rig: Rig) -> list[HealthRow]:
-    """Rows about each camera's support and about the scale."""
-    rows: list[HealthRow] = []
-    for name, c in rig.cameras.items():
-        if rig.route == "sweep":
-            rows += _sweep_rows(name, c)
-    s = rig.scale
-    if s.metric:
-        std = "" if s.std is None else f", +- {100 * s.std:.2f} %"
-        rows.append(note("scale", f"metres: {s.source}{std}"))
-    else:
-        remedy = "Lengths are not metres: let a board stand in the scene during the sweep (capture.board)."
-        rows.append(note("scale", ARBITRARY.source, verdict="warn", remedy=remedy))
-    return rows
-
-
-def _sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
-    d: dict[str, Any] = c.details
-    rows = [
-        row(
-            f"points that {name} shares with the sweep",
-            c.inliers,
-            "",
-            warn=100,
-            fail=30,
-            remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
-        ),
-        row(
-            f"share of the picture that {name}'s points cover",
-            d.get("inlier_area"),
-            "",
-            warn=0.2,
-            remedy=f"All points of {name} lie in one corner: film sweep pictures of what it sees elsewhere.",
-        ),
-    ]
-    if c.position_std is not None and d.get("median_distance"):
-        rows.append(
-            row(
-                f"position of {name}, standard deviation",
-                100 * c.position_std / d["median_distance"],
-                "% of distance",
-                warn=0.5,
-                low_is_bad=False,
-                remedy=f"Focal length and distance trade off: film a board (capture.board.clips.{name}).",
-            )
-        )
-    return rows
-
-
-def _board_rig_rows(rig: BoardRig) -> list[HealthRow]:
-    weakest = min(rig.links, key=lambda pair: rig.links[pair])
-    dropped = ", ".join(f"{name} {frame}" for name, frame in rig.dropped) or "none"
-    return [
-        row(
-            "reprojection error of the board rig, robust",
-            rig.sigma_px,
-            "px",
-            warn=1.0,
-            fail=4.0,
-            low_is_bad=False,
-            remedy="Move the board slowly and rest it often, use a flat, rigid print, and sync the cameras.",
-        ),
-        row(
-            f"corners seen at once, weakest link ({weakest[0]}, {weakest[1]})",
-            rig.links[weakest],
-            "",
-            warn=200,
-            remedy=f"Hold the board where {weakest[0]} and {weakest[1]} both see it, for longer.",
-        ),
-        row(
-            "time between views that count as one, largest",
-            rig.gap_ms[1],
-            "ms",
-            warn=50.0,
-            low_is_bad=False,
-            remedy="The cameras do not expose together: move the board slowly, or rest it.",
-        ),
-        note("board views that do not fit", dropped),
-    ]
+def _clock(board: BoardRig, name: str) -> dict[str, float]:
+    """How late a camera's pictures are by its clock, for rig.json."""
+    n = board.views.names.index(name)
+    return {
+        "delay_ms": 1e3 * board.delay_s[name],
+        "delay_std_ms": 1e3 * float(board.solution.delay_std_s[n]),
+    }
 
 
 def _scaled(c: RigCamera, factor: float) -> RigCamera:
     """The camera in a world whose lengths are `factor` times larger."""
     similarity_matrix = np.diag([factor, factor, factor, 1.0])
     lengths = ("axis_std", "sideways_std", "median_distance")
-    details = {k: v * factor if k in lengths else v for k, v in c.details.items()}
+    details = {k: v * factor if k in lengths and v is not None else v for k, v in c.details.items()}
+    if "position_covariance" in details:
+        details["position_covariance"] = (np.array(details["position_covariance"]) * factor**2).tolist()
     std = None if c.position_std is None else c.position_std * factor
     return replace(c, camera=c.camera.moved(similarity_matrix), position_std=std, details=details)
 

@@ -1,9 +1,8 @@
 """Which parts `bench calibration` and `bench sync` have; each is a function from `Cases` to rows."""
 
 from devrf.pipelines.bench.accuracy.cases import Part
+from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
-CALIBRATION: dict[str, Part] = {
-    "sweeps": sweeps,
-}
+CALIBRATION: dict[str, Part] = {"sweeps": sweeps, "rigs": rigs}
 SYNC: dict[str, Part] = {}
