@@ -258,7 +258,7 @@ def _solution(problem: Problem, layout: _Layout, loss: Loss, cost: float, steps:
         normal, shares = _normal(problem, layout, loss)
         covariance = np.linalg.pinv(complement(normal)[0], hermitian=True)
         noise = robust_sigma(residual / problem.obs_std[:, None]) * freedom
-        covariance *= max(noise, 1e-12) ** 2 * _correlation(problem, shares, covariance)
+        covariance *= max(noise, 1e-12) ** 2 * _correlation(problem, shares, covariance, loss)
         for c in np.flatnonzero(problem.free_pose):
             poses[c] = covariance[np.ix_(layout.pose[c], layout.pose[c])]
         std = np.append(np.sqrt(np.maximum(np.diag(covariance), 0.0)), 0.0)
@@ -277,17 +277,19 @@ def _solution(problem: Problem, layout: _Layout, loss: Loss, cost: float, steps:
     )
 
 
-def _correlation(problem: Problem, shares: sp.csr_matrix, inverse: Float[np.ndarray, "outer outer"]) -> float:
+def _correlation(
+    problem: Problem, shares: sp.csr_matrix, inverse: Float[np.ndarray, "outer outer"], loss: Loss
+) -> float:
     """How much larger variances are because the corners of one body err together; at least 1.
 
-    Mean over the unknowns of the ratio between the variance that the scatter of the bodies' gradients gives and
-    the variance that the scatter of single observations gives (design effect; Liang and Zeger, Biometrika 1986).
+    Mean over the unknowns of the variance that the scatter of the bodies' gradients gives, over the one that
+    independent observations would have (design effect; Liang and Zeger, Biometrika 1986).
     """
-    grouped = sp.csr_matrix(
-        (np.ones(len(problem.obs_body)), (problem.obs_body, np.arange(len(problem.obs_body))))
-    )
+    bodies = problem.obs_body
+    grouped = sp.csr_matrix((np.ones(len(bodies)), (bodies, np.arange(len(bodies)))))
     by_body = sp.csr_matrix(grouped @ shares).toarray()
-    alone = sp.csr_matrix(shares.T @ shares).toarray()
     together = np.einsum("ij,ji->i", inverse, by_body.T @ by_body @ inverse)
-    single = np.einsum("ij,ji->i", inverse, alone @ inverse)
-    return max(1.0, float(np.mean(together / np.maximum(single, 1e-300))))
+    weight = _loss_weights(problem, loss)
+    squared = (reprojection(problem) ** 2).mean(1) / problem.obs_std**2
+    alone = np.diag(inverse) * (weight**2 @ squared) / weight.sum()
+    return max(1.0, float(np.mean(together / np.maximum(alone, 1e-300))))

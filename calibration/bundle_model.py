@@ -73,8 +73,10 @@ def jacobians(
     if timing is None:
         d_here, d_time = d_world, np.zeros((len(x), 2))
     else:
-        d_here = d_world @ timing.carry[timing.view][:, :, :3]
-        d_time = np.einsum("mri,mi->mr", d_world, timing.rate(world))
+        rest_s = timing.rest_s(problem.obs_camera)[:, None, None]
+        turning = np.eye(3) - rest_s * _minus_cross(timing.spin[timing.view])
+        d_here = d_world @ turning @ timing.carry[timing.view][:, :, :3]
+        d_time = np.einsum("mri,mi->mr", d_world, timing.rate(_carried(problem)))
     d_body = np.concatenate([d_here @ _minus_cross(arm), d_here], axis=2)
     return d_pose, d_k, d_body, d_time, np.einsum("mri,mi->mr", d_here, arm)
 
@@ -87,14 +89,19 @@ def _arm(problem: Problem) -> Float[np.ndarray, "observations 3"]:
 
 def _in_world(problem: Problem) -> Float[np.ndarray, "observations 3"]:
     """Every observed place in the world at the time of its view."""
-    x = _arm(problem) + problem.bodies[problem.obs_body][:, :, 3]
-    timing = problem.timing
+    x, timing = _carried(problem), problem.timing
+    if timing is None:
+        return x
+    return x + timing.rate(x) * timing.rest_s(problem.obs_camera)[:, None]
+
+
+def _carried(problem: Problem) -> Float[np.ndarray, "observations 3"]:
+    """Every observed place where its body was carried to."""
+    x, timing = _arm(problem) + problem.bodies[problem.obs_body][:, :, 3], problem.timing
     if timing is None:
         return x
     carry = timing.carry[timing.view]
-    x = np.einsum("mij,mj->mi", carry[:, :, :3], x) + carry[:, :, 3]
-    rest_s = timing.delay_s[problem.obs_camera] + (timing.lag_s - timing.carried_s)[timing.view]
-    return x + timing.rate(x) * rest_s[:, None]
+    return np.einsum("mij,mj->mi", carry[:, :, :3], x) + carry[:, :, 3]
 
 
 def _in_camera(

@@ -38,6 +38,10 @@ class Timing:
     lag_s: Float[np.ndarray, " views"]
     lag_std_s: float
 
+    def rest_s(self, camera: Int[np.ndarray, " observations"]) -> Float[np.ndarray, " observations"]:
+        """Time of every observation after that for which its body was carried."""
+        return self.delay_s[camera] + (self.lag_s - self.carried_s)[self.view]
+
     def rate(self, world: Float[np.ndarray, "observations 3"]) -> Float[np.ndarray, "observations 3"]:
         """Velocity of every observed place, units/s."""
         return np.cross(self.spin[self.view], world) + self.velocity[self.view]

@@ -32,6 +32,7 @@ from devrf.capture.progress import Progress, no_progress
 OUTLIER_QUANTILE, OUTLIER_FACTOR = 0.75, 5.0
 OUTLIER_FLOOR_PX = 0.2  # views below this are never dropped
 ROUNDS = 8
+SETTLED_STDS = 0.1
 START_NOISE_PX, MIN_NOISE_PX = 0.5, 0.05
 START_LAG_S, MIN_LAG_S = 0.01, 5e-4
 TIMED_SHARE = 0.5  # a picture tells of its lag where its corners fix it to this share of the lags' spread
@@ -202,8 +203,17 @@ def _rounds(seen: Views, spec: BoardSpec, problem: Problem, progress: Progress, 
         seen, problem = _next(seen, spec, solution, ~bad)
         if bad.any():
             spanning_tree(seen)
-        solution = adjust(problem, "cauchy" if late else "soft_l1")
+        before, solution = solution, adjust(problem, "cauchy" if late else "soft_l1")
+        if late and not bad.any() and _settled(before, solution):
+            break
     return _Fit(solution, seen, tuple(dropped))
+
+
+def _settled(before: Solution, now: Solution) -> bool:
+    """Whether a round has changed the cameras by less than a tenth of their standard deviations."""
+    std = np.sqrt(np.einsum("cii->ci", now.pose_covariance)[:, 3:].sum(1))
+    moved = np.linalg.norm(now.problem.poses[:, :, 3] - before.problem.poses[:, :, 3], axis=1)
+    return bool((moved <= SETTLED_STDS * std).all())
 
 
 def _next(

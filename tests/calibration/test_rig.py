@@ -9,11 +9,12 @@ import pytest
 
 from devrf.calibration import rig_sweep
 from devrf.calibration.board import BoardSpec, BoardView
+from devrf.calibration.board_views import TimedView
 from devrf.calibration.clean_picture import clean_pictures
 from devrf.calibration.intrinsics import Intrinsics, from_vector, guess
 from devrf.calibration.registration import register
 from devrf.calibration.rig import Rig, RigCamera, Scale, read_rig, write_rig
-from devrf.calibration.rig_board import TimedView, rig_from_board
+from devrf.calibration.rig_board import rig_from_board
 from devrf.calibration.rig_sweep import FixedCameraInput, rig_from_sweep
 from devrf.calibration.scale import closest_point, scale_from_board, scale_from_distances
 from devrf.calibration.static_poses import SweepModel
@@ -138,7 +139,7 @@ def test_rig_from_sweep(sweep, tmp_path, monkeypatch, board):
     inputs = [
         FixedCameraInput(n, [tmp_path / f"{n}_clip.png"], *SIZE, known if board else None) for n in truth
     ]
-    found = rig_from_sweep(model, inputs, tmp_path)
+    found = rig_from_sweep(model, inputs, tmp_path).cameras
     for name, true in truth.items():
         c = found[name]
         turn, position = errors(c.camera, true)
