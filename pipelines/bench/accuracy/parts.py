@@ -4,5 +4,8 @@ from devrf.pipelines.bench.accuracy.cases import Part
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
-CALIBRATION: dict[str, Part] = {"sweeps": sweeps, "rigs": rigs}
+CALIBRATION: dict[str, Part] = {
+    "sweeps": sweeps,
+    "rigs": rigs,
+}
 SYNC: dict[str, Part] = {}
