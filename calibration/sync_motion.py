@@ -69,11 +69,29 @@ def motion_delay(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2
     """
     if min(len(first), len(second)) < MIN_OVERLAP_STEPS:
         return None
-    steps = [float(np.median(np.diff(m[:, 0]))) for m in (first, second)]
-    dt = min(steps) / OVERSAMPLING
-    a, b = _course(first, dt), _course(second, dt)
-    if a is None or b is None:
+    roots = [_root(m[:, 1]) for m in (first, second)]
+    if roots[0] is None or roots[1] is None:
         return None
+    return course_delay(first[:, 0], roots[0][:, None], second[:, 0], roots[1][:, None])
+
+
+def course_delay(
+    first_s: Float[np.ndarray, " n"],
+    first: Float[np.ndarray, "n channels"],
+    second_s: Float[np.ndarray, " m"],
+    second: Float[np.ndarray, "m channels"],
+) -> MotionDelay | None:
+    """Delay between two courses of one or more channels that have the same meaning in both clips.
+
+    Args:
+        first_s, second_s: File times, ascending.
+        first, second: Values at these times.
+    Returns:
+        None where the clips are too short to overlap enough, or no delay stands out at all.
+    """
+    steps = [float(np.median(np.diff(t))) for t in (first_s, second_s)]
+    dt = min(steps) / OVERSAMPLING
+    a, b = _on_grid(first_s, first, dt), _on_grid(second_s, second, dt)
     minimum = max(MIN_OVERLAP_SHARE * min(len(a), len(b)), MIN_OVERLAP_STEPS * OVERSAMPLING)
     lags, values, share = _normalised_correlation(a, b, int(minimum))
     tops = find_peaks(values)[0] if len(lags) else []
@@ -85,12 +103,12 @@ def motion_delay(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2
     rivals = [evidence[i] for i in tops if apart[i]]
     rivals += [evidence[i] for i in (0, len(lags) - 1) if apart[i]]  # it may still rise beyond the ends
     margin = float(evidence[peak] - max(rivals, default=0.0))
-    shift_s = first[0, 0] - second[0, 0]
+    shift_s = first_s[0] - second_s[0]
     reach = OVERSAMPLING  # one frame step: the grid's own spacing is interpolated, and bends nothing
     delay_s = (lags[peak] + _parabola(values, peak, reach)) * dt + shift_s
     lags_s = lags * dt + shift_s
     near = np.abs(lags_s - delay_s) <= max(CURVE_S, 15 * max(steps))
-    from_s, to_s = max(first[0, 0], second[0, 0] + delay_s), min(first[-1, 0], second[-1, 0] + delay_s)
+    from_s, to_s = max(first_s[0], second_s[0] + delay_s), min(first_s[-1], second_s[-1] + delay_s)
     spread_s, score = _spread(lags_s, values, peak, to_s - from_s)
     return MotionDelay(
         delay_s=float(delay_s),
@@ -104,43 +122,50 @@ def motion_delay(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2
     )
 
 
-def _course(motion: Float[np.ndarray, "n 2"], dt: float) -> Float[np.ndarray, " samples"] | None:
-    """Square root of the energy on an even grid; None where it hardly varies."""
-    time_s, energy = motion[:, 0], motion[:, 1]
+def _root(energy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
+    """Square root of the energy without its outliers; None where it hardly varies."""
     energy = np.minimum(energy, np.quantile(energy, OUTLIER_QUANTILE))
     root = np.sqrt(np.maximum(energy, 0))
-    if root.std() < MIN_VARIATION * max(float(root.mean()), 1e-6):
-        return None
+    return root if root.std() >= MIN_VARIATION * max(float(root.mean()), 1e-6) else None
+
+
+def _on_grid(
+    time_s: Float[np.ndarray, " n"], values: Float[np.ndarray, "n channels"], dt: float
+) -> Float[np.ndarray, "samples channels"]:
+    """Values on an even grid that begins at the first time."""
     grid = np.arange(time_s[0], time_s[-1], dt)
-    return np.interp(grid, time_s, root)
+    return np.stack([np.interp(grid, time_s, channel) for channel in values.T], axis=1)
 
 
 def _normalised_correlation(
-    a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"], minimum: int
+    a: Float[np.ndarray, "n channels"], b: Float[np.ndarray, "m channels"], minimum: int
 ) -> tuple[np.ndarray, Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
     """Pearson correlation of a[i + lag] and b[i] over what overlaps, for all lags with enough overlap.
+
+    Each channel's own mean over the overlap is taken away; covariances and variances are summed over channels.
 
     Returns:
         Lags, correlations, and the share of the shorter signal that overlaps.
     """
     size = fast_size(len(a) + len(b))
-    a, b = a - a.mean(), b - b.mean()  # against cancellation in the sums below
-    ones_a, ones_b = np.ones_like(a), np.ones_like(b)
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)  # against cancellation in the sums below
 
     def correlate(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        full = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
+        spectrum = np.fft.rfft(x, size, axis=0) * np.conj(np.fft.rfft(y, size, axis=0))
+        full = np.fft.irfft(spectrum, size, axis=0)
         return np.concatenate([full[size - len(b) + 1 :], full[: len(a)]])
 
+    ones_a, ones_b = np.ones((len(a), 1)), np.ones((len(b), 1))
     n = np.maximum(np.round(correlate(ones_a, ones_b)), 1)
     sum_a, sum_b = correlate(a, ones_b), correlate(ones_a, b)
-    var_a = correlate(a * a, ones_b) - sum_a**2 / n
-    var_b = correlate(ones_a, b * b) - sum_b**2 / n
-    cov = correlate(a, b) - sum_a * sum_b / n
+    var_a = (correlate(a * a, ones_b) - sum_a**2 / n).sum(axis=1)
+    var_b = (correlate(ones_a, b * b) - sum_b**2 / n).sum(axis=1)
+    cov = (correlate(a, b) - sum_a * sum_b / n).sum(axis=1)
     lags = np.arange(-(len(b) - 1), len(a))
-    floor = 1e-6 * len(a) * float(a.var() + b.var())
+    floor = 1e-6 * len(a) * float(a.var(axis=0).sum() + b.var(axis=0).sum())
     values = cov / np.sqrt(np.maximum(var_a, floor) * np.maximum(var_b, floor))
-    keep = n >= minimum
-    return lags[keep], values[keep], n[keep] / min(len(a), len(b))
+    keep = n[:, 0] >= minimum
+    return lags[keep], values[keep], n[keep, 0] / min(len(a), len(b))
 
 
 def _spread(

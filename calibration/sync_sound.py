@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import resample_poly
+from scipy.signal import find_peaks, resample_poly
 
 from devrf.capture.audio import Sound
 
@@ -37,6 +37,8 @@ COARSE_SEGMENT_S = 8.0
 ACCEPT_RATIO = 2.0  # facts of simulated rooms: right delays have >= 2.3, wrong ones <= 1.4
 MAX_RATIO = 100.0
 STD_FLOOR_S = 1e-4  # microphone's response, block edges; what echoes leave after whitening
+RIVAL = 0.8  # of the peak: a steady beat of n claps repeats at (n - 1) / n
+LISTED_RIVALS = 6
 CURVE_S = 0.5  # half width of the curve that is kept to be looked at
 CURVE_POINTS = 801
 
@@ -48,11 +50,15 @@ class Correlation:
     Attributes:
         delay_s: File time in the first clip minus file time in the second.
         ratio: Height of the peak over the highest other one.
+        plain_delay_s: The same by plain correlation, which an echo can pull away.
+        rivals_s: Delays of other peaks nearly as high, nearest first.
         lags_s, values: The curve around the peak [n], values relative to the peak.
     """
 
     delay_s: float
     ratio: float
+    plain_delay_s: float
+    rivals_s: tuple[float, ...]
     lags_s: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " n"]
 
@@ -79,11 +85,17 @@ class SoundDelay:
         return self.correlation.ratio >= ACCEPT_RATIO and bool(self.moments)
 
 
-def sound_delay(first: Sound, second: Sound) -> SoundDelay | None:
+def sound_delay(
+    first: Sound, second: Sound, around_s: float | None = None, search_s: float = np.inf
+) -> SoundDelay | None:
     """Delay between two recordings; None where they are too short to be compared.
 
     Clips of up to half a minute give one moment. Longer ones are located by their loudest passages and
     then compared window by window, so that the drift of their clocks shows.
+
+    Args:
+        first, second: The recordings.
+        around_s, search_s: Only delays within `search_s` of `around_s` are looked at; None: all.
     """
     shorter = min(first.end_s - first.start_s, second.end_s - second.start_s)
     if shorter < 2 * MIN_OVERLAP_S:
@@ -91,9 +103,15 @@ def sound_delay(first: Sound, second: Sound) -> SoundDelay | None:
     longer = max(first.end_s - first.start_s, second.end_s - second.start_s)
     a, b = _at_rate(first, WORK_RATE_HZ), _at_rate(second, WORK_RATE_HZ)
     if longer <= WHOLE_S:
-        whole = gcc_phat(a, b)
+        if around_s is not None and not _overlap_there(a, b, around_s):
+            return None
+        whole = gcc_phat(a, b, around_s=around_s, search_s=search_s)
         return SoundDelay(whole, (_moment(a, b, whole),))
-    coarse = _coarse(_at_rate(first, COARSE_RATE_HZ), _at_rate(second, COARSE_RATE_HZ))
+    coarse = _coarse(
+        _at_rate(first, COARSE_RATE_HZ), _at_rate(second, COARSE_RATE_HZ), around_s, search_s
+    )
+    if coarse is None:
+        return None
     moments = []
     for from_s, to_s in _shared_windows(a, b, coarse.delay_s):
         x, y = _cut(a, from_s, to_s), _cut(b, from_s - coarse.delay_s, to_s - coarse.delay_s)
@@ -128,9 +146,10 @@ def gcc_phat(
     n = fast_size(na + nb)
     a, b = _gated(first.samples, rate), _gated(second.samples, rate)
     spectrum = np.fft.rfft(a, n) * np.conj(np.fft.rfft(b, n))
-    envelope = _envelope(_whiten(spectrum, _band(n, rate, band_hz)), n)
+    band = _band(n, rate, band_hz)
     lags = np.arange(-(nb - 1), na)  # samples; lag k: first[i + k] meets second[i]
-    values = np.concatenate([envelope[n - nb + 1 :], envelope[:na]])
+    values = _by_lag(_envelope(_whiten(spectrum, band), n), na, nb)
+    plain = _by_lag(_envelope(band * spectrum, n), na, nb)
     overlap = np.minimum(na, nb + lags) - np.maximum(0, lags)
     allowed = overlap >= MIN_OVERLAP_S * rate
     shift_s = first.start_s - second.start_s
@@ -146,8 +165,29 @@ def gcc_phat(
     second_peak = float(others.max()) if len(others) else 0.0
     height = float(values[peak])
     ratio = min(MAX_RATIO, height / second_peak) if second_peak > 0 else (MAX_RATIO if height > 0 else 0.0)
-    delay_s = (lags[peak] + _parabola(values, peak)) / rate + shift_s
-    return Correlation(float(delay_s), ratio, *_curve(lags / rate + shift_s, values, float(delay_s)))
+    delay_s = float((lags[peak] + _parabola(values, peak)) / rate + shift_s)
+    lags_s = lags / rate + shift_s
+    return Correlation(
+        delay_s,
+        ratio,
+        float(lags_s[np.argmax(np.where(allowed, plain, -np.inf))]),
+        _rivals(lags_s, np.where(allowed & ~near, values, 0.0), RIVAL * height, delay_s),
+        *_curve(lags_s, values, delay_s),
+    )
+
+
+def _by_lag(circular: Float[np.ndarray, " n"], na: int, nb: int) -> Float[np.ndarray, " lags"]:
+    """A circular correlation in the order of its lags, from -(nb - 1) to na - 1."""
+    return np.concatenate([circular[len(circular) - nb + 1 :], circular[:na]])
+
+
+def _rivals(
+    lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], least: float, peak_s: float
+) -> tuple[float, ...]:
+    """Other peaks of at least this height, one within `PEAK_WIDTH_S`, the nearest to the peak first."""
+    apart = max(1, int(PEAK_WIDTH_S / (lags_s[1] - lags_s[0])))
+    places = lags_s[find_peaks(values, height=max(least, np.finfo(np.float32).tiny), distance=apart)[0]]
+    return tuple(float(x) for x in sorted(places, key=lambda x: abs(x - peak_s))[:LISTED_RIVALS])
 
 
 def fast_size(n: int) -> int:
@@ -219,7 +259,12 @@ def _curve(
     return np.array([lags_s[i:j].mean() for i, j in kept]), thin
 
 
-def _coarse(first: Sound, second: Sound) -> Correlation:
+def _overlap_there(a: Sound, b: Sound, delay_s: float) -> bool:
+    """Whether both record long enough at the same time if this is their delay."""
+    return min(a.end_s, b.end_s + delay_s) - max(a.start_s, b.start_s + delay_s) > MIN_OVERLAP_S
+
+
+def _coarse(first: Sound, second: Sound, around_s: float | None, search_s: float) -> Correlation | None:
     """Delay of long clips to a few milliseconds: the second's loudest passages are sought in the first."""
     n = int(COARSE_SEGMENT_S * second.rate_hz)
     starts = np.arange(0, max(1, len(second.samples) - n + 1), n)
@@ -229,8 +274,9 @@ def _coarse(first: Sound, second: Sound) -> Correlation:
     for k in chosen:
         start_s = second.start_s + int(starts[k]) / second.rate_hz
         segment = Sound(second.samples[starts[k] : starts[k] + n], second.rate_hz, start_s)
-        found.append(gcc_phat(first, segment, COARSE_BAND_HZ))
-    return max(found, key=lambda c: c.ratio)
+        if around_s is None or _overlap_there(first, segment, around_s):
+            found.append(gcc_phat(first, segment, COARSE_BAND_HZ, around_s, search_s))
+    return max(found, key=lambda c: c.ratio, default=None)
 
 
 def _tenths(samples: Float[np.ndarray, " n"]) -> Float[np.ndarray, " blocks"]:
