@@ -1,5 +1,6 @@
 """Which parts `bench calibration` and `bench sync` have; each is a function from `Cases` to rows."""
 
+from devrf.pipelines.bench.accuracy import sync_sound
 from devrf.pipelines.bench.accuracy.cases import Part
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
@@ -8,4 +9,6 @@ CALIBRATION: dict[str, Part] = {
     "sweeps": sweeps,
     "rigs": rigs,
 }
-SYNC: dict[str, Part] = {}
+SYNC: dict[str, Part] = {
+    "sound": sync_sound.rows,
+}
