@@ -206,7 +206,8 @@ def loops(names: Sequence[str], equations: Sequence[Equation]) -> list[Loop]:
     Long clips are compared at several moments: each pair's delay is their weighted mean.
     """
     out = []
-    for cue in dict.fromkeys(e.cue for e in equations):
+    cues: list[PairCue] = list(dict.fromkeys(e.cue for e in equations))
+    for cue in cues:
         delays: dict[tuple[str, str], float] = {}
         for a, b in itertools.combinations(names, 2):
             own = [e for e in equations if e.cue == cue and {e.a, e.b} == {a, b}]

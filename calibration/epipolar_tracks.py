@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.interpolate import CubicSpline
 
 from devrf.calibration.epipolar_motion import TimedPictures
-from devrf.capture.camera import Camera, undistort
+from devrf.capture.camera import Camera
 
 KEYS = 10  # moments at which points are looked for: enough for a jackknife, 0.3 s each
 AROUND = 2  # frames before and after a moment at which the first camera's track is compared
@@ -217,13 +217,17 @@ def _matches(p: Tracks, q: Tracks) -> list[tuple[int, int]]:
     return [(int(i), int(best[i])) for i in np.flatnonzero(good)]
 
 
-def _describe(grey: UInt8[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+def _describe(
+    grey: UInt8[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]
+) -> tuple[np.ndarray, np.ndarray]:
     """Points [n, 2] (float32, OpenCV's pixels) and RootSIFT descriptors [n, 128] of unit length."""
     points, descriptors = cv2.SIFT.create(contrastThreshold=SIFT_CONTRAST).detectAndCompute(grey, mask)
     if not len(points):
         return np.zeros((0, 2), np.float32), np.zeros((0, 128))
     share = descriptors.astype(np.float64)
-    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)  # RootSIFT: Arandjelovic & Zisserman, CVPR 2012
+    share /= np.maximum(
+        share.sum(axis=1, keepdims=True), 1e-9
+    )  # RootSIFT: Arandjelovic & Zisserman, CVPR 2012
     return np.array([p.pt for p in points], np.float32), np.sqrt(share)
 
 
@@ -239,10 +243,11 @@ def _follow(
 
 
 def _ideal(pictures: TimedPictures, points: Float[np.ndarray, "n t 2"]) -> Float[np.ndarray, "n t 2"]:
-    """Pixels of the pictures (OpenCV's, first centre at 0) as undistorted coordinates."""
+    """Pixels of the pictures (OpenCV's, first centre at 0) as coordinates on the plane at depth 1."""
     camera, (h, w) = pictures.camera, pictures.grey.shape[1:]
-    full = (points + 0.5) * [camera.width / w, camera.height / h]
-    return undistort((full - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T, camera.distortion)
+    rays = camera.directions((points + 0.5) * [camera.width / w, camera.height / h])
+    rays = rays @ camera.cam_from_world[:, :3].T
+    return rays[..., :2] / rays[..., 2:]
 
 
 def _moving(grey: UInt8[np.ndarray, "n h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -250,4 +255,3 @@ def _moving(grey: UInt8[np.ndarray, "n h w"]) -> UInt8[np.ndarray, "h w"]:
     change = (grey.max(axis=0) - grey.min(axis=0)).astype(np.float32)
     mask = (cv2.GaussianBlur(change, (0, 0), 2.0) > MOVING_LEVELS).astype(np.uint8) * 255
     return cv2.dilate(mask, np.ones((5, 5), np.uint8))
-

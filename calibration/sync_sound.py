@@ -37,7 +37,7 @@ COARSE_SEGMENT_S = 8.0
 ACCEPT_RATIO = 2.0  # facts of simulated rooms: right delays have >= 2.3, wrong ones <= 1.4
 MAX_RATIO = 100.0
 STD_FLOOR_S = 1e-4  # microphone's response, block edges; what echoes leave after whitening
-RIVAL = 0.8  # of the peak: a steady beat of n claps repeats at (n - 1) / n
+RIVAL = 0.6  # of the peak: a steady beat of n claps repeats at (n - 1) / n; a peak that is believed has none
 LISTED_RIVALS = 6
 CURVE_S = 0.5  # half width of the curve that is kept to be looked at
 CURVE_POINTS = 801
@@ -107,9 +107,7 @@ def sound_delay(
             return None
         whole = gcc_phat(a, b, around_s=around_s, search_s=search_s)
         return SoundDelay(whole, (_moment(a, b, whole),))
-    coarse = _coarse(
-        _at_rate(first, COARSE_RATE_HZ), _at_rate(second, COARSE_RATE_HZ), around_s, search_s
-    )
+    coarse = _coarse(_at_rate(first, COARSE_RATE_HZ), _at_rate(second, COARSE_RATE_HZ), around_s, search_s)
     if coarse is None:
         return None
     moments = []

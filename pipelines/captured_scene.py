@@ -1,5 +1,6 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
+import json
 from pathlib import Path
 
 import cv2
@@ -16,13 +17,16 @@ from devrf.calibration.bounds import (
     motion_mask,
     scene_bounds,
 )
+from devrf.calibration.clock_equations import Clock
 from devrf.calibration.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.ingest import read_motion
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
-from devrf.pipelines.clocks import read_clocks
+from devrf.pipelines.clock_check import clock_check
+from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.stage import StageContext
 
 MASK_FRAMES = 24  # of a clip, for finding what moves
@@ -39,7 +43,8 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     model = read_static_poses(sweep_folder) if (sweep_folder / "static_poses.json").is_file() else None
     factor = rig.scale.factor
     static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
-    dynamic, t0_s, t1_s = _moving_frames(context, frames, rig)
+    clocks = _clocks(context, frames, rig)
+    dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
     context.progress(0.4, "what moves")
     masks = [
         m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
@@ -97,19 +102,39 @@ def _sweep_frames(model: SweepModel, ingest: Path, factor: float, every: int) ->
     return tuple(out)
 
 
+def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Clock]:
+    """The moving cameras' clocks: what `sync` found, checked by geometry and replaced where that is surer."""
+    if len(frames.moving) < 2:
+        return read_sync(context.run_dir) if frames.moving else {}
+    ingest = context.run_dir / "ingest"
+    clocks, rows, content = clock_check(
+        ingest,
+        frames.moving,
+        {name: camera.camera for name, camera in rig.cameras.items()},
+        read_sync(context.run_dir),
+        read_motion(ingest, frames),
+        rig.scale.metric,
+        lambda done, text: context.progress(0.4 * done, text),
+    )
+    if content:
+        text = json.dumps(content, allow_nan=False) + "\n"
+        (context.out / "clock_check.json").write_text(text, encoding="utf-8")
+    context.health.extend(rows)
+    return clocks
+
+
 def _moving_frames(
-    context: StageContext, frames: FrameSet, rig: Rig
+    context: StageContext, frames: FrameSet, rig: Rig, clocks: dict[str, Clock]
 ) -> tuple[tuple[PosedFrame, ...], float, float]:
     """Frames of the fixed cameras with their exact times, cut to what is modelled; and that span."""
     if not frames.moving:
         return (), 0.0, 1.0
     assert context.config.capture is not None
-    ingest, clocks = context.run_dir / "ingest", read_clocks(context.run_dir / "sync" / "sync.json")
+    ingest = context.run_dir / "ingest"
     times: dict[str, list[tuple[int, Path, float]]] = {}
     for name, camera in frames.moving.items():
-        offset_s, rate = clocks[name]
         times[name] = [
-            (f.index, ingest / f.file, offset_s + rate * f.time_s)
+            (f.index, ingest / f.file, float(clocks[name].true_time(np.array(f.time_s))))
             for f in camera.used
             if f.file is not None and f.time_s is not None
         ]

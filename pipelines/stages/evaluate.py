@@ -11,6 +11,7 @@ import numpy as np
 from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_truth
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
+from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.health import HealthRow, row
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext
@@ -57,8 +58,10 @@ def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
         {frame.camera_name: frame.camera for frame in scene.dynamic},
         centre,
     )
-    sync, ingest = (_read(run_dir / name / f"{name}.json").get("cameras", {}) for name in ("sync", "ingest"))
-    clocks = {name: Clock(float(c["offset_s"]), float(c["drift_ppm"])) for name, c in sync.items()}
+    ingest = _read(run_dir / "ingest" / "ingest.json").get("cameras", {})
+    clocks = {
+        name: Clock(float(c["offset_s"]), float(c["drift_ppm"])) for name, c in clocks_in_use(run_dir).items()
+    }
     times = {name: [f["time_s"] for f in c["frames"]] for name, c in ingest.items() if name in clocks}
     errors = compare_clocks(truth, clocks, {name: (t[0], t[-1]) for name, t in times.items() if t})
     return {

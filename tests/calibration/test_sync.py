@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from devrf.calibration.sync import Clock, synchronise
+from devrf.calibration.clock_equations import Clock, Equation, consistent
+from devrf.calibration.sync import synchronise
 from devrf.calibration.sync_motion import motion_delay
 from devrf.calibration.sync_sound import gcc_phat, sound_delay
 from devrf.capture.audio import Sound, read_sound
@@ -148,17 +149,21 @@ def test_silent_camera_is_put_on_the_clock_by_motion():
     assert "camera cam2: no sound" in result.notes
 
 
-def test_a_steady_beat_is_refused_and_motion_used_instead():
+def test_a_steady_beat_is_ambiguous_until_motion_tells_which_beat():
     rng = np.random.default_rng(6)
     beat = list(np.arange(0.1, 8.0, 0.5))
     sounds = {n: claps(rng, beat, o, duration_s=6.0) for n, o in (("cam0", 0.0), ("cam1", 0.2))}
     found = sound_delay(sounds["cam0"], sounds["cam1"])
     assert found is not None and not found.accepted and found.correlation.ratio < 2
     motion = {n: energy(rng, o, 30.0, 0.05) for n, o in (("cam0", 0.0), ("cam1", 0.2))}
+    alone = synchronise(spans(6.0, ("cam0", "cam1")), sounds, {})
+    assert alone.cameras["cam1"].confidence < 0.5
+    assert any("sound not trusted" in n and "beat every 0.50 s: ambiguous" in n for n in alone.notes)
     result = synchronise(spans(6.0, ("cam0", "cam1")), sounds, motion)
-    assert result.cameras["cam1"].method == "motion"
-    assert result.cameras["cam1"].offset_s == pytest.approx(0.2, abs=1 / 60)
-    assert any("cam0 and cam1: sound not trusted" in n for n in result.notes)
+    clock = result.cameras["cam1"]
+    assert clock.method == "audio" and 0.5 <= clock.confidence <= 0.75
+    assert clock.offset_s == pytest.approx(0.2, abs=2e-4)  # as claps: far below motion's half frame
+    assert "cam0 and cam1: sound trusted all the same, near the delay by motion" in result.notes
 
 
 def test_nothing_in_common_gives_no_confidence():
@@ -183,17 +188,16 @@ def test_periodic_motion_is_refused():
 
 def test_a_pair_that_contradicts_the_others_is_dropped():
     """One camera's microphone lags: all its pairs agree with each other. One wrong pair alone does not."""
-    from devrf.calibration.sync import _consistent, _Equation
 
-    def equation(a: str, b: str, delay_s: float) -> _Equation:
-        return _Equation(a, b, 2.0, 2.0 - delay_s, 1e-4, "audio", 5.0, True, False)
+    def equation(a: str, b: str, delay_s: float) -> Equation:
+        return Equation(a, b, 2.0, 2.0 - delay_s, 1e-4, "audio", 5.0)
 
     names, offsets = NAMES[:4], OFFSETS_S[:4]
     equations = [
         equation(names[i], names[j], offsets[j] - offsets[i]) for i, j in itertools.combinations(range(4), 2)
     ]
     equations[3] = equation(names[1], names[2], 0.026)
-    kept, dropped = _consistent(spans(names=names), equations)
+    kept, dropped = consistent(spans(names=names), equations)
     assert [(e.a, e.b) for e in dropped] == [("cam1", "cam2")] and len(kept) == 5
 
 

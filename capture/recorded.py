@@ -1,0 +1,71 @@
+"""When a file says it was recorded: the container's creation time and the timecode of its first frame."""
+
+import re
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from devrf.capture.video import open_media
+
+TIMECODE = re.compile(r"(\d{2}):(\d{2}):(\d{2})([:;.])(\d{2,3})")
+DROPPED = {30: 2, 60: 4}  # frame numbers left out each minute but the tenth (SMPTE ST 12-1, drop frame)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a file says of its beginning.
+
+    Attributes:
+        created_s: Creation time, seconds since 1970 UTC; None where the file has none.
+        timecode_s: Timecode of the first frame, seconds of the day; None where the file has none.
+        timecode_fps: Frames that the timecode counts in a second.
+    """
+
+    created_s: float | None = None
+    timecode_s: float | None = None
+    timecode_fps: float | None = None
+
+
+def read_recorded(path: Path) -> Recorded:
+    """What a media file says of when it was recorded.
+
+    Raises:
+        InputError: If the file is missing or not a media file.
+    """
+    with open_media(path) as container:
+        tags = [dict(container.metadata), *(dict(stream.metadata) for stream in container.streams)]
+        fps = next((float(s.average_rate) for s in container.streams.video if s.average_rate), None)
+    created = next((t["creation_time"] for t in tags if "creation_time" in t), None)
+    code = next((t["timecode"] for t in tags if "timecode" in t), None)
+    code_s = timecode_s(code, fps) if code is not None and fps else None
+    return Recorded(_epoch(created), code_s, fps if code_s is not None else None)
+
+
+def timecode_s(text: str, fps: float) -> float | None:
+    """Seconds of the day of a timecode such as 10:21:05:12; None where it is none.
+
+    With ; or . before the frames it is drop frame: some numbers are left out, so that 29.97 frames a second
+    keep pace with the clock.
+    """
+    found = TIMECODE.fullmatch(text.strip())
+    if not found:
+        return None
+    hours, minutes, seconds, frames = (int(found[k]) for k in (1, 2, 3, 5))
+    counted = round(fps)
+    number = ((hours * 60 + minutes) * 60 + seconds) * counted + frames
+    if found[4] != ":" and counted in DROPPED:
+        whole = hours * 60 + minutes
+        number -= DROPPED[counted] * (whole - whole // 10)
+    return number / fps
+
+
+def _epoch(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(text.replace("Z", "+00:00"))
+    except ValueError:
+        return None
+    if moment.year < 1980:  # the epoch of the container (1904) or of Unix stands for "not set"
+        return None
+    return moment.timestamp()

@@ -1,0 +1,183 @@
+"""Clocks against geometry, once cameras are known: reads pictures, calls the check, makes rows of it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from devrf.calibration.board import read_grey
+from devrf.calibration.clock_equations import Clock
+from devrf.calibration.epipolar_motion import TimedPictures
+from devrf.calibration.sync import SOUND_PATH_S_PER_M
+from devrf.calibration.sync_geometry import GeometryCheck, check_clocks, refined
+from devrf.capture.camera import Camera
+from devrf.capture.frames import CameraFrames
+from devrf.capture.progress import Progress
+from devrf.pipelines.clocks import clock_dict
+from devrf.pipelines.health import HealthRow, note, row
+
+SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
+MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower
+MIN_FRAMES = 12
+FAR_M = 3.0  # a rig wider than this hears one clap at clearly different times
+
+
+def timed_pictures(
+    folder: Path,
+    frames: Mapping[str, CameraFrames],
+    cameras: Mapping[str, Camera],
+    clocks: Mapping[str, Clock],
+    motion: Mapping[str, Float[np.ndarray, "_ 2"]],
+) -> dict[str, TimedPictures]:
+    """Pictures of the cameras with their times by the clocks, from the span in which most moves.
+
+    Cameras with too few pictures in that span are left out.
+    """
+    times = {n: clocks[n].true_time(_times(c)) for n, c in frames.items() if len(c.used) >= MIN_FRAMES}
+    if len(times) < 2:
+        return {}
+    from_s, to_s = _busiest(times, {n: _on_clock(motion[n], clocks[n]) for n in times if n in motion})
+    views = {}
+    for name, time_s in times.items():
+        files = [folder / f.file for f in frames[name].used if f.file is not None and f.time_s is not None]
+        inside = np.flatnonzero((time_s >= from_s) & (time_s <= to_s))
+        if len(inside) >= MIN_FRAMES:
+            grey = np.stack([_small(files[i]) for i in inside])
+            views[name] = TimedPictures(cameras[name], grey, time_s[inside])
+    return views
+
+
+def clock_check(
+    folder: Path,
+    frames: Mapping[str, CameraFrames],
+    cameras: Mapping[str, Camera],
+    clocks: Mapping[str, Clock],
+    motion: Mapping[str, Float[np.ndarray, "_ 2"]],
+    metric: bool,
+    progress: Progress,
+) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
+    """The clocks to be used, rows about them, and the content of `clock_check.json`."""
+    views = timed_pictures(folder, frames, cameras, clocks, motion)
+    if len(views) < 2:
+        return dict(clocks), [], {}
+    check = check_clocks(views, clocks, progress)
+    used = refined(clocks, check)
+    rows = check_rows(check, clocks, used, frames)
+    if metric:
+        rows += sound_travel(cameras, clocks)
+    return used, rows, _content(check, used)
+
+
+def check_rows(
+    check: GeometryCheck,
+    clocks: Mapping[str, Clock],
+    used: Mapping[str, Clock],
+    frames: Mapping[str, CameraFrames],
+) -> list[HealthRow]:
+    """What geometry says of the clocks that are used."""
+    rows = []
+    replaced = [n for n in used if used[n].method == "geometry"]
+    if replaced:
+        text = ", ".join(f"{n} {1e3 * check.corrections[n].offset_s:+.1f} ms" for n in replaced)
+        rows.append(note("clocks by geometry instead of motion", text))
+    kept = {n: c for n, c in check.corrections.items() if n not in replaced and c.sharp}
+    if kept:
+        worst = max(kept, key=lambda n: abs(kept[n].offset_s))
+        found = kept[worst]
+        step_ms = 1e3 / (frames[worst].fps_mean or 30.0)
+        cue = clocks[worst].method
+        rows.append(
+            row(
+                f"clock against geometry, worst camera ({worst})",
+                1e3 * abs(found.offset_s),
+                "ms",
+                warn=max(0.25 * step_ms, 3e3 * found.std_s),
+                low_is_bad=False,
+                remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
+                "smallest there). An in-camera lag between sound and pictures is likely: set "
+                f"calibration.sync.av_lag_s: {{{worst}: {found.offset_s:.3f}}}, or check the camera's pose.",
+            )
+        )
+    unchecked = [n for n in list(clocks)[1:] if n not in check.corrections or not check.corrections[n].sharp]
+    if unchecked:
+        text = (
+            f"{', '.join(unchecked)}: {'; '.join(check.notes) or 'no pair of cameras shows the same motion'}"
+        )
+        rows.append(note("clocks that geometry cannot check", text))
+    return rows
+
+
+def sound_travel(cameras: Mapping[str, Camera], clocks: Mapping[str, Clock]) -> list[HealthRow]:
+    """How far apart in time one clap can be heard, by the rig's size; nothing where no clock is by sound."""
+    heard = [n for n, c in clocks.items() if c.method in ("audio", "reference")]
+    if not any(clocks[n].method == "audio" for n in heard):
+        return []
+    centres = np.array([cameras[n].centre for n in heard])
+    widest_m = float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
+    value = (
+        f"up to {1e3 * SOUND_PATH_S_PER_M * widest_m:.1f} ms: the microphones stand {widest_m:.1f} m apart"
+    )
+    if widest_m <= FAR_M:
+        return [note("sound's travel", value)]
+    remedy = "Clap in the middle, equally far from all cameras, or use a flash of light."
+    return [note("sound's travel", value, verdict="warn", remedy=remedy)]
+
+
+def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
+    pairs = [
+        {
+            "first": p.first,
+            "second": p.second,
+            "by": p.by,
+            "offset_s": p.offset_s,
+            "std_s": p.std_s,
+            "sharp": p.sharp,
+            "lags_s": [round(float(x), 6) for x in p.lags_s],
+            "values": [round(float(x), 5) for x in p.values],
+        }
+        for p in check.pairs
+    ]
+    return {
+        "cameras": {name: clock_dict(clock) for name, clock in used.items()},
+        "corrections": {name: asdict(c) for name, c in check.corrections.items()},
+        "pairs": pairs,
+        "loops": [asdict(loop) for loop in check.loops],
+        "notes": list(check.notes),
+    }
+
+
+def _busiest(
+    times: Mapping[str, Float[np.ndarray, " _"]], motion: Mapping[str, Float[np.ndarray, "_ 2"]]
+) -> tuple[float, float]:
+    """The span, within what all cameras show and no more than `MOST_FRAMES` long, in which most moves."""
+    from_s, to_s = max(t[0] for t in times.values()), min(t[-1] for t in times.values())
+    length_s = MOST_FRAMES * min(float(np.median(np.diff(t))) for t in times.values())
+    if to_s - from_s <= length_s:
+        return from_s, to_s
+    starts = np.arange(from_s, to_s - length_s, length_s / 8)
+    moved = np.zeros(len(starts))
+    for course in motion.values():
+        total = np.concatenate([[0.0], np.cumsum(course[:, 1])])
+        first, last = (np.searchsorted(course[:, 0], s) for s in (starts, starts + length_s))
+        moved += (total[last] - total[first]) / max(total[-1], 1e-9)
+    best_s = float(starts[np.argmax(moved)])
+    return best_s, best_s + length_s
+
+
+def _times(camera: CameraFrames) -> Float[np.ndarray, " n"]:
+    return np.array([f.time_s for f in camera.used if f.file is not None and f.time_s is not None])
+
+
+def _on_clock(motion: Float[np.ndarray, "n 2"], clock: Clock) -> Float[np.ndarray, "n 2"]:
+    return np.column_stack([clock.true_time(motion[:, 0]), motion[:, 1]])
+
+
+def _small(path: Path) -> UInt8[np.ndarray, "h w"]:
+    grey = read_grey(path)
+    scale = min(1.0, SIDE_PX / max(grey.shape))
+    size = (round(grey.shape[1] * scale), round(grey.shape[0] * scale))
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
