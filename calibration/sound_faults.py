@@ -18,7 +18,7 @@ STEP_WINDOWS = 2  # on each side of a step
 
 def beat(found: Correlation) -> str | None:
     """Peaks nearly as high as the best at even distances: which one is right cannot be told."""
-    apart = np.abs(np.array(found.rivals_s) - found.delay_s)
+    apart = np.abs(np.array(found.rivals_s) - found.plain_delay_s)
     if not len(apart):
         return None
     period_s = float(apart.min())

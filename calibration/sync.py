@@ -32,7 +32,7 @@ from devrf.calibration.clock_equations import (
 from devrf.calibration.sync_flash import Brightness, Flashes, find_flashes, flash_delay
 from devrf.calibration.sync_motion import ACCEPT_CORRELATION, ACCEPT_SCORE, MotionDelay, motion_delay
 from devrf.calibration.sync_sound import ACCEPT_RATIO, SoundDelay, sound_delay
-from devrf.calibration.sync_times import doubts, stated_delay, timecode_equations
+from devrf.calibration.sync_times import doubts, stated_delay, timecode_guesses
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CalibrationError
 from devrf.capture.progress import Progress, no_progress
@@ -184,18 +184,20 @@ def synchronise(
     """
     extras = extras or Extras()
     names = list(spans_s)
+    if method == "timestamps" and not true_times:
+        raise CalibrationError(
+            "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
+        )
     if true_times and method in ("auto", "timestamps"):
         basis = "the table of times is on one clock"
         return SyncResult({n: Clock(0.0, 0.0, 0.0, "timestamps", 1.0, basis) for n in names})
     if len(names) == 1:
         return SyncResult({names[0]: _reference()})
-    if method == "none":
+    if method in ("none", "timestamps"):
         basis = "the clips' own times are taken as true, unchecked"
         clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
         return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
     longest_s = max(b - a for a, b in spans_s.values())
-    if method == "timestamps":
-        return _by_timecode(spans_s, extras.recorded, longest_s)
     evidence = _Evidence()
     sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
     if method in ("auto", "audio"):
@@ -216,6 +218,8 @@ def synchronise(
         _hear_again(names, sounds, extras.recorded, evidence)
     if method == "auto":
         _settle_lags(spans_s, evidence)
+        named = {n: extras.recorded[n] for n in names if n in extras.recorded}
+        evidence.equations += timecode_guesses(named, longest_s)
     result = _settle(spans_s, evidence)
     return _against_files(result, extras.recorded, longest_s)
 
@@ -454,6 +458,7 @@ def _clock(
         "audio": 1 - 1 / max(quality, 1.0),
         "flash": 1 - 1 / (1 + quality),
         "motion": _motion_confidence(quality),
+        "timestamps": 0.0,
     }[cue]
     if not sure:
         confidence = min(confidence, 0.49)
@@ -482,31 +487,6 @@ def _against_motion(solution: Solution, checks: Sequence[Equation]) -> list[Comp
             difference_s = at[e.a] - at[e.b]
             out.append(Comparison(e.a, e.b, "audio", "motion", difference_s, MOTION_SIGMAS * e.std_s))
     return out
-
-
-def _by_timecode(
-    spans_s: Mapping[str, tuple[float, float]], recorded: Mapping[str, Recorded], longest_s: float
-) -> SyncResult:
-    """Clocks by the files' timecodes, for cameras that were jammed together.
-
-    Raises:
-        CalibrationError: If a camera has none, or one that cannot be right.
-    """
-    names = list(spans_s)
-    equations = timecode_equations({n: recorded[n] for n in names if n in recorded}, longest_s)
-    missing = [n for n in names[1:] if n not in {e.b for e in equations}]
-    if missing:
-        doubt = doubts({n: recorded[n] for n in names if n in recorded}, {}, longest_s)
-        raise CalibrationError(
-            "calibration.sync.method is timestamps, but there is no table of times, and no timecode that can be "
-            f"right in {', '.join(missing)}{''.join(f' ({d})' for d in doubt)}; name a table in capture.timestamps, "
-            "or set calibration.sync.method to auto"
-        )
-    clocks = {names[0]: _reference()}
-    for e in equations:
-        basis = "timecode: whole frames of cameras that run free are good to about half a frame"
-        clocks[e.b] = Clock(e.delay_s, 0.0, e.std_s, "timestamps", 0.7, basis)
-    return SyncResult(clocks)
 
 
 def _against_files(result: SyncResult, recorded: Mapping[str, Recorded], longest_s: float) -> SyncResult:
@@ -569,4 +549,6 @@ def _basis(cue: Cue, quality: float, pairs: int) -> str:
         )
     if cue == "flash":
         return f"light: {quality:.0f} flash{'es' if quality > 1 else ''} seen in common, {count}"
+    if cue == "timestamps":
+        return "timecode alone, which is as good as the hand that set it"
     return f"motion energy: correlation {quality:.2f}, {count}; good to half a frame at best"

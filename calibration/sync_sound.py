@@ -51,7 +51,7 @@ class Correlation:
         delay_s: File time in the first clip minus file time in the second.
         ratio: Height of the peak over the highest other one.
         plain_delay_s: The same by plain correlation, which an echo can pull away.
-        rivals_s: Delays of other peaks nearly as high, nearest first.
+        rivals_s: Delays of other peaks of plain correlation nearly as high as its best, nearest first.
         lags_s, values: The curve around the peak [n], values relative to the peak.
     """
 
@@ -163,13 +163,14 @@ def gcc_phat(
     second_peak = float(others.max()) if len(others) else 0.0
     height = float(values[peak])
     ratio = min(MAX_RATIO, height / second_peak) if second_peak > 0 else (MAX_RATIO if height > 0 else 0.0)
+    plain = np.where(allowed, plain, 0.0)
     delay_s = float((lags[peak] + _parabola(values, peak)) / rate + shift_s)
     lags_s = lags / rate + shift_s
     return Correlation(
         delay_s,
         ratio,
-        float(lags_s[np.argmax(np.where(allowed, plain, -np.inf))]),
-        _rivals(lags_s, np.where(allowed & ~near, values, 0.0), RIVAL * height, delay_s),
+        float(lags_s[np.argmax(plain)]),
+        _rivals(lags_s, plain),
         *_curve(lags_s, values, delay_s),
     )
 
@@ -179,13 +180,17 @@ def _by_lag(circular: Float[np.ndarray, " n"], na: int, nb: int) -> Float[np.nda
     return np.concatenate([circular[len(circular) - nb + 1 :], circular[:na]])
 
 
-def _rivals(
-    lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], least: float, peak_s: float
-) -> tuple[float, ...]:
-    """Other peaks of at least this height, one within `PEAK_WIDTH_S`, the nearest to the peak first."""
+def _rivals(lags_s: Float[np.ndarray, " n"], plain: Float[np.ndarray, " n"]) -> tuple[float, ...]:
+    """Other high peaks of plain correlation, one within `PEAK_WIDTH_S`, the nearest to the highest first.
+
+    The phase transform is no help here: between the lines of a beat's spectrum it listens to noise.
+    """
     apart = max(1, int(PEAK_WIDTH_S / (lags_s[1] - lags_s[0])))
-    places = lags_s[find_peaks(values, height=max(least, np.finfo(np.float32).tiny), distance=apart)[0]]
-    return tuple(float(x) for x in sorted(places, key=lambda x: abs(x - peak_s))[:LISTED_RIVALS])
+    top = int(np.argmax(plain))
+    least = RIVAL * float(plain[top]) + np.finfo(np.float32).tiny
+    places = [int(i) for i in find_peaks(plain, height=least, distance=apart)[0] if abs(i - top) > apart]
+    nearest = sorted(places, key=lambda i: abs(i - top))[:LISTED_RIVALS]
+    return tuple(float(lags_s[i]) for i in nearest)
 
 
 def fast_size(n: int) -> int:

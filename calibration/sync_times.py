@@ -1,8 +1,8 @@
 """What files say of when they were recorded: a coarse cue that can settle what sound leaves ambiguous.
 
 A timecode counts frames and is good to a frame where the cameras were jammed together; the creation time of
-a container counts seconds, and cameras' clocks are set by hand: to the wrong zone, or minutes off. So neither
-gives a clock by itself unless a timecode was asked for; both are checked against what was measured.
+a container counts seconds. Cameras' clocks are set by hand: to the wrong zone, or minutes off. So neither is
+more than a guess by itself, and both are checked against what was measured.
 """
 
 from collections.abc import Mapping
@@ -16,6 +16,7 @@ ZONE_S = 1800.0  # zones differ by whole half hours
 ZONE_SLACK_S = 60.0  # what clocks set by hand differ beside that
 FAR_OFF_S = 5.0  # two clocks that agree better than this with what was measured are plausible
 DAY_S = 86_400.0
+GUESS_QUALITY = 0.5  # after guesses by sound and motion, which saw the clips themselves
 
 
 def stated_delay(first: Recorded, second: Recorded) -> tuple[float, float, str] | None:
@@ -28,11 +29,6 @@ def stated_delay(first: Recorded, second: Recorded) -> tuple[float, float, str] 
     if a.created_s is not None and b.created_s is not None:
         return b.created_s - a.created_s, CREATION_STD_S, "creation time"
     return None
-
-
-def plausible(stated_s: float, longest_s: float) -> bool:
-    """Whether two clips of at most this length could overlap at all with this delay."""
-    return abs(stated_s) < longest_s
 
 
 def doubts(
@@ -72,12 +68,15 @@ def doubts(
     return notes
 
 
-def timecode_equations(recorded: Mapping[str, Recorded], longest_s: float) -> list[Equation]:
-    """Clocks by timecode alone, of the cameras that have one and could overlap with the first."""
+def timecode_guesses(recorded: Mapping[str, Recorded], longest_s: float) -> list[Equation]:
+    """Clocks by timecode alone, for cameras that nothing else reaches and that could overlap with the first."""
     names = list(recorded)
     out = []
     for name in names[1:]:
         stated = stated_delay(recorded[names[0]], recorded[name])
-        if stated is not None and stated[2] == "timecode" and plausible(stated[0], longest_s):
-            out.append(Equation(names[0], name, stated[0], 0.0, stated[1], "timestamps", 1.0))
+        if stated is not None and stated[2] == "timecode" and abs(stated[0]) < longest_s:
+            delay_s, std_s, _ = stated
+            out.append(
+                Equation(names[0], name, delay_s, 0.0, std_s, "timestamps", GUESS_QUALITY, False, True)
+            )
     return out

@@ -33,11 +33,13 @@ class Sound:
         samples: Amplitudes [n] in [-1, 1].
         rate_hz: Samples per second.
         start_s: File time of sample 0, seconds.
+        recorded_hz: Samples per second in the file it was read from, or None.
     """
 
     samples: Float[np.ndarray, " n"]
     rate_hz: int
     start_s: float
+    recorded_hz: int | None = None
 
     @property
     def end_s(self) -> float:
@@ -82,7 +84,7 @@ def read_sound(path: Path, rate_hz: int = RATE_HZ) -> Sound | None:
     if native_hz != rate_hz:
         factor = gcd(native_hz, rate_hz)
         samples = resample_poly(samples, rate_hz // factor, native_hz // factor).astype(np.float32)
-    return Sound(samples, rate_hz, start_s)
+    return Sound(samples, rate_hz, start_s, native_hz)
 
 
 def write_wav(path: Path, sound: Sound) -> None:

@@ -1,7 +1,7 @@
 """From one raw clip or folder of photos to frames on disk, in a single pass that holds two pictures at most.
 
-Along the way each frame is measured: sharpness, brightness, and how much differs from the frame before
-(the motion energy by which silent cameras are put on one clock).
+Along the way each frame is measured: sharpness, brightness, how much differs from the frame before (the motion
+energy by which silent cameras are put on one clock), and how bright each band of rows is (flashes of light).
 """
 
 from dataclasses import dataclass, replace
@@ -32,6 +32,7 @@ from devrf.capture.session import FrameTimes
 from devrf.capture.video import VideoReader, count_packets
 
 MOTION_SIDE_PX = 160  # averages sensor noise away; a moving hand still covers several pixels
+ROW_BANDS = 24  # a flash is placed to a twenty-fourth of the readout, about a millisecond
 DUPLICATE_LEVEL = 0.1  # mean absolute difference, levels of 255: below it two frames are the same picture
 BRIGHTNESS_DRIFT = 0.06  # of a fixed camera's pixels, sRGB (about 13 % of the light): automatic exposure
 JPEG_QUALITY = 95  # board clips: corners are found within 0.02 px of the PNG's
@@ -56,10 +57,17 @@ class Keep:
 
 @dataclass(frozen=True)
 class Extract:
-    """A clip's frames and its motion energy: (time between two frames, mean absolute difference) [n, 2]."""
+    """A clip's frames and its courses over time.
+
+    Attributes:
+        frames: The frames.
+        motion: Motion energy: time between two frames, mean absolute difference [n, 2].
+        brightness: Time of a frame, mean level of each band of rows in the sensor's order [n, 1 + bands].
+    """
 
     frames: CameraFrames
     motion: Float[np.ndarray, "n 2"]
+    brightness: Float[np.ndarray, "m bands"]
 
 
 def extract_clip(
@@ -94,6 +102,7 @@ def extract_clip(
     levels: list[float] = []
     changes: list[float] = []  # median over the pixels, so a subject that covers less than half has no say
     motion: list[tuple[float, float]] = []
+    brightness: list[np.ndarray] = []
     duplicates: list[int] = []
     backwards: list[int] = []
     untimed = 0
@@ -128,6 +137,7 @@ def extract_clip(
                 if float(cv2.absdiff(grey, last_grey).mean()) < DUPLICATE_LEVEL:
                     duplicates.append(frame.index)
                 motion.append(((time_s + last_s) / 2, float(cv2.absdiff(small, last_small).mean())))
+            brightness.append(np.concatenate([[time_s], _row_bands(grey, reader.info.rotation_deg)]))
             last_grey, last_small, last_s = grey, small, time_s
             if keep.range_s is not None and not keep.range_s[0] <= time_s <= keep.range_s[1]:
                 continue
@@ -174,7 +184,7 @@ def extract_clip(
         ended_early=reader.ended_early,
         notes=tuple(notes),
     )
-    return Extract(frames, np.array(motion).reshape(-1, 2))
+    return Extract(frames, np.array(motion).reshape(-1, 2), np.array(brightness).reshape(-1, 1 + ROW_BANDS))
 
 
 def extract_folder(
@@ -259,6 +269,12 @@ def extract_folder(
         level=float(np.median(levels)),
         notes=tuple(notes),
     )
+
+
+def _row_bands(grey: UInt8[np.ndarray, "h w"], rotation_deg: int) -> Float[np.ndarray, " bands"]:
+    """Mean level of bands of rows as the sensor reads them: before the picture was turned upright."""
+    stored = np.ascontiguousarray(np.rot90(grey, -(rotation_deg // 90)).astype(np.float32))
+    return cv2.resize(stored, (1, ROW_BANDS), interpolation=cv2.INTER_AREA)[:, 0].astype(np.float64)
 
 
 def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"]) -> str:

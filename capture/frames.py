@@ -68,6 +68,8 @@ class CameraFrames:
         frames: Every frame, used or not.
         level: Median brightness over the clip, 0 to 255 (sRGB).
         audio_start_s: File time of the first sample of its sound, or None.
+        created_s: When the file says it was made, seconds since 1970 UTC, or None.
+        timecode_s: Timecode of its first frame, seconds of the day, or None.
         missing_frames: Frames that its timestamps say were dropped.
         ended_early: Where a damaged or truncated file ended, in words; None for a whole one.
         notes: What is unusual, one sentence each.
@@ -85,6 +87,8 @@ class CameraFrames:
     frames: tuple[FrameRecord, ...]
     level: float | None = None
     audio_start_s: float | None = None
+    created_s: float | None = None
+    timecode_s: float | None = None
     missing_frames: int = 0
     ended_early: str | None = None
     notes: tuple[str, ...] = ()

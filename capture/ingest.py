@@ -2,8 +2,9 @@
 
 Layout: `frames/<name>/<index>.<png or jpg>` (only frames that are used), `audio/<camera>.wav` (mono, 48 kHz,
 16 bit, sample 0 at file time `audio_start_s`), `motion/<camera>.npy` (rows: time between two frames, seconds;
-mean absolute difference, levels). The sweep is called "static", board clips "board_<camera>", clips in which
-several cameras see the board at once "joint_<camera>" unless they are the moving clips themselves.
+mean absolute difference, levels), `brightness/<camera>.npy` (rows: time of a frame, seconds; mean level of each
+band of rows in the order the sensor reads them). The sweep is called "static", board clips "board_<camera>",
+clips in which several cameras see the board at once "joint_<camera>" unless they are the moving clips themselves.
 """
 
 import os
@@ -19,11 +20,13 @@ from devrf.capture.clips import Extract, Keep, extract_clip, extract_folder
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.progress import Progress, no_progress
+from devrf.capture.recorded import read_recorded
 from devrf.capture.session import CaptureSession, read_timestamps
 
 MAX_SWEEP_FRAMES = 120  # exhaustive matching of 120 pictures is 7140 pairs, minutes on two cores
 MAX_BOARD_FRAMES = 60  # intrinsics gain nothing from more views of one board
 MAX_JOINT_FRAMES = 300
+LATE_SOUND_S = 5e-3  # less is rounding
 SOUND_ROLES: tuple[Role, ...] = ("camera", "test", "joint")  # what needs a clock
 
 
@@ -67,7 +70,8 @@ def write_frames(
     ranges = ranges or {}
     times = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
     joint_clips = _separate_joint_clips(session)
-    (out / "motion").mkdir(parents=True, exist_ok=True)
+    for course in ("motion", "brightness"):
+        (out / course).mkdir(parents=True, exist_ok=True)
     total = (session.static is not None) + len(session.cameras) + len(session.board_clips) + len(joint_clips)
     cameras: dict[str, CameraFrames] = {}
 
@@ -80,9 +84,10 @@ def write_frames(
             cameras[name] = extract_folder(path, out, name, role, source, keep.most, step)
             return
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step)
-        cameras[name] = _with_sound(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
+        cameras[name] = _with_clock_cues(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
         if role in SOUND_ROLES:
             np.save(out / "motion" / f"{name}.npy", got.motion)
+            np.save(out / "brightness" / f"{name}.npy", got.brightness)
 
     if session.static is not None:
         most = None if session.static.is_dir() else MAX_SWEEP_FRAMES
@@ -109,32 +114,53 @@ def read_sounds(folder: Path, frames: FrameSet) -> dict[str, Sound]:
     }
 
 
-def read_motion(folder: Path, frames: FrameSet) -> dict[str, Float[np.ndarray, "n 2"]]:
+def read_motion(folder: Path, frames: FrameSet) -> dict[str, Float[np.ndarray, "_ 2"]]:
     """The motion energies of an ingest folder: name -> (time, mean absolute difference) [n, 2].
 
     Raises:
         CaptureError: If a file is missing.
     """
-    motion = {}
+    return _read_courses(folder / "motion", frames)
+
+
+def read_brightness(folder: Path, frames: FrameSet) -> dict[str, Float[np.ndarray, "_ _"]]:
+    """The brightness of rows of an ingest folder: name -> (time, level of each band of rows) [n, 1 + bands].
+
+    Raises:
+        CaptureError: If a file is missing.
+    """
+    return _read_courses(folder / "brightness", frames)
+
+
+def _read_courses(folder: Path, frames: FrameSet) -> dict[str, np.ndarray]:
+    courses = {}
     for name, camera in frames.cameras.items():
         if camera.role in SOUND_ROLES:
-            path = folder / "motion" / f"{name}.npy"
+            path = folder / f"{name}.npy"
             try:
-                motion[name] = np.load(path)
+                courses[name] = np.load(path)
             except (OSError, ValueError) as error:
                 raise CaptureError(
                     f"{path}: cannot be read ({error}); run again with --from ingest"
                 ) from None
-    return motion
+    return courses
 
 
 def _separate_joint_clips(session: CaptureSession) -> dict[str, Path]:
     return {f"joint_{c}": p for c, p in session.joint_clips.items() if not session.shares_joint_clip(c)}
 
 
-def _with_sound(got: Extract, sound: Sound | None, path: Path) -> CameraFrames:
-    if sound is not None:
-        return replace(got.frames, has_audio=True, audio_start_s=sound.start_s)
-    found = read_sound(path)
-    note = "no sound track" if found is None else "the sound track is silent"
-    return replace(got.frames, notes=(*got.frames.notes, note))
+def _with_clock_cues(got: Extract, sound: Sound | None, path: Path) -> CameraFrames:
+    """The frames with what is known of their clock: sound, creation time, timecode."""
+    recorded = read_recorded(path)
+    frames = replace(got.frames, created_s=recorded.created_s, timecode_s=recorded.timecode_s)
+    if sound is None:
+        found = read_sound(path)
+        note = "no sound track" if found is None else "the sound track is silent"
+        return replace(frames, notes=(*frames.notes, note))
+    notes = list(frames.notes)
+    if sound.recorded_hz not in (None, sound.rate_hz):
+        notes.append(f"sound resampled from {sound.recorded_hz} to {sound.rate_hz} Hz")
+    if abs(sound.start_s) > LATE_SOUND_S:
+        notes.append(f"sound starts {1e3 * sound.start_s:+.0f} ms from the file's start; counted")
+    return replace(frames, has_audio=True, audio_start_s=sound.start_s, notes=tuple(notes))

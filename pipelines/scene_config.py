@@ -184,14 +184,11 @@ class SyncConfig(_Section):
     """Each camera's clock."""
 
     method: Literal["auto", "audio", "motion", "flash", "timestamps", "none"] = "auto"
-    """Cue to use; auto takes the best there is; none trusts the files' own times."""
-
-    @field_validator("method")
-    @classmethod
-    def _built(cls, method: str) -> str:
-        if method == "flash":
-            raise ValueError("flash is not built yet; use auto, audio, motion, timestamps or none")
-        return method
+    """Cue to use; auto takes the best there is; timestamps: the table, else timecode; none trusts the files."""
+    av_lag_s: dict[str, Annotated[float, Field(ge=-1, le=1)]] = {}
+    """Camera -> how late its sound is behind its pictures (in-camera lag), seconds."""
+    readout_s: dict[str, Annotated[float, Field(gt=0, le=0.1)]] = {}
+    """Camera -> time in which its rolling shutter reads a picture, seconds; without it flashes find it."""
 
 
 class RigConfig(_Section):

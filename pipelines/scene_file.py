@@ -376,6 +376,12 @@ def _check_names(config: SceneConfig, say: Any) -> None:
                 )
             elif name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
                 say(f"capture.{section}", f"{name!r} is a name that the run folder needs; choose another")
+    sync = config.calibration.sync
+    for key, named_cameras in (("av_lag_s", sync.av_lag_s), ("readout_s", sync.readout_s)):
+        for name in named_cameras:
+            if name not in capture.all_cameras:
+                known = capture.all_cameras
+                say(f"calibration.sync.{key}", f"{name!r} is not in cameras{_suggestion(name, known)}")
     if isinstance(capture.test_cameras, list):
         for name in capture.test_cameras:
             if name not in capture.cameras:

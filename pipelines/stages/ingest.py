@@ -57,11 +57,11 @@ def file_ranges(
     if session.range_s is None or not session.cameras:
         return {}
     names, (from_s, to_s) = list(session.cameras), session.range_s
-    if session.timestamps is not None or method in ("none", "timestamps"):
+    if session.timestamps is not None or method == "none":
         return dict.fromkeys(names, session.range_s)
     ranges = {names[0]: session.range_s}
     heard = [name for name in names if name in sounds]
-    if method == "motion" or len(heard) < 2 or heard[0] != names[0]:
+    if method not in ("auto", "audio") or len(heard) < 2 or heard[0] != names[0]:
         return ranges
     spans = {name: (sounds[name].start_s, sounds[name].end_s) for name in heard}
     for name, clock in synchronise(spans, sounds, {}, "audio").cameras.items():

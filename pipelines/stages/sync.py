@@ -2,16 +2,19 @@
 
 import json
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.sync import Clock, Curve, SyncResult, synchronise
-from devrf.capture.errors import InputError
+from devrf.calibration.sync import Curve, Extras, SyncResult, synchronise
+from devrf.calibration.sync_flash import Brightness
 from devrf.capture.frames import CameraFrames, FrameSet
-from devrf.capture.ingest import read_motion, read_sounds
+from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
+from devrf.capture.recorded import Recorded
+from devrf.pipelines.clocks import clock_dict
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
@@ -19,6 +22,8 @@ REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
 MIN_SHARED_FRAMES = 2
 FEW_SHARED_FRAMES = 5
 LISTED_NOTES = 2
+WRONG_RATE_PPM = 200.0  # no quartz is that far off; 29.97 declared as 30 is 1000
+DIFFERENT_FPS = 1.02
 
 
 def run(context: StageContext) -> None:
@@ -32,7 +37,12 @@ def run(context: StageContext) -> None:
     if len(joint) > 1:  # clips of their own, on a clock of their own: that of the first one
         content["joint"] = as_dict(_solve(joint, frames, context, context.progress))
     (context.out / "sync.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    curves = {"curves": [_curve_dict(curve) for curve in result.curves]}
+    curves = {
+        "curves": [_curve_dict(curve) for curve in result.curves],
+        "loops": [asdict(loop) for loop in result.loops],
+        "comparisons": [asdict(c) | {"contradicts": c.contradicts} for c in result.comparisons],
+        "jumps": [asdict(jump) for jump in result.jumps],
+    }
     (context.out / "curves.json").write_text(json.dumps(curves, allow_nan=False) + "\n")
     context.health.extend(health(frames.moving, result))
 
@@ -40,19 +50,24 @@ def run(context: StageContext) -> None:
 def _solve(
     cameras: dict[str, CameraFrames], frames: FrameSet, context: StageContext, progress: Progress
 ) -> SyncResult:
-    folder, method = context.run_dir / "ingest", context.config.calibration.sync.method
-    if method == "flash":
-        raise InputError("calibration.sync.method: flash is not built yet; use auto, audio or motion")
+    folder, config = context.run_dir / "ingest", context.config.calibration.sync
     times = {name: used_times(camera) for name, camera in cameras.items()}
     spans = {name: (float(t[0]), float(t[-1])) for name, t in times.items()}
-    only = set(cameras)
+    brightness = read_brightness(folder, frames)
+    extras = Extras(
+        {n: Brightness(b[:, 0], b[:, 1:]) for n, b in brightness.items() if n in cameras and len(b) > 1},
+        {n: Recorded(c.created_s, c.timecode_s, c.fps_mean) for n, c in cameras.items()},
+        config.av_lag_s,
+        config.readout_s,
+    )
     return synchronise(
         spans,
-        {n: s for n, s in read_sounds(folder, frames).items() if n in only},
-        {n: m for n, m in read_motion(folder, frames).items() if n in only},
-        method,
+        {n: s for n, s in read_sounds(folder, frames).items() if n in cameras},
+        {n: m for n, m in read_motion(folder, frames).items() if n in cameras},
+        config.method,
         frames.true_times and all(c.role != "joint" for c in cameras.values()),
         progress,
+        extras,
     )
 
 
@@ -70,21 +85,10 @@ def shared_span(cameras: dict[str, CameraFrames], result: SyncResult) -> tuple[f
 def as_dict(result: SyncResult) -> dict[str, Any]:
     """A result as it is written to `sync.json`."""
     return {
-        "cameras": {name: _clock_dict(clock) for name, clock in result.cameras.items()},
+        "cameras": {name: clock_dict(clock) for name, clock in result.cameras.items()},
         "reference": next(iter(result.cameras)),
         "loop_s": result.loop_s,
         "notes": list(result.notes),
-    }
-
-
-def _clock_dict(clock: Clock) -> dict[str, Any]:
-    return {
-        "offset_s": clock.offset_s,
-        "drift_ppm": clock.drift_ppm,
-        "std_s": clock.std_s if math.isfinite(clock.std_s) else None,
-        "method": clock.method,
-        "confidence": clock.confidence,
-        "basis": clock.basis,
     }
 
 
@@ -103,7 +107,7 @@ def _curve_dict(curve: Curve) -> dict[str, Any]:
 
 def health(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthRow]:
     """Rows about how sure the clocks are and about what the clips share."""
-    rows = [*_clocks(cameras, result), _overlap(cameras, result)]
+    rows = [*_clocks(cameras, result), *_cues(result), *_rates(cameras, result), _overlap(cameras, result)]
     if result.notes:
         rows.append(note("how it was decided", "; ".join(result.notes)))
     return rows
@@ -130,8 +134,9 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
             warn=0.6,
             fail=REFUSED_BELOW,
             remedy=f"The clock of {worst} is not known: {why or others[worst].basis}. "
-            "Film with sound and clap a few times at uneven intervals; or give capture.timestamps; or, for "
-            "cameras synchronised by hardware, set calibration.sync.method to none.",
+            "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough "
+            "for all cameras; or let somebody jump; or give capture.timestamps; or, for cameras synchronised by "
+            "hardware, set calibration.sync.method to none.",
         ),
     ]
     vague = max(others, key=lambda name: others[name].std_s)
@@ -144,7 +149,8 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
                 "ms",
                 warn=1e3 * 0.25 / fps,
                 low_is_bad=False,
-                remedy="A quarter of a frame or more is unsure: give all cameras sound, and clap.",
+                remedy="A quarter of a frame or more is unsure, and shifting whole frames would add up to "
+                f"{500 / fps:.0f} ms: give all cameras sound, and clap.",
             )
         )
     if result.loop_s is not None:
@@ -155,9 +161,74 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
                 "ms",
                 warn=2.0 if cues == ["audio"] else 100.0,
                 low_is_bad=False,
-                remedy="Pairs of cameras disagree: clap in the middle, equally far from all cameras.",
+                remedy=f"{_worst_loop(result)}: clap in the middle, equally far from all cameras.",
             )
         )
+    return rows
+
+
+def _worst_loop(result: SyncResult) -> str:
+    if not result.loops:
+        return "Pairs of cameras disagree"
+    loop = max(result.loops, key=lambda found: abs(found.closure_s))
+    return f"The loop {' - '.join(loop.cameras)} does not close, {1e3 * abs(loop.closure_s):.0f} ms are left"
+
+
+def _cues(result: SyncResult) -> list[HealthRow]:
+    """Independent cues against each other, and steps in what should be one straight line."""
+    rows = []
+    for other in dict.fromkeys(c.other for c in result.comparisons):
+        pairs = [c for c in result.comparisons if c.other == other]
+        worst = max(pairs, key=lambda c: abs(c.difference_s) / c.limit_s)
+        names = f"{worst.first} and {worst.second}"
+        rows.append(
+            row(
+                f"{other} against sound, {names}",
+                1e3 * abs(worst.difference_s),
+                "ms",
+                warn=1e3 * worst.limit_s,
+                low_is_bad=False,
+                remedy=f"{names}: {other} and sound differ by {1e3 * worst.difference_s:+.0f} ms. If it is the same "
+                "in every take, it is the camera's lag between sound and pictures: set calibration.sync.av_lag_s: "
+                f"{{{worst.second}: {worst.difference_s:.3f}}}. Else film a clap that the cameras also see.",
+            )
+        )
+    for jump in result.jumps:
+        names = f"{jump.first} and {jump.second}"
+        remedy = (
+            f"One of {names} lost pictures or sound at {jump.at_s:.1f} s of {jump.first}: use capture.range_s to stay "
+            "on one side of it, or give true times in capture.timestamps."
+        )
+        value = f"step of {1e3 * jump.step_s:+.0f} ms at {jump.at_s:.1f} s"
+        rows.append(note(f"jump of the clock, {names}", value, verdict="warn", remedy=remedy))
+    return rows
+
+
+def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthRow]:
+    """Clocks that run at different rates, and cameras that take different numbers of pictures."""
+    rows = []
+    drifts = {name: clock.drift_ppm for name, clock in result.cameras.items() if clock.drift_ppm}
+    if drifts:
+        worst = max(drifts, key=lambda name: abs(drifts[name]))
+        t = used_times(cameras[worst])
+        over_ms = 1e-3 * drifts[worst] * (t[-1] - t[0])
+        value = f"{worst} {drifts[worst]:+.0f} ppm: {over_ms:+.1f} ms over its clip; counted"
+        wrong_base = abs(drifts[worst]) > WRONG_RATE_PPM
+        rows.append(
+            note(
+                "drift",
+                value,
+                verdict="warn" if wrong_base else "ok",
+                remedy=f"{worst}'s file declares a wrong rate (29.97 declared as 30 is 1000 ppm): its times are "
+                "stretched to fit; copy the original file from the camera, without conversion."
+                if wrong_base
+                else "",
+            )
+        )
+    rates = {name: c.fps_mean for name, c in cameras.items() if c.fps_mean}
+    if rates and max(rates.values()) > DIFFERENT_FPS * min(rates.values()):
+        text = ", ".join(f"{name} {fps:.4g} fps" for name, fps in rates.items())
+        rows.append(note("frame rates", f"{text}; frames keep their own times"))
     return rows
 
 

@@ -42,7 +42,9 @@ def sound(offset_s: float, seconds: float = 4.0) -> Sound:
 
 
 def context(tmp_path: Path, method: str = "auto") -> StageContext:
-    config: Any = SimpleNamespace(calibration=SimpleNamespace(sync=SimpleNamespace(method=method)))
+    config: Any = SimpleNamespace(
+        calibration=SimpleNamespace(sync=SimpleNamespace(method=method, av_lag_s={}, readout_s={}))
+    )
     out = tmp_path / "sync"
     out.mkdir()
     return StageContext(config, tmp_path, tmp_path, out, no_progress, "cpu")
@@ -50,7 +52,7 @@ def context(tmp_path: Path, method: str = "auto") -> StageContext:
 
 def write_ingest(tmp_path: Path, cameras: dict[str, CameraFrames], sounds: dict[str, Sound]) -> None:
     folder = tmp_path / "ingest"
-    for name in ("audio", "motion"):
+    for name in ("audio", "motion", "brightness"):
         (folder / name).mkdir(parents=True)
     entries = {}
     for name, camera in cameras.items():
@@ -60,6 +62,8 @@ def write_ingest(tmp_path: Path, cameras: dict[str, CameraFrames], sounds: dict[
         entries[name] = replace(camera, has_audio=heard, audio_start_s=0.0 if heard else None)
         still = np.stack([np.arange(59) / 30, np.ones(59)], 1)
         np.save(folder / "motion" / f"{name}.npy", still)
+        lit = np.column_stack([np.arange(60) / 30, np.full((60, 24), 120.0)])
+        np.save(folder / "brightness" / f"{name}.npy", lit)
     FrameSet(entries).write(folder)
 
 
