@@ -38,8 +38,18 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
     from devrf.capture.session import preflight
 
     session = capture_session(config, scene_dir)
-    problems = preflight(session)
+    problems = preflight(session) + _check_masks(config, scene_dir)
     return problems or _check_given(config, scene_dir, session)  # sizes are known where clips are whole
+
+
+def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:
+    masks = config.calibration.static_poses.masks
+    if masks is None or any(config.path(scene_dir, masks).glob("*.png")):
+        return []
+    return [
+        f"calibration.static_poses.masks: {masks}: no folder with PNG files; expected one mask per picture of the "
+        "sweep, named like the picture with .png"
+    ]
 
 
 def _check_given(config: SceneConfig, scene_dir: Path, session: CaptureSession) -> list[str]:

@@ -3,13 +3,21 @@
 import cv2
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 from devrf.calibration.intrinsics import from_vector, guess
 from devrf.calibration.sweep_devices import device_groups
+from devrf.calibration.sweep_gps import USUAL_STD_M, local_metres, why_not
 from devrf.calibration.sweep_masks import prepare_masks
 from devrf.calibration.sweep_pairs import EXHAUSTIVE_UP_TO, affordable, matching_s, plan_pairs, products
+from devrf.capture.clips import extract_folder
 from devrf.capture.errors import InputError
-from devrf.capture.exif import Exif
+from devrf.capture.exif import Exif, Place
+from devrf.capture.frames import FrameSet
+from devrf.capture.pictures import probe_picture
+from devrf.pipelines.preflight import check_raw_files
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stages.static_poses import recover_sweep
 
 
 def test_groups_by_size_share_a_camera():
@@ -106,3 +114,71 @@ def test_bad_masks_are_named(tmp_path):
         masked(tmp_path, "other.png", half())
     with pytest.raises(InputError, match=r"no such folder; check calibration.static_poses.masks"):
         prepare_masks(tmp_path / "nowhere", {}, {}, tmp_path)
+
+
+def test_exif_of_a_photo_with_gps(tmp_path):
+    tags = Image.Exif()
+    tags[ExifTags.Base.Make], tags[ExifTags.Base.Model] = "Maker", "Phone 3"
+    tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+    gps[ExifTags.GPS.GPSLatitudeRef], gps[ExifTags.GPS.GPSLatitude] = "S", (33.0, 30.0, 36.0)
+    gps[ExifTags.GPS.GPSLongitudeRef], gps[ExifTags.GPS.GPSLongitude] = "E", (151.0, 12.0, 0.0)
+    gps[ExifTags.GPS.GPSAltitudeRef], gps[ExifTags.GPS.GPSAltitude] = b"\x01", 12.5  # below the sea
+    gps[ExifTags.GPS.GPSHPositioningError] = 3.5
+    Image.new("RGB", (400, 300)).save(tmp_path / "a.jpg", exif=tags)
+    exif = probe_picture(tmp_path / "a.jpg").exif
+    assert exif is not None and exif.device == "Maker Phone 3"
+    assert exif.focal_px == pytest.approx(26 * 500 / 43.2666)  # by the diagonal
+    assert exif.place is not None
+    found = (exif.place.latitude_deg, exif.place.longitude_deg, exif.place.altitude_m, exif.place.std_m)
+    assert found == pytest.approx((-33.51, 151.2, -12.5, 3.5))
+    (tmp_path / "out").mkdir()
+    frames = extract_folder(tmp_path, tmp_path / "out", "static", "sweep", "in")
+    FrameSet({"static": frames}).write(tmp_path / "out")
+    assert FrameSet.read(tmp_path / "out").cameras["static"].frames[0].exif == frames.frames[0].exif
+
+
+def test_a_place_without_a_fix_is_none(tmp_path):
+    tags = Image.Exif()
+    gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+    gps[ExifTags.GPS.GPSLatitudeRef], gps[ExifTags.GPS.GPSLatitude] = "N", (0.0, 0.0, 0.0)
+    gps[ExifTags.GPS.GPSLongitudeRef], gps[ExifTags.GPS.GPSLongitude] = "E", (0.0, 0.0, 0.0)
+    Image.new("RGB", (40, 30)).save(tmp_path / "a.jpg", exif=tags)
+    assert probe_picture(tmp_path / "a.jpg").exif == Exif()
+
+
+def test_local_metres_of_known_distances():
+    """One minute of latitude at 47 N is 1852.9 m, of longitude 1267.2 m (WGS 84 tables)."""
+    places = {
+        "a": Place(47.0, 8.0, 400.0),
+        "b": Place(47 + 1 / 60, 8.0, 410.0),
+        "c": Place(47.0, 8 + 1 / 60),
+        "d": None,
+    }
+    metres, std_m = local_metres(places)
+    assert metres["b"] - metres["a"] == pytest.approx([0.0, 1852.9, 10.0], abs=0.5)
+    assert (metres["c"] - metres["a"])[:2] == pytest.approx([1267.2, 0.0], abs=0.5)
+    assert set(metres) == {"a", "b", "c"} and std_m["a"] == USUAL_STD_M
+    assert "3 of 4 pictures have a place, need 6" in why_not(metres, std_m, 4)
+
+
+def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
+    """Names of photos, not of the copies that ingest makes; a missing folder is found before anything starts."""
+    config = SceneConfig.model_validate(
+        {"name": "x", "capture": {"static": "in"}, "calibration": {"static_poses": {"masks": "masks"}}}
+    )
+    (tmp_path / "in").mkdir()
+    for n in range(3):
+        Image.new("RGB", (60, 40)).save(tmp_path / "in" / f"IMG_{n}.jpg")
+    problems = check_raw_files(config, tmp_path)
+    assert (
+        len(problems) == 1
+        and "calibration.static_poses.masks: masks: no folder with PNG files" in problems[0]
+    )
+    (tmp_path / "masks").mkdir()
+    Image.new("L", (30, 40)).save(tmp_path / "masks" / "IMG_1.jpg.png")
+    assert check_raw_files(config, tmp_path) == []
+    sweep = extract_folder(tmp_path / "in", tmp_path / "ingest", "static", "sweep", "in")
+    (tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match=r"IMG_1.jpg.png: 30x40, the picture IMG_1.jpg is 60x40"):
+        recover_sweep(tmp_path / "ingest", sweep, tmp_path / "out", config.calibration.static_poses, tmp_path)
