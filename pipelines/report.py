@@ -10,8 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from devrf.pipelines.report_calibration import rig_section, sync_section
+from devrf.pipelines.report_calibration import rig_section
 from devrf.pipelines.report_capture import capture_section
+from devrf.pipelines.report_clocks import sync_section
+from devrf.pipelines.report_evidence import evidence_section
 from devrf.pipelines.report_flow import flow_section
 from devrf.pipelines.report_html import absent, duration, link, number, readable, section, table, text
 from devrf.pipelines.report_pictures import data_uri, picture_uri, read_picture
@@ -30,6 +32,7 @@ SECTIONS = (
     ("capture", "Capture", capture_section),
     ("space", "Cameras in space", space_section),
     ("rig", "Rig", rig_section),
+    ("evidence", "Evidence", evidence_section),
     ("sync", "Clocks", sync_section),
     ("flow", "Flow", flow_section),
     ("training", "Training", training_section),

@@ -1,19 +1,9 @@
-"""The report's calibration sections: the sweep's poses and the rig with their doubts, and the clocks."""
+"""The report's calibration section: the sweep's poses and the rig with their doubts."""
 
-from typing import Any
-
-from devrf.pipelines.report_charts import Series, line_chart
-from devrf.pipelines.report_html import absent, link, number, section, table, text
+from devrf.pipelines.report_html import absent, number, section, table, text
 from devrf.pipelines.report_run import RunFolder, at
 
-POSES, RIG, SYNC, METRICS = (
-    "static_poses/static_poses.json",
-    "rig/rig.json",
-    "sync/sync.json",
-    "evaluate/metrics.json",
-)
-CURVES = "sync/curves.json"
-MAX_CURVES = 9
+POSES, RIG, METRICS = "static_poses/static_poses.json", "rig/rig.json", "evaluate/metrics.json"
 INTRINSICS = {"board": "board", "self": "the sweep", "given": "given"}
 TRUTH = (
     ("pose_rotation_deg", "sweep, rotation", "°", 3),
@@ -33,34 +23,6 @@ def rig_section(run: RunFolder) -> str:
     )
     body = _sweep(run) + _rig(run) + _truth(run)
     return section("rig", "Poses and rig", lead, body)
-
-
-def sync_section(run: RunFolder) -> str:
-    """Each camera's clock against cam0's, and the curves they were read from."""
-    lead = (
-        "True time = offset + (1 + drift) × file time, on the first camera's clock. "
-        "One clear peak in the correlation is what makes an offset sure."
-    )
-    cameras = run.cameras(SYNC)
-    if not cameras:
-        return section("sync", "Clocks", lead, absent(run.why_absent("sync")))
-    rows = []
-    for name, clock in cameras.items():
-        key = f"cameras.{name}"
-        rows.append(
-            [
-                f"<strong>{text(name)}</strong>",
-                number(clock.get("offset_s"), "s", 4, file=SYNC, key=f"{key}.offset_s", sign=True),
-                number(clock.get("drift_ppm"), "ppm", 1, file=SYNC, key=f"{key}.drift_ppm", sign=True),
-                number(clock.get("std_s"), "ms", 3, file=SYNC, key=f"{key}.std_s", scale=1000.0),
-                f'<span title="{text(clock.get("basis") or "")}">{text(clock.get("method", ""))}</span>',
-                number(clock.get("confidence"), "", 2, file=SYNC, key=f"{key}.confidence"),
-            ]
-        )
-    head = ("camera", "offset", "drift", "std. deviation", "cue", "confidence")
-    return section(
-        "sync", "Clocks", lead, table(head, rows, source=SYNC, numeric=(1, 2, 3, 5)) + _sync_curves(run)
-    )
 
 
 def _sweep(run: RunFolder) -> str:
@@ -148,29 +110,3 @@ def _truth(run: RunFolder) -> str:
     ]
     head = ("error of", "largest", "median")
     return "<h3>Against the truth</h3>" + table(head, rows, source=METRICS, numeric=(1, 2), narrow=True)
-
-
-def _sync_curves(run: RunFolder) -> str:
-    """How well pairs of cameras match, against the delay between them: those that were accepted first."""
-    curves = run.object(CURVES).get("curves")
-    curves = [c for c in curves if isinstance(c, dict)] if isinstance(curves, list) else []
-    curves.sort(key=lambda c: not c.get("accepted"))
-    charts = [chart for curve in curves[:MAX_CURVES] if (chart := _sync_curve(curve))]
-    if not charts:
-        return ""
-    some = f" {len(charts)} of {len(curves)} pairs are drawn." if len(charts) < len(curves) else ""
-    return (
-        f'<h3>Correlation</h3><div class="charts three">{"".join(charts)}</div>'
-        f'<p class="source">Source: {link(CURVES)}.{some}</p>'
-    )
-
-
-def _sync_curve(curve: dict[str, Any]) -> str:
-    lags, values, delay = curve.get("lags_s") or [], curve.get("values") or [], curve.get("delay_s")
-    if len(lags) < 2 or len(lags) != len(values):
-        return ""
-    marks = [(float(delay), f"{delay:.4f} s")] if isinstance(delay, (int, float)) else []
-    title = f"{curve.get('first')} and {curve.get('second')}: {curve.get('method')}"
-    title += "" if curve.get("accepted") else ", not used"
-    series = [Series(title, [float(x) for x in lags], [float(y) for y in values])]
-    return line_chart(series, "delay, s", "correlation", x_marks=marks, title=title, small=True)

@@ -57,6 +57,11 @@ class RunFolder:
         entries = value.items() if isinstance(value, dict) else ()
         return {str(name): entry for name, entry in entries if isinstance(entry, dict)}
 
+    def objects(self, file: str, key: str) -> list[dict[str, Any]]:
+        """The objects of a list in a JSON file, under a dotted key."""
+        value = at(self.object(file), key)
+        return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
     @cached_property
     def scene(self) -> Scene | None:
         """The scene, None where it is missing or damaged."""

@@ -407,7 +407,7 @@ def test_curves_are_drawn(full_run):
     html, page = _page(full_run)
     for words in ("PSNR of training rays, dB", "cam0 and wit<b>ness: audio", "level 2", "PSNR, dB"):
         assert words in page.text
-    assert html.count("<svg") == 2 * 2 + 1 + 1
+    assert html.count('<figure class="chart">') == 2 * 2 + 1 + 1
 
 
 def test_ticks_are_round_and_enclose():
