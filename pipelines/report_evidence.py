@@ -14,6 +14,7 @@ from devrf.pipelines.report_plots import arrows, cell_grid, cloud, ellipses, lin
 from devrf.pipelines.report_run import RunFolder, at
 
 POSES, RIG, METRICS = "static_poses/static_poses.json", "rig/rig.json", "evaluate/metrics.json"
+HEALTH, HELD_OUT = "rig/health.json", "held-out lengths on the board"  # how the rig stage's rows begin
 SWEEP_NODE = "sweep"
 FEW, WEAK = 50, 200  # shared corners of a link: fewer do not tie cameras, fewer are weak (rig's health rows)
 FEW_POINTS, WEAK_POINTS = 30, 100  # the same of points shared with the sweep
@@ -148,18 +149,17 @@ def _residuals(run: RunFolder) -> str:
 
 
 def _held_out(run: RunFolder) -> str:
-    """Lengths on board views that were kept out of the fit."""
-    found = run.object(RIG).get("held_out")
-    if not isinstance(found, dict):
-        return ""
-    units = (("_mm", "mm"), ("_px", "px"), ("_percent", "%"), ("_deg", "°"))
+    """Millimetres on board views that no fit has seen: the rig stage's own rows."""
     rows = []
-    for key, value in found.items():
-        unit = next((u for ending, u in units if key.endswith(ending)), "")
-        words = key.removesuffix(f"_{unit}").replace("_percent", "").replace("_", " ")
-        rows.append([text(words), number(value, unit, 3, file=RIG, key=f"held_out.{key}")])
-    head = ("on board views kept out of the fit", "value")
-    return "<h3>Held-out board views</h3>" + table(head, rows, source=RIG, numeric=(1,), narrow=True)
+    for n, row in enumerate(run.objects(HEALTH, "rows")):
+        check, value = str(row.get("check", "")), row.get("value")
+        if check.startswith(HELD_OUT):
+            shown = value if isinstance(value, str) else None
+            unit = str(row.get("unit", ""))
+            cell = text(shown) if shown else number(value, unit, 2, file=HEALTH, key=f"rows.{n}.value")
+            rows.append([text(check.removeprefix(HELD_OUT).lstrip(", ") or "measured"), cell])
+    head = (HELD_OUT, "")
+    return "<h3>In millimetres</h3>" + table(head, rows, source=HEALTH) if rows else ""
 
 
 def _mappers(run: RunFolder) -> str:

@@ -92,7 +92,7 @@ def run_folder(folder: Path, **files: object) -> RunFolder:
     """A run folder with JSON files; `rig` stands for rig/rig.json."""
     names = {"rig": "rig/rig.json", "sync": "sync/sync.json", "curves": "sync/curves.json",
              "check": "scene/clock_check.json", "poses": "static_poses/static_poses.json",
-             "metrics": "evaluate/metrics.json"}  # fmt: skip
+             "metrics": "evaluate/metrics.json", "health": "rig/health.json"}  # fmt: skip
     for key, value in files.items():
         path = folder / names[key]
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -120,6 +120,18 @@ def test_everything_that_was_measured_is_drawn(tmp_path: Path) -> None:
     assert "0.11° apart" in html and ">kept<" in html and "48, 2" in html
     assert "<b>1" not in html and "c&lt;b&gt;1" in html
     assert "Seed of every random draw" in html
+
+
+def test_millimetres_are_those_of_the_rig_stage(tmp_path: Path) -> None:
+    check = "held-out lengths on the board"
+    rows = [
+        {"check": "another", "value": 1.0, "unit": "px"},
+        {"check": f"{check}, error of the median", "value": 0.125, "unit": "%"},
+        {"check": check, "value": "54.02 +- 0.38 mm (true 54.00)", "unit": ""},
+    ]
+    html = evidence_section(run_folder(tmp_path, rig=rig(), health={"rows": rows}))
+    assert 'data-key="rows.1.value" data-value="0.125"' in html and "54.02 +- 0.38 mm" in html
+    assert "error of the median" in html and "another" not in html
 
 
 def test_board_route_shows_who_hangs_loose(tmp_path: Path) -> None:
