@@ -141,7 +141,7 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
         InputError: The matrix is not a rotation.
     """
     t = numbers(translation, (3,), f"{where}: translation")
-    array = numbers(rotation, (3,) if np.size(rotation) == 3 else (3, 3), f"{where}: rotation")
+    array = numbers(rotation, (3,) if _holds(rotation, 3) else (3, 3), f"{where}: rotation")
     if array.shape == (3,):
         R = Rotation.from_rotvec(array).as_matrix()
     else:
@@ -171,6 +171,13 @@ def size_of(pair: Any, where: str) -> tuple[int, int]:
     if w < 1 or h < 1 or w != round(w) or h != round(h):
         raise InputError(f"{where} is {w:g}x{h:g}; expected width and height in pixels")
     return int(w), int(h)
+
+
+def _holds(value: Any, count: int) -> bool:
+    try:
+        return np.array(value, dtype=np.float64).size == count
+    except (TypeError, ValueError):
+        return False
 
 
 def _shape_words(shape: tuple[int, ...]) -> str:

@@ -28,7 +28,7 @@ def parse(text: str) -> ElementTree.Element | None:
     """The root of a Qualisys calibration; None if the text is none."""
     try:
         root = ElementTree.fromstring(text.encode())
-    except ElementTree.ParseError:
+    except (ElementTree.ParseError, LookupError):  # LookupError: an encoding that does not exist
         return None
     return root if root.tag == "calibration" and root.find("cameras/camera") is not None else None
 

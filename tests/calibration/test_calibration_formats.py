@@ -391,6 +391,7 @@ K_a: !!opencv-matrix
             TOML.replace("rotation = [0.0, 0.0, 0.0]", "rotation = [0.0, 0.0]"),
             "rotation has 2 number",
         ),
+        ("c.toml", TOML.replace("rotation = [0.0, 0.0, 0.0]", "rotation = [[0, 0], 1]"), "rotation is"),
         ("c.yaml", KALIBR.replace("pinhole", "omni"), "camera_model is 'omni'; expected pinhole"),
         ("c.yaml", KALIBR.replace("radtan", "fov"), "distortion_model is 'fov'"),
         (
