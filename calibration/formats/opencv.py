@@ -133,9 +133,9 @@ def write_opencv(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> N
 def _value(node: Any) -> Any:
     if node.isMap():
         found = {key: _value(node.getNode(key)) for key in node.keys()}
-        if {"rows", "cols", "data"} <= set(found) and isinstance(found["data"], list):
-            rows, cols, data = found["rows"], found["cols"], found["data"]
-            return np.array(data).reshape(rows, cols) if len(data) == rows * cols else data
+        rows, cols, data = (found.get(key) for key in ("rows", "cols", "data"))
+        if isinstance(rows, int) and isinstance(cols, int) and isinstance(data, list):
+            return np.array(data, dtype=object).reshape(rows, cols) if len(data) == rows * cols else data
         return found
     if node.isSeq():
         return [_value(node.at(n)) for n in range(node.size())]
