@@ -84,9 +84,13 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     if mapping.best is None:
         _write_two_views(database, Path(job["out"]))
         return out | mapping.report()
-    if mapping.costly_comparison:  # what follows has no limit of its own: leave what there is
+    other = mapping.other_mapper(job["compare"], job["ladder"])
+    if other is not None:
+        # global mapping has no limit of its own: leave what there is
         _leave(job, out | _publish(mapping, database, job, adjust=False))
-    mapping.compare(job["compare"], job["ladder"], job["check_seed"])
+        mapping.compare(other, seed=0)
+    if job["check_seed"] and mapping.seconds < clock.left_s():
+        mapping.compare(mapping.rung, seed=1)
     return out | _publish(mapping, database, job)
 
 
@@ -196,9 +200,9 @@ class _Mapping:
         return 0 if self.best is None else self.best.num_reg_images()
 
     @property
-    def costly_comparison(self) -> bool:
-        """Whether global mapping, which cannot be told to stop, may follow."""
-        return bool(self.job["compare"]) and self.clock.left_s() < float("inf")
+    def seconds(self) -> float:
+        """What the slowest attempt took."""
+        return max((attempt["seconds"] for attempt in self.attempts), default=0.0)
 
     def climb(self, ladder: list[dict[str, Any]]) -> None:
         """Try one rung after the other until one registers its share of the pictures, or time is up."""
@@ -209,23 +213,22 @@ class _Mapping:
             if self.registered >= rung["accept"] * len(self.names):
                 break
 
-    def compare(self, rule: str, ladder: list[dict[str, Any]], check_seed: bool) -> None:
-        """Map once more with the other mapper, or with another seed, and note how far the poses differ.
+    def other_mapper(self, rule: str, ladder: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """The rung of the mapper that was not tried, where it should be and there is time for it.
 
         Args:
-            rule: `always`, `weak` (only where pictures are missing from the best model), or `` for never.
-            ladder: Where the other mapper's settings are.
-            check_seed: Map with another seed too.
+            rule: `always`, or `weak`: only where pictures are missing from the best model.
+            ladder: All rungs.
         """
-        weak = self.registered < len(self.names)
         tried = {attempt["mapper"] for attempt in self.attempts}
-        other = next((rung for rung in ladder if rung["mapper"] not in tried), None)
-        spent_s = max(attempt["seconds"] for attempt in self.attempts)
-        affordable_too = GLOBAL_COST * spent_s < self.clock.left_s()
-        if other is not None and affordable_too and (rule == "always" or (rule == "weak" and weak)):
-            self._try(other, seed=0, against=True)
-        if check_seed and spent_s < self.clock.left_s():
-            self._try(self.rung, seed=1, against=True)
+        wanted = rule == "always" or self.registered < len(self.names)
+        if not wanted or GLOBAL_COST * self.seconds >= self.clock.left_s():
+            return None
+        return next((rung for rung in ladder if rung["mapper"] not in tried), None)
+
+    def compare(self, rung: dict[str, Any], seed: int) -> None:
+        """Map once more and note how far the poses differ; with the same seed the better model is kept."""
+        self._try(rung, seed, against=True)
 
     def report(self) -> dict[str, Any]:
         """For `static_poses.json`."""

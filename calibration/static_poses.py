@@ -294,20 +294,29 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
     median = float(np.median(list(features.values()))) if features else 0.0
     what = "two pictures always fit each other, so this says nothing" if largest else "nothing to start from"
     angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
-    turned = pairs["verified"] >= MIN_MODEL and pairs["homography_share"] > HOMOGRAPHY_SHARE
-    overlay = pairs["watermark_share"] > OVERLAY_SHARE
-    cause = (
-        f"{100 * pairs['watermark_share']:.0f} % of its pairs match on a static overlay (logo, time stamp, dirt on the "
-        "lens): switch it off, crop it, or mask it (calibration.static_poses.masks)"
-        if overlay
-        else f"{100 * pairs['homography_share']:.0f} % of its pairs fit a homography: the camera turned and did not "
-        "move, or it saw one flat surface. Walk sideways around the scene, with depth in view"
-        if turned
-        else "Film a scene with texture (blank walls give none), walk sideways instead of turning on the spot, "
-        "and keep 70 % overlap"
-    )
+    late = result["skipped_pictures"] or any(attempt["out_of_time"] for attempt in result["attempts"])
     raise HealthError(
         f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: "
         f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
-        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {cause}"
+        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {_cause(pairs, bool(late))}"
+    )
+
+
+def _cause(pairs: dict[str, Any], late: bool) -> str:
+    """The likeliest reason why nothing was registered, and its remedy."""
+    if late:
+        return "There was not enough time: raise calibration.static_poses.time_minutes, or use fewer pictures"
+    if pairs["watermark_share"] > OVERLAY_SHARE:
+        return (
+            f"{100 * pairs['watermark_share']:.0f} % of its pairs match on a static overlay (logo, time stamp, dirt on "
+            "the lens): switch it off, crop it, or mask it (calibration.static_poses.masks)"
+        )
+    if pairs["verified"] >= MIN_MODEL and pairs["homography_share"] > HOMOGRAPHY_SHARE:
+        return (
+            f"{100 * pairs['homography_share']:.0f} % of its pairs fit a homography: the camera turned and did not "
+            "move, or it saw one flat surface. Walk sideways around the scene, with depth in view"
+        )
+    return (
+        "Film a scene with texture (blank walls give none), walk sideways instead of turning on the spot, and keep "
+        "70 % overlap"
     )

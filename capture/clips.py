@@ -33,6 +33,7 @@ from devrf.capture.video import VideoReader, count_packets
 
 MOTION_SIDE_PX = 160  # averages sensor noise away; a moving hand still covers several pixels
 ROW_BANDS = 24  # a flash is placed to a twenty-fourth of the readout, about a millisecond
+FEWEST_OF_A_SIZE = 5  # photos of a sweep; fewer leave their focal length to chance
 DUPLICATE_LEVEL = 0.1  # mean absolute difference, levels of 255: below it two frames are the same picture
 BRIGHTNESS_DRIFT = 0.06  # of a fixed camera's pixels, sRGB (about 13 % of the light): automatic exposure
 JPEG_QUALITY = 95  # board clips: corners are found within 0.02 px of the PNG's
@@ -198,7 +199,8 @@ def extract_folder(
 ) -> CameraFrames:
     """Put a folder of photos upright into `out/frames/<name>`; see `extract_clip` for the arguments.
 
-    Photos of another size than most of them are not used, because one set of intrinsics must fit all.
+    Photos of another size than most of them are not used, because one set of intrinsics must fit all; in a
+    sweep, a size of which there are enough photos to fix its intrinsics is a camera of its own.
 
     Raises:
         InputError: If the folder or a photo cannot be read.
@@ -235,7 +237,8 @@ def extract_folder(
         levels.append(float(np.median(grey)))
     counts = {size: sizes.count(size) for size in dict.fromkeys(sizes)}
     size = max(counts, key=lambda s: counts[s])
-    alike = [i for i, s in enumerate(sizes) if s == size]
+    taken = {s for s, n in counts.items() if s == size or (role == "sweep" and n >= FEWEST_OF_A_SIZE)}
+    alike = [i for i, s in enumerate(sizes) if s in taken]
     chosen = {alike[k] for k in sharpest_per_window([sharp[i] for i in alike], most or len(alike))}
     records = []
     for i, file in enumerate(files):
@@ -246,11 +249,12 @@ def extract_folder(
     notes = []
     if turned:
         notes.append(f"{turned} photos turned as their EXIF tag says")
-    if len(counts) > 1:
-        other = ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.items() if (w, h) != size)
+    if len(taken) > 1:
+        notes.append(f"photos of several sizes, a camera each: {_sizes(counts, taken)}")
+    if len(taken) < len(counts):
+        other = _sizes(counts, set(counts) - taken)
         notes.append(
-            f"mixed sizes: {counts[size]} photos of {size[0]}x{size[1]} are used, {other} are not; "
-            "one camera in one mode is expected"
+            f"mixed sizes: {_sizes(counts, taken)} are used, {other} are not; one camera in one mode is expected"
         )
     if clipped:
         notes.append(f"{clipped} RAW photos have more than 1 % white pixels; lower the exposure")
@@ -275,6 +279,10 @@ def _row_bands(grey: UInt8[np.ndarray, "h w"], rotation_deg: int) -> Float[np.nd
     """Mean level of bands of rows as the sensor reads them: before the picture was turned upright."""
     stored = np.ascontiguousarray(np.rot90(grey, -(rotation_deg // 90)).astype(np.float32))
     return cv2.resize(stored, (1, ROW_BANDS), interpolation=cv2.INTER_AREA)[:, 0].astype(np.float64)
+
+
+def _sizes(counts: dict[tuple[int, int], int], which: set[tuple[int, int]]) -> str:
+    return ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.items() if (w, h) in which)
 
 
 def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"]) -> str:

@@ -143,8 +143,7 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
 
 
 def _texture(r: dict[str, Any]) -> HealthRow:
-    side = {str(k): c["width"] * c["height"] for k, c in r["cameras"].items()}
-    pixels = max(side.values(), default=0)
+    pixels = max((c["width"] * c["height"] for c in r["cameras"].values()), default=0)
     enough = min(STARVED, STARVED_PER_PIXEL * pixels)
     skipped = set(r["skipped_pictures"])
     starved = [n for n, count in r["features_per_image"].items() if count < enough and n not in skipped]

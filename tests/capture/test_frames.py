@@ -92,9 +92,22 @@ def test_mixed_sizes_are_reported_and_transparency_kept(tmp_path):
     write_picture(folder / "3.png", rgba[:10])
     frames = extract_folder(folder, tmp_path, "static", "sweep", "in")
     assert [f.used for f in frames.frames] == [True, True, True, False]
-    assert "mixed sizes: 3 photos of 30x20 are used, 1 of 30x10" in frames.notes[0]
+    assert "mixed sizes: 3 of 30x20 are used, 1 of 30x10" in frames.notes[0]
     np.testing.assert_array_equal(read_picture(tmp_path / "frames/static/000000.png"), rgba)
     assert not (tmp_path / "frames/static/000003.png").exists()
+
+
+def test_a_sweep_may_mix_sizes_of_which_it_has_enough(tmp_path):
+    (tmp_path / "in").mkdir()
+    for i in range(10):
+        upright = np.zeros((20, 30, 3) if i % 2 else (30, 20, 3), dtype=np.uint8)
+        write_picture(tmp_path / "in" / f"{i}.png", upright)
+    frames = extract_folder(tmp_path / "in", tmp_path, "static", "sweep", "in")
+    assert len(frames.used) == 10 and frames.notes[0].startswith(
+        "photos of several sizes, a camera each: 5 of"
+    )
+    board = extract_folder(tmp_path / "in", tmp_path / "b", "board_static", "board", "in")
+    assert len(board.used) == 5  # one set of intrinsics
 
 
 def test_folders_without_photos(tmp_path):
