@@ -72,12 +72,9 @@ def read_given(
         InputError: Another format, a camera that is missing, or a calibration for other pictures.
         CaptureError: A damaged COLMAP model.
     """
-    if isinstance(source, Mapping):
-        where, found, own = KEY, find_single_files(source), {}
-    elif _is_json(source):
-        where, (found, own) = str(source), _own(source)
-    else:
-        where, found, own = str(source), find_calibration(source), {}
+    own = read_rig(source) if isinstance(source, Path) and _is_json(source) else None
+    found = _found(source) if own is None else _own(own)
+    where = str(source) if isinstance(source, Path) else KEY
     notes = [GivenNote("given calibration", f"{found.format}, {len(found.cameras)} cameras")]
     notes += [GivenNote("given calibration", text) for text in found.notes]
     chosen, note = _match(names, list(found.cameras), where)
@@ -89,22 +86,30 @@ def read_given(
     intrinsics = {
         name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()
     }
-    if any(camera.cam_from_world is None for camera in fitted.values()):
-        without = [name for name, camera in fitted.items() if camera.cam_from_world is None]
+    without = [name for name, camera in fitted.items() if camera.cam_from_world is None]
+    if without:
         if len(without) < len(fitted):
             notes.append(GivenNote("poses not used", f"the file has none of {', '.join(without)}"))
         return Given(found.format, None, intrinsics, tuple(notes))
-    scale, unit_note = _scale(found, fitted, names, unit, known_distance_m)
-    notes += [unit_note] if unit_note else []
-    cameras = {}
-    for name, camera in fitted.items():
-        T = np.array(camera.cam_from_world)
-        T[:, 3] *= scale.factor
-        before = own.get(chosen[name], RigCamera(intrinsics[name].at(T), "given"))
-        std = None if before.position_std is None else before.position_std * scale.factor
-        cameras[name] = replace(before, camera=intrinsics[name].at(T), position_std=std)
+    scale, note = _scale(found, fitted, names, unit, known_distance_m)
+    notes += [note] if note else []
+    cameras = {name: _placed(intrinsics[name], fitted[name], scale.factor) for name in names}
+    if own is not None and scale.factor == 1:  # its doubts are still true
+        cameras = {name: replace(own.cameras[chosen[name]], camera=c.camera) for name, c in cameras.items()}
+        scale = own.scale if unit is None else scale
     _check_apart(cameras, where)
     return Given(found.format, Rig(cameras, replace(scale, factor=1.0), "given"), intrinsics, tuple(notes))
+
+
+def _found(source: Path | Mapping[str, Path]) -> Found:
+    return find_calibration(source) if isinstance(source, Path) else find_single_files(source)
+
+
+def _placed(intrinsics: Intrinsics, camera: FoundCamera, metres: float) -> RigCamera:
+    """A camera at its pose, in metres."""
+    T = np.array(camera.cam_from_world)
+    T[:, 3] *= metres
+    return RigCamera(intrinsics.at(T), "given")
 
 
 def _is_json(path: Path) -> bool:
@@ -114,38 +119,34 @@ def _is_json(path: Path) -> bool:
         return file.read(64).lstrip().startswith(b"{")
 
 
-def _own(path: Path) -> tuple[Found, dict[str, RigCamera]]:
-    """Our rig.json: cameras as found, and with their doubts."""
-    rig = read_rig(path)
-    cameras = {
-        name: FoundCamera(
-            c.camera.K,
-            c.camera.distortion,
-            c.camera.model,
-            (c.camera.width, c.camera.height),
-            c.camera.cam_from_world,
+def _own(rig: Rig) -> Found:
+    """Our rig.json as any other calibration."""
+    cameras = {}
+    for name, c in rig.cameras.items():
+        size = (c.camera.width, c.camera.height)
+        cameras[name] = FoundCamera(
+            c.camera.K, c.camera.distortion, c.camera.model, size, c.camera.cam_from_world
         )
-        for name, c in rig.cameras.items()
-    }
-    return Found("devrf rig.json", cameras, "m" if rig.scale.metric else "arbitrary"), rig.cameras
+    return Found("devrf rig.json", cameras, "m" if rig.scale.metric else "arbitrary")
 
 
 def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, str], GivenNote | None]:
     """The capture's name -> the file's: the same name, else the same number, else the same place in the order."""
-    if all(name in found for name in names):
+    if set(names) <= set(found):
         return {name: name for name in names}, None
-    numbers = {_number(name): name for name in found}
-    if len(numbers) == len(found) and None not in numbers and len({_number(n) for n in names}) == len(names):
-        if all(_number(name) in numbers for name in names):
-            chosen = {name: numbers[_number(name)] for name in names}
-            return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
+    ours, theirs = [_number(name) for name in names], [_number(name) for name in found]
+    unique = len(set(ours)) == len(ours) and len(set(theirs)) == len(theirs)
+    if unique and None not in ours and set(ours) <= set(theirs):
+        chosen = {name: found[theirs.index(number)] for name, number in zip(names, ours, strict=True)}
+        return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
     if len(names) == len(found) and not set(names) & set(
         found
-    ):  # some names agree: one is missing, not renamed
+    ):  # where some agree, one is missing, not renamed
         chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))
         remedy = f"Names do not tell which camera is which; name capture.cameras as the calibration does ({where})."
-        remedy = remedy if len(names) > 1 else ""
-        return chosen, GivenNote("given cameras, matched by order", _pairs(chosen), remedy)
+        return chosen, GivenNote(
+            "given cameras, matched by order", _pairs(chosen), remedy if len(names) > 1 else ""
+        )
     missing = [name for name in names if name not in found]
     raise InputError(
         f"{where}: has no camera {', '.join(missing)}; it has {', '.join(found) or 'none'}, the capture has "

@@ -31,7 +31,7 @@ def cameras(names: tuple[str, ...] = NAMES, apart: float = 1.0) -> dict[str, Cam
 def own_rig(path: Path, metric: bool = True, **changes: Camera) -> Path:
     """A rig.json with doubts."""
     rig = {n: RigCamera(c, "board", 0.01, 0.002, 120, 0.4) for n, c in {**cameras(), **changes}.items()}
-    write_rig(path, Rig(rig, Scale(metric, "tape" if metric else "arbitrary scale", 1.0, None)))
+    write_rig(path, Rig(rig, Scale(metric, "tape" if metric else "arbitrary scale", 0.3, 0.004)))
     return path
 
 
@@ -49,7 +49,7 @@ def test_our_own_rig_keeps_its_doubts(tmp_path: Path) -> None:
     found = rig_of(read(tmp_path / "rig.json"))
     np.testing.assert_array_equal(found.cameras["cam2"].camera.K, cameras()["cam2"].K)
     assert found.cameras["cam1"].position_std == 0.002 and found.cameras["cam1"].inliers == 120
-    assert found.scale.metric and found.route == "given"
+    assert found.scale == Scale(True, "tape", 1.0, 0.004) and found.route == "given"
 
 
 @pytest.mark.parametrize(
@@ -197,8 +197,8 @@ def test_an_arbitrary_scale_stays_so_or_is_measured(tmp_path: Path) -> None:
     measured = rig_of(read(tmp_path, known_distance_m=0.25))
     assert measured.scale.metric and measured.cameras["cam2"].camera.centre[0] == pytest.approx(0.5)
     path = own_rig(tmp_path / "rig.json", metric=False)
-    doubts = rig_of(read(path, known_distance_m=0.25)).cameras["cam1"]
-    assert doubts.position_std == pytest.approx(0.25 * 0.002)
+    measured = rig_of(read(path, known_distance_m=0.25)).cameras["cam1"]
+    assert measured.camera.centre[0] == 0.25 and measured.position_std is None  # its doubts had another unit
 
 
 def test_cameras_on_top_of_each_other_are_refused(tmp_path: Path) -> None:
