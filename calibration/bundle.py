@@ -177,6 +177,7 @@ def _priors(problem: Problem, layout: _Layout) -> tuple[sp.csr_matrix, sp.csr_ma
     g, i = np.nonzero(np.isfinite(problem.prior_std) & (layout.intrinsics >= 0))
     missed = (problem.intrinsics - problem.prior_mean)[g, i] / problem.prior_std[g, i]
     weight = np.sqrt(loss_weight((missed / PRIOR_STDS) ** 2, "cauchy"))
+    weight = np.where(problem.firm_prior[g], 1.0, weight)
     outer = [(layout.intrinsics[g, i], weight / problem.prior_std[g, i], weight * missed)]
     inner = []
     timing = problem.timing
@@ -207,9 +208,10 @@ def _cost(problem: Problem, loss: Loss) -> float:
     squared = (reprojection(problem) ** 2).sum(1) / (LOSS_STDS * problem.obs_std) ** 2
     used = problem.free_intrinsics & np.isfinite(problem.prior_std)
     used[:, 1] &= ~problem.one_focal
-    missed = (problem.intrinsics - problem.prior_mean)[used] / problem.prior_std[used]
+    missed = ((problem.intrinsics - problem.prior_mean)[used] / problem.prior_std[used]) ** 2
+    gives_way = PRIOR_STDS**2 * loss_value(missed / PRIOR_STDS**2, "cauchy")
     cost = LOSS_STDS**2 * loss_value(squared, loss).sum()
-    cost += PRIOR_STDS**2 * loss_value((missed / PRIOR_STDS) ** 2, "cauchy").sum()
+    cost += np.where(problem.firm_prior[np.nonzero(used)[0]], missed, gives_way).sum()
     timing = problem.timing
     if timing is not None:
         cost += ((timing.delay_s / timing.delay_std_s) ** 2).sum()

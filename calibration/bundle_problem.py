@@ -56,6 +56,7 @@ class Problem:
         device: Device of each camera [C].
         intrinsics: [G, 9]; fisheye: [G]; free_intrinsics: [G, 9]; one_focal: fy keeps its ratio to fx [G].
         prior_mean, prior_std: Of the intrinsics [G, 9]; std infinite where there is no prior.
+        firm_prior: Whether observations that contradict a device's prior must not weaken it [G].
         bodies: world_from_body [B, 3, 4]; freedom: 0 held, 3 may shift, 6 may turn too [B].
         obs_camera, obs_body, obs_local, obs_xy: Observations [M], [M], [M, 3] (place on the body), [M, 2] pixels.
         obs_std: Expected error of an observation [M], pixels.
@@ -72,6 +73,7 @@ class Problem:
     one_focal: Bool[np.ndarray, " devices"]
     prior_mean: Float[np.ndarray, "devices 9"]
     prior_std: Float[np.ndarray, "devices 9"]
+    firm_prior: Bool[np.ndarray, " devices"]
     bodies: Float[np.ndarray, "bodies 3 4"]
     freedom: Int[np.ndarray, " bodies"]
     obs_camera: Int[np.ndarray, " observations"]
@@ -98,6 +100,7 @@ class Lenses(TypedDict):
     one_focal: Bool[np.ndarray, " devices"]
     prior_mean: Float[np.ndarray, "devices 9"]
     prior_std: Float[np.ndarray, "devices 9"]
+    firm_prior: Bool[np.ndarray, " devices"]
 
 
 class Observations(TypedDict):
@@ -124,6 +127,7 @@ def lenses(start: Sequence[Intrinsics], known: Sequence[Intrinsics]) -> Lenses:
         one_focal=~np.isfinite(std[:, 0]),
         prior_mean=np.array([k.vector for k in known]),
         prior_std=np.where(std > 0, std, np.inf),
+        firm_prior=np.zeros(len(std), dtype=bool),
     )
 
 

@@ -38,7 +38,7 @@ START_LAG_S, MIN_LAG_S = 0.01, 5e-4
 TIMED_SHARE = 0.5  # a picture tells of its lag where its corners fix it to this share of the lags' spread
 PRINCIPAL_POINT_STD = 0.02  # of the longer side: webcams and phones, where nothing else is known
 DISTORTION_STD = np.array([0.3, 0.3, 3e-3, 3e-3, 0.3])  # k1, k2, p1, p2, k3 of consumer lenses
-MIN_DEPTH_RATIO = 2.0  # caliscope: below, the board does not say enough to change a calibrated focal length
+MIN_DEPTH_RATIO = 2.0  # caliscope: below, the board does not say enough against a calibrated focal length
 DEPTH_QUANTILES = 0.02, 0.98
 
 
@@ -53,7 +53,7 @@ class BoardRig:
         rms_px: Over these corners.
         dropped: (camera, frame) of the views that did not fit.
         gap_ms: Median and largest time between views that count as one instant, by the given times.
-        held: Names of the cameras whose calibrated intrinsics were held, for want of depth.
+        shallow: Cameras that saw the board at one distance only, and so keep to their calibration.
     """
 
     cameras: dict[str, Camera]
@@ -62,7 +62,7 @@ class BoardRig:
     rms_px: float
     dropped: tuple[tuple[str, int], ...]
     gap_ms: tuple[float, float]
-    held: tuple[str, ...]
+    shallow: tuple[str, ...]
 
     @property
     def delay_s(self) -> dict[str, float]:
@@ -107,8 +107,7 @@ def rig_from_board(
     gap_ms = _gaps_ms(seen)
     poses = start_poses(seen, spanning_tree(seen))
     problem = _problem(seen, spec, poses, [start[n] for n in seen.names], [known[n] for n in seen.names])
-    held = _hold_shallow(seen, spec, problem)
-    problem = replace(problem, free_intrinsics=problem.free_intrinsics & ~held[:, None])
+    problem = replace(problem, firm_prior=_shallow(problem))
     fit = _rounds(seen, spec, problem, progress)
     cameras = {}
     for c, name in enumerate(seen.names):
@@ -123,7 +122,7 @@ def rig_from_board(
         rms_px=float(np.sqrt((fit.solution.residual_px**2).sum(1).mean())),
         dropped=fit.dropped,
         gap_ms=gap_ms,
-        held=tuple(n for n, h in zip(seen.names, held, strict=True) if h),
+        shallow=tuple(n for n, firm in zip(seen.names, problem.firm_prior, strict=True) if firm),
     )
 
 
@@ -264,8 +263,8 @@ def _lag_spread(problem: Problem, noise_px: float, period_s: float) -> float:
     return float(np.clip(robust_sigma(timing.lag_s[tells]), MIN_LAG_S, max(period_s / 2, MIN_LAG_S)))
 
 
-def _hold_shallow(seen: Views, spec: BoardSpec, problem: Problem) -> Bool[np.ndarray, " cameras"]:
-    """Cameras whose focal length is calibrated and that saw the board at too few distances to improve on it."""
+def _shallow(problem: Problem) -> Bool[np.ndarray, " cameras"]:
+    """Cameras whose focal length is calibrated and that saw the board at too few distances to contradict that."""
     out = np.isfinite(problem.prior_std[:, 0])
     distance = depths(problem)
     for c in np.flatnonzero(out):

@@ -55,7 +55,7 @@ def camera_graph(problem: Problem, index: dict[str, int]) -> tuple[Link, ...]:
     )
 
 
-def degree(name: str, links: tuple[Link, ...], least: int) -> int:
+def degree(name: str, links: tuple[Link, ...], least: float) -> int:
     """Other cameras that share at least so much with one."""
     return sum(link.shared >= least for link in links if name in (link.a, link.b))
 
@@ -63,4 +63,4 @@ def degree(name: str, links: tuple[Link, ...], least: int) -> int:
 def is_opposed(a: Camera, b: Camera) -> bool:
     """Whether two cameras look at each other rather than the same way."""
     cosine = float(a.cam_from_world[2, :3] @ b.cam_from_world[2, :3])
-    return cosine < np.cos(np.radians(OPPOSED_DEG))
+    return bool(cosine < np.cos(np.radians(OPPOSED_DEG)))

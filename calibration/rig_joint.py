@@ -107,7 +107,7 @@ def _merged(sweep: Solution, boards: Problem, camera: list[int], corner_std_px: 
     views, device = len(timing.lag_s), points.device[where]
     known = {
         name: _with_rows(getattr(points, name), device, getattr(boards, name)[boards.device])
-        for name in ("intrinsics", "free_intrinsics", "one_focal", "prior_mean", "prior_std")
+        for name in ("intrinsics", "free_intrinsics", "one_focal", "prior_mean", "prior_std", "firm_prior")
     }
     rest = still(np.full(len(points.obs_body), views), len(points.poses), 1)  # the points' view comes last
     both = Timing(

@@ -11,7 +11,7 @@ from devrf.calibration.rig_graph import Link, degree, is_opposed
 from devrf.calibration.scale import AGREEMENT
 from devrf.pipelines.health import HealthRow, note, row
 
-GOOD_LINK, WEAK_LINK = 200, 50  # shared corners and points (caliscope)
+GOOD_LINK, WEAK_LINK = 200.0, 50.0  # shared corners and points (caliscope)
 LATE_MS = 10.0  # at 1 m/s a centimetre
 PRIOR_STDS = 4.0  # a calibration that is missed by more was not what it claimed
 ROUTES_DEG, ROUTES_PERCENT = 0.2, 0.5  # between two routes to the same camera; ...
@@ -25,10 +25,10 @@ def sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
     rows = [
         row(
             f"points that {name} shares with the sweep",
-            c.inliers,
+            None if c.inliers is None else float(c.inliers),
             "",
-            warn=100,
-            fail=30,
+            warn=100.0,
+            fail=30.0,
             remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
         ),
         row(
@@ -101,11 +101,11 @@ def joint_rows(rig: BoardRig, check: RigCheck | None) -> list[HealthRow]:
         *_clock_rows(rig),
         *_prior_rows(rig),
     ]
-    if rig.held:
+    if rig.shallow:
         rows.append(
             note(
-                "focal lengths held as calibrated",
-                f"{', '.join(rig.held)}: the board was seen at one distance only",
+                "focal lengths that keep to their calibration",
+                f"{', '.join(rig.shallow)}: the board was seen at one distance only",
             )
         )
     if check is None:
@@ -174,7 +174,7 @@ def _prior_rows(rig: BoardRig) -> list[HealthRow]:
     problem, rows = rig.solution.problem, []
     for c, name in enumerate(rig.views.names):
         mean, std = problem.prior_mean[c, 0], problem.prior_std[c, 0]
-        if np.isfinite(std) and name not in rig.held:
+        if np.isfinite(std):
             found = problem.intrinsics[c, 0]
             rows.append(
                 row(
@@ -200,7 +200,7 @@ def graph_rows(graph: tuple[Link, ...], rig: Rig) -> list[HealthRow]:
         rows.append(
             row(
                 f"corners that {name} shares with {other}, its strongest link",
-                best.shared,
+                float(best.shared),
                 "",
                 warn=GOOD_LINK,
                 fail=WEAK_LINK,

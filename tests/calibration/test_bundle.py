@@ -45,6 +45,7 @@ def ring_problem(cameras: int = 8, points: int = 120, noise_px: float = 0.0, see
         one_focal=np.zeros(1, dtype=bool),
         prior_mean=TRUE_K[None].copy(),
         prior_std=np.full((1, 9), np.inf),
+        firm_prior=np.zeros(1, dtype=bool),
     )
     return replace(
         problem, obs_xy=reprojection(problem) + noise_px * rng.standard_normal((len(obs_point), 2))
@@ -77,6 +78,7 @@ def board_problem(noise_px: float = 0.0, seed: int = 0) -> Problem:
         one_focal=np.array([True, False, False]),
         prior_mean=np.tile(TRUE_K, (cameras, 1)),
         prior_std=np.full((cameras, 9), np.inf),
+        firm_prior=np.zeros(cameras, dtype=bool),
         bodies=bodies,
         freedom=np.full(instants, 6),
         obs_camera=view % cameras,
@@ -266,6 +268,8 @@ def test_a_prior_that_is_far_off_gives_way():
     mean[0, :2] += 50.0
     found = adjust(replace(truth, prior_mean=mean, prior_std=std))
     assert abs(found.problem.intrinsics[0, 0] - TRUE_K[0]) < 4 * float(found.intrinsics_std[0, 0]) < 4.0
+    firm = adjust(replace(truth, prior_mean=mean, prior_std=std, firm_prior=np.ones(1, dtype=bool)))
+    assert abs(firm.problem.intrinsics[0, 0] - mean[0, 0]) < 5.0
 
 
 def test_corners_that_err_together_widen_the_covariance():

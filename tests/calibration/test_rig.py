@@ -12,11 +12,13 @@ from devrf.calibration.board import BoardSpec, BoardView
 from devrf.calibration.board_views import TimedView
 from devrf.calibration.clean_picture import clean_pictures
 from devrf.calibration.intrinsics import Intrinsics, from_vector, guess
-from devrf.calibration.registration import register
+from devrf.calibration.registration import camera_of, register
 from devrf.calibration.rig import Rig, RigCamera, Scale, read_rig, write_rig
 from devrf.calibration.rig_board import rig_from_board
+from devrf.calibration.rig_graph import camera_graph
+from devrf.calibration.rig_joint import adjust_together, disagreement
 from devrf.calibration.rig_sweep import FixedCameraInput, rig_from_sweep
-from devrf.calibration.scale import closest_point, scale_from_board, scale_from_distances
+from devrf.calibration.scale import closest_point, combined, scale_from_board, scale_from_distances
 from devrf.calibration.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
@@ -251,6 +253,55 @@ def test_cameras_without_a_common_board_are_named():
     known = {n: from_vector(*SIZE, VECTOR) for n in truth}
     with pytest.raises(HealthError, match="cam2 shares no view of the board with cam0, cam1: 0 corners"):
         rig_from_board(views, SPEC, known, known)
+
+
+def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
+    """A metre is 1.25 units of the sweep; the board route knows only metres, the sweep's only its unit."""
+    model, look = sweep
+    truth = above(3)
+    features = {f"{n}_clip": features_of(c, model, look, 20 + i) for i, (n, c) in enumerate(truth.items())}
+    monkeypatch.setattr(rig_sweep, "_features", lambda inputs, out: features)
+    std = np.array([3.0, 3.0, 1.0, 1.0, 5e-3, 0, 0, 0, 0])
+    rng = np.random.default_rng(2)
+    known = {n: from_vector(*SIZE, VECTOR + std * rng.standard_normal(9), std) for n in truth}
+    inputs = [FixedCameraInput(n, [tmp_path / f"{n}_clip.png"], *SIZE, k) for n, k in known.items()]
+    swept = rig_from_sweep(model, inputs, tmp_path)
+    ours = {n: c.camera for n, c in swept.cameras.items()}
+    metric = {n: c.moved(np.diag([0.8, 0.8, 0.8, 1.0])) for n, c in truth.items()}
+    board = rig_from_board(board_session(metric), SPEC, known, known)
+    both = adjust_together(swept.solution, swept.index, ours, board)
+    assert abs(both.problem.unit * 0.8 - 1) < 4 * both.unit_std
+    assert both.unit_std < 2e-3
+    for name, c in swept.index.items():
+        found = camera_of(both.problem, guess(*SIZE), c)
+        turn, position = errors(found, truth[name])
+        std = np.sqrt(np.diag(both.pose_covariance[c]))
+        # of three turns and three shifts, 5 standard deviations of their root sum of squares
+        assert turn < 5 * np.degrees(np.linalg.norm(std[:3]))
+        assert position * np.linalg.norm(truth[name].centre) < 5 * np.linalg.norm(std[3:])
+    graph = camera_graph(both.problem, swept.index)
+    assert len(graph) == 3 and all(link.corners > 200 and link.points > 50 for link in graph)
+
+
+def test_worlds_that_differ_by_a_similarity_agree():
+    cameras = fixed_cameras()
+    turn = np.eye(4)
+    turn[:3, :3] = 2.5 * cv2.Rodrigues(np.array([0.3, -0.7, 0.2]))[0]
+    turn[:3, 3] = [1.0, -2.0, 0.5]
+    other = {n: c.moved(turn) for n, c in cameras.items()}
+    for angle, shift in disagreement(other, cameras).values():
+        assert angle < 1e-6 and shift < 1e-9
+    names = list(cameras)[:2]  # two are enough: their own turns count
+    two = disagreement(other, {n: cameras[n] for n in names})
+    assert list(two) == names and max(shift for _, shift in two.values()) < 1e-9
+
+
+def test_scales_that_agree_are_combined_and_a_mistake_is_left_out():
+    board, tape = Scale(True, "board", 2.0, 1e-3), Scale(True, "tape", 2.01, 1e-3)
+    both = combined([board, tape])
+    assert both.factor == pytest.approx(2.005) and both.std == pytest.approx(1e-3 / np.sqrt(2))
+    assert both.source == "board; tape"
+    assert combined([board, Scale(True, "tape", 2.2, None)]) == board
 
 
 def test_scale_from_a_board_in_the_sweep():
