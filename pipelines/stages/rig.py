@@ -8,6 +8,7 @@ import numpy as np
 
 from devrf.calibration.board import find_board
 from devrf.calibration.board_intrinsics import MIN_VIEWS, calibrate_intrinsics
+from devrf.calibration.bump import find_bump
 from devrf.calibration.clean_picture import clean_pictures
 from devrf.calibration.given import Given
 from devrf.calibration.intrinsics import Intrinsics
@@ -28,7 +29,14 @@ from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.joint_clips import JointViews, files_of, read_joint_views
-from devrf.pipelines.stages.rig_health import graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
+from devrf.pipelines.stages.rig_health import (
+    bump_row,
+    graph_rows,
+    joint_rows,
+    route_rows,
+    scale_rows,
+    sweep_rows,
+)
 from devrf.pipelines.stages.static_poses import board_rows
 
 MIN_CAMERAS = 2  # of a rig from a board
@@ -40,6 +48,7 @@ def run(context: StageContext) -> None:
     job = _Job(context)
     route = job.route()
     rig = {"given": job.from_given, "sweep": job.from_sweep, "board": job.from_board}[route]()
+    job.look_for_bumps()
     write_rig(context.out / "rig.json", rig)
     context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale)])
 
@@ -181,6 +190,13 @@ class _Job:
                 details | (_clock(board, name) if name in names else {}),
             )
         return out, camera_graph(joint.problem, swept.index)
+
+    def look_for_bumps(self) -> None:
+        """Whether the fixed cameras stayed where they were over their clips."""
+        for name, camera in self.moving.items():
+            seen = [(f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
+            files = [self.ingest / file for file, _ in seen]
+            self.rows.append(bump_row(name, find_bump(files, [t for _, t in seen])))
 
     def _register(
         self, model: SweepModel, known: dict[str, Intrinsics], progress: Callable[[float, str], None]

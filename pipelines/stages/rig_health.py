@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from devrf.calibration.bump import Bump
 from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale
 from devrf.calibration.rig_board import BoardRig
 from devrf.calibration.rig_check import RigCheck
@@ -14,6 +15,7 @@ from devrf.pipelines.health import HealthRow, note, row
 GOOD_LINK, WEAK_LINK = 200.0, 50.0  # shared corners and points (caliscope)
 LATE_MS = 10.0  # at 1 m/s a centimetre
 PRIOR_STDS = 4.0  # a calibration that is missed by more was not what it claimed
+BUMP_PX = 0.5  # a lasting movement of the background
 ROUTES_DEG, ROUTES_PERCENT = 0.2, 0.5  # between two routes to the same camera; ...
 ROUTES_STDS = 3.0  # ... or what their own doubts allow
 
@@ -268,6 +270,23 @@ def route_rows(
                 )
             )
     return rows, same
+
+
+def bump_row(name: str, bump: Bump | None) -> HealthRow:
+    """Whether a fixed camera stayed where it was."""
+    check = f"movement of {name}'s background over the clip"
+    if bump is None:
+        return note(check, "too little texture behind what moves to tell")
+    minutes, seconds = divmod(bump.at_s, 60)
+    return row(
+        check,
+        bump.moved_px,
+        "px",
+        warn=BUMP_PX,
+        low_is_bad=False,
+        remedy=f"{name} moved at {int(minutes):02d}:{seconds:04.1f} of its clip: use only what was filmed before or "
+        "after (capture.range_s), fix the tripod, switch stabilisation off.",
+    )
 
 
 def scale_rows(found: list[Scale], used: Scale) -> list[HealthRow]:

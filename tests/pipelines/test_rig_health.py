@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from devrf.calibration.board_views import TimedView
+from devrf.calibration.bump import Bump
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale
 from devrf.calibration.rig_board import BoardRig, rig_from_board
@@ -16,7 +17,14 @@ from devrf.calibration.synthetic_rig import SPEC, SyntheticRig, claimed, synthet
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.pipelines.health import HealthRow
-from devrf.pipelines.stages.rig_health import graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
+from devrf.pipelines.stages.rig_health import (
+    bump_row,
+    graph_rows,
+    joint_rows,
+    route_rows,
+    scale_rows,
+    sweep_rows,
+)
 
 SMALL = SyntheticRig(cameras=3, spread_deg=70.0, duration_s=15.0)
 Views = dict[str, list[TimedView]]
@@ -186,6 +194,13 @@ def test_routes_that_disagree_are_named(healthy):
     fired = warned(route_rows(disagreement(other, board.cameras), sweep, board, 1.0)[0])
     assert any(row.check == "turn of cam1, sweep against board" for row in fired)
     assert all("touched between the clips" in row.remedy for row in fired)
+
+
+def test_a_bumped_camera_is_named_with_the_time():
+    """C19."""
+    fired = bump_row("cam3", Bump(0.8, 41.3, 200))
+    assert fired.verdict == "warn" and "cam3 moved at 00:41.3" in fired.remedy
+    assert bump_row("cam3", Bump(0.1, 41.3, 200)).verdict == bump_row("cam3", None).verdict == "ok"
 
 
 def test_scales_that_disagree_are_named():
