@@ -23,6 +23,8 @@ from devrf.calibration.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, HealthError
+from devrf.pipelines.stages import rig as rig_stage
+from devrf.pipelines.stages.joint_clips import JointViews
 
 SIZE = (640, 480)
 VECTOR = np.array([520.0, 520.0, 324.0, 236.0, -0.06, 0.0, 0.0, 0.0, 0.0])
@@ -281,6 +283,24 @@ def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
         assert position * np.linalg.norm(truth[name].centre) < 5 * np.linalg.norm(std[3:])
     graph = camera_graph(both.problem, swept.index)
     assert len(graph) == 3 and all(link.corners > 200 and link.points > 50 for link in graph)
+
+    # the stage says the same, and that both routes agree
+    job = object.__new__(rig_stage._Job)
+    job.rows, job.scales = [], []
+    seen = JointViews(SPEC, {}, known, known, {})
+    monkeypatch.setattr(rig_stage._Job, "_board_rig", lambda self, names, progress: (seen, board))
+    together = job._together(swept, swept.cameras, list(truth), lambda fraction, message: None)
+    assert together is not None and together[1] == graph
+    assert [row.verdict for row in job.rows] == ["ok"] * 7
+    assert job.scales[0].factor == pytest.approx(0.8, rel=4 * both.unit_std)
+    whole = Rig({n: rig_stage._scaled(c, 0.8) for n, c in together[0].items()}, job.scales[0], "sweep", graph)
+    write_rig(tmp_path / "rig.json", whole)
+    content = json.loads((tmp_path / "rig.json").read_text())
+    assert content["graph"][0].keys() == {"a", "b", "corners", "points"}
+    details = content["cameras"]["cam1"]["details"]
+    variance = np.trace(details["position_covariance"])
+    assert np.sqrt(variance) == pytest.approx(content["cameras"]["cam1"]["std"]["position"])
+    assert 0 < len(details["residuals"]) <= 500 and "delay_ms" in details
 
 
 def test_worlds_that_differ_by_a_similarity_agree():
