@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration.board import BoardSpec, BoardView, find_board, settle
+from devrf.calibration.board import BoardSpec, BoardView, find_board
 from devrf.calibration.board_intrinsics import calibrate_intrinsics, coverage
+from devrf.calibration.board_layout import settle
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError, InputError
 
