@@ -44,12 +44,6 @@ class Corners:
     xy: Float[np.ndarray, "m 2"]
     bulge: Float[np.ndarray, "m 2"]
 
-    def of_views(self, keep: Bool[np.ndarray, " views"]) -> "Corners":
-        """The corners of some views, which are counted anew."""
-        inside = keep[self.view]
-        number = np.cumsum(keep) - 1
-        return Corners(self.on_board[inside], number[self.view[inside]], self.xy[inside], self.bulge[inside])
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -140,28 +134,50 @@ def start_fit(corners: Corners, camera: Intrinsics, free: Bool[np.ndarray, "11"]
     size = (camera.width, camera.height)
     zero, none = np.zeros_like(corners.xy), np.zeros(GLOBALS)
     fit = Fit(size, camera.model, start, free, one_focal, poses, zero, none, corners)
-    return replace(fit, residual=_residual(fit))
+    return replace(fit, residual=residual(fit))
 
 
 def minimise(fit: Fit, huber_px: float = np.inf) -> Fit:
     """Move to the minimum; residual coordinates beyond `huber_px` count linearly."""
-    damping, cost = 1e-4, _cost(fit, huber_px)
+    damping, value = 1e-4, cost(fit, huber_px)
     for _ in range(MAX_STEPS):
         system = _reduce(fit, huber_px)
-        candidate, new_cost = fit, cost
+        candidate, new_value = fit, value
         while damping < 1e10:
             candidate = _moved(fit, system, damping)
-            new_cost = _cost(candidate, huber_px)
-            if new_cost < cost:
+            new_value = cost(candidate, huber_px)
+            if new_value < value:
                 break
             damping *= 8
-        if not new_cost < cost:
+        if not new_value < value:
             break
-        gain, fit, cost = cost - new_cost, candidate, new_cost
+        gain, fit, value = value - new_value, candidate, new_value
         damping = max(damping / 8, 1e-12)
-        if gain < TOLERANCE * cost:
+        if gain < TOLERANCE * value:
             break
     return replace(fit, std=_std(fit, huber_px))
+
+
+def residual(fit: Fit) -> Float[np.ndarray, "m 2"]:
+    """Projection minus observation of every corner [M, 2], pixels."""
+    return _project(fit.globals, _in_camera(fit, fit.globals), fit.model) - fit.corners.xy
+
+
+def cost(fit: Fit, huber_px: float) -> float:
+    """Sum of rho over the residual coordinates, pixels squared (Huber 1981)."""
+    size = np.abs(fit.residual)
+    if not np.isfinite(huber_px):
+        return float((size**2).sum())
+    return float(np.where(size < huber_px, size**2, huber_px * (2 * size - huber_px)).sum())
+
+
+def of_views(fit: Fit, keep: Bool[np.ndarray, " views"]) -> Fit:
+    """The fit restricted to some views, not yet moved."""
+    inside = keep[fit.corners.view]
+    number = np.cumsum(keep) - 1
+    c = fit.corners
+    corners = Corners(c.on_board[inside], number[c.view[inside]], c.xy[inside], c.bulge[inside])
+    return replace(fit, corners=corners, poses=fit.poses[keep], residual=fit.residual[inside])
 
 
 def coordinate_sigma(fit: Fit) -> float:
@@ -196,19 +212,8 @@ def _project(
     return distort(ideal, g[4:9], model) * g[:2] + g[2:4]
 
 
-def _residual(fit: Fit) -> Float[np.ndarray, "m 2"]:
-    return _project(fit.globals, _in_camera(fit, fit.globals), fit.model) - fit.corners.xy
-
-
 def _weight(residual: Float[np.ndarray, "m 2"], huber_px: float) -> Float[np.ndarray, "m 2"]:
     return np.minimum(1.0, huber_px / np.maximum(np.abs(residual), 1e-12))
-
-
-def _cost(fit: Fit, huber_px: float) -> float:
-    size = np.abs(fit.residual)
-    if not np.isfinite(huber_px):
-        return float((size**2).sum())
-    return float(np.where(size < huber_px, size**2, huber_px * (2 * size - huber_px)).sum())
 
 
 def _reduce(fit: Fit, huber_px: float) -> _System:
@@ -240,7 +245,7 @@ def _reduce(fit: Fit, huber_px: float) -> _System:
     C, B, A = np.zeros((len(views), n, n)), np.zeros((len(views), n, 6)), np.zeros((len(views), 6, 6))
     c, a = np.zeros((len(views), n)), np.zeros((len(views), 6))
     for v, rows in enumerate(views):
-        G, P, e = d_g[rows].reshape(-1, n), d_pose[rows].reshape(-1, 6), r[rows].reshape(-1)
+        G, P, e = d_g[rows].reshape(2 * len(rows), n), d_pose[rows].reshape(-1, 6), r[rows].reshape(-1)
         C[v], B[v], A[v], c[v], a[v] = G.T @ G, G.T @ P, P.T @ P, G.T @ e, P.T @ e
     return _System(columns, C, B, A, c, a)
 
@@ -272,11 +277,13 @@ def _moved(fit: Fit, system: _System, damping: float) -> Fit:
         poses[v] = cv2.Rodrigues(move[:3])[0] @ poses[v]
         poses[v, :, 3] += move[3:]
     out = replace(fit, globals=g, poses=poses)
-    return replace(out, residual=_residual(out))
+    return replace(out, residual=residual(out))
 
 
 def _solve(matrix: Float[np.ndarray, "n n"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Least squares solution; unknowns are scaled alike first, pixels and coefficients differ by 1e4."""
+    if len(right) == 0:
+        return right
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return scale * np.linalg.lstsq(matrix * scale * scale[:, None], right * scale, rcond=None)[0]
 
