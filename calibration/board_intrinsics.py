@@ -91,6 +91,7 @@ FISHEYE = (
     Terms("OPENCV_FISHEYE", ()),
     Terms("OPENCV_FISHEYE", ("k1",)),
     Terms("OPENCV_FISHEYE", ("k1", "k2")),
+    Terms("OPENCV_FISHEYE", ("k1", "k2", "k3")),
     Terms("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")),
     Terms("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4"), one_focal=False),
 )
