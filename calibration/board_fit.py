@@ -24,9 +24,9 @@ from devrf.capture.camera import LensModel, distort
 
 GLOBALS = 11
 BOW = slice(9, 11)
-STEP = 1e-6  # central differences: exact to about 1e-9 relative
+STEP = 1e-6  # central differences in the picture: exact to about 1e-9 relative
 MAX_STEPS = 60
-TOLERANCE = 1e-9  # of the cost; focal lengths of long lenses creep along a flat valley
+TOLERANCE = 1e-8  # of the cost; focal lengths of long lenses creep along a flat valley
 MIN_DEPTH = 1e-6
 
 
@@ -219,20 +219,29 @@ def _weight(residual: Float[np.ndarray, "m 2"], huber_px: float) -> Float[np.nda
 def _reduce(fit: Fit, huber_px: float) -> _System:
     g, x = fit.globals, _in_camera(fit, fit.globals)
     columns = np.flatnonzero(fit.free & ~(np.arange(GLOBALS) == (1 if fit.one_focal else -1)))
-    d_g = np.empty((len(x), 2, len(columns)))
-    for n, i in enumerate(columns):
-        h = np.zeros(GLOBALS)
-        h[i] = STEP * max(abs(g[i]), 1.0)
-        if i == 0 and fit.one_focal:
-            h[1] = h[0]
-        ahead = _project(g + h, _in_camera(fit, g + h), fit.model)
-        d_g[:, :, n] = (ahead - _project(g - h, _in_camera(fit, g - h), fit.model)) / (2 * h[i])
-    d_x = np.empty((len(x), 2, 3))
-    for axis in range(3):
-        h = np.zeros_like(x)
-        h[:, axis] = STEP * np.maximum(np.abs(x[:, 2]), MIN_DEPTH)
-        ahead, behind = _project(g, x + h, fit.model), _project(g, x - h, fit.model)
-        d_x[:, :, axis] = (ahead - behind) / (2 * h[:, axis, None])
+    z = np.maximum(x[:, 2:], MIN_DEPTH)
+    ideal = x[:, :2] / z
+    distorted = distort(ideal, g[4:9], fit.model)
+    bend = np.empty((len(x), 2, 2))  # d distorted / d ideal
+    for axis in range(2):
+        h = STEP * np.eye(2)[axis]
+        ahead, behind = distort(ideal + h, g[4:9], fit.model), distort(ideal - h, g[4:9], fit.model)
+        bend[:, :, axis] = (ahead - behind) / (2 * STEP)
+    d_ideal = np.zeros((len(x), 2, 3))  # d ideal / d x
+    d_ideal[:, 0, 0] = d_ideal[:, 1, 1] = 1 / z[:, 0]
+    d_ideal[:, :, 2] = -ideal / z
+    d_x = g[:2, None] * (bend @ d_ideal)
+    every = np.zeros((len(x), 2, GLOBALS))
+    every[:, 0, 0], every[:, 1, 1] = distorted[:, 0], distorted[:, 1]
+    every[:, 0, 2] = every[:, 1, 3] = 1.0
+    for i in set(columns.tolist()) & set(range(4, 9)):  # both lens models are linear in their coefficients
+        unit = (np.arange(4, 9) == i).astype(np.float64)
+        every[:, :, i] = g[:2] * (distort(ideal, g[4:9] + unit, fit.model) - distorted)
+    stands_out = d_x @ fit.poses[fit.corners.view][:, :, 2, None]  # along the board's normal
+    every[:, :, BOW] = stands_out * fit.corners.bulge[:, None]
+    if fit.one_focal:
+        every[:, :, 0] += every[:, :, 1]
+    d_g = every[:, :, columns]
     minus_cross = np.zeros((len(x), 3, 3))  # d(exp(w) x)/dw = -[x]_x
     minus_cross[:, 0, 1], minus_cross[:, 0, 2] = x[:, 2], -x[:, 1]
     minus_cross[:, 1, 0], minus_cross[:, 1, 2] = -x[:, 2], x[:, 0]

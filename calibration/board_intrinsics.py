@@ -42,7 +42,10 @@ BLURRED_PX = 3.0  # ... if they are wider than this too (OpenCV calls less sharp
 ENOUGH_SHARP = 10  # blurred views are left out where so many others remain
 OUTLIER_MEDIANS = 3.0  # a view is dropped beyond this multiple of the median error, ...
 OUTLIER_PX = 0.5  # ... if it is beyond this too
-ROUNDS = 4
+WORST_SHARE = (
+    0.3  # of the worst view's error: in each round only the like of it goes, it may spoil the others
+)
+ROUNDS = 6
 START_HUBER_PX = 1.0
 HUBER_SIGMAS = 3.0
 MIN_SIGMA_PX = 0.01  # exact views have no noise, but rounding
@@ -51,6 +54,7 @@ BOW_SIGNIFICANT = 3.0
 SECOND_START_GAIN = 0.99  # the second start must be better than chance
 DECISIVE = 10.0  # difference of the criterion that counts as very strong (Kass and Raftery 1995)
 FISHEYE_FROM_DEG = 90.0  # across the picture's diagonal; narrower lenses look alike in both models
+NARROW_DEG = 70.0  # a pinhole that fits and is narrower is not compared at all
 HELD_OUT_FROM = 9  # views, a third of which are held out
 
 
@@ -105,11 +109,13 @@ class BoardCalibration:
 
     Attributes:
         intrinsics: With standard deviations.
+        board: As it was found to be printed.
         rms_px: Root mean square reprojection error per corner, as OpenCV counts.
         terms: What of the lens was fitted.
         unsupported: Coefficients that a richer model would have had and the views do not support, with values.
         views: Views that were used.
-        dropped, blurred: Frames of the views that did not fit, that were left out as blurred.
+        dropped: Frames of the views that did not fit, and their error, pixels.
+        blurred: Frames of the views that were left out as blurred.
         start_rms_px: Error from the first start and from the second.
         bow_mm, bow_std_mm: How far the board's middle stands out along x and y; zero where not significant.
         held_out_rms_px: Error on a third of the views, the lens fitted on the others; None with few views.
@@ -117,11 +123,12 @@ class BoardCalibration:
     """
 
     intrinsics: Intrinsics
+    board: BoardSpec
     rms_px: float
     terms: Terms
     unsupported: str
     views: int
-    dropped: tuple[int, ...]
+    dropped: dict[int, float]
     blurred: tuple[int, ...]
     start_rms_px: tuple[float, float]
     bow_mm: tuple[float, float]
@@ -145,7 +152,7 @@ class BoardCalibration:
             "std": dict(zip(names, std.tolist(), strict=False)),
             "rms_px": self.rms_px,
             "held_out_rms_px": self.held_out_rms_px,
-            "dropped": list(self.dropped),
+            "dropped": [[frame, round(rms, 3)] for frame, rms in self.dropped.items()],
             "blurred": list(self.blurred),
             "start_rms_px": list(self.start_rms_px),
             "bow_mm": list(self.bow_mm),
@@ -185,25 +192,27 @@ def calibrate_intrinsics(
         if terms
         else {"auto": [PINHOLE, FISHEYE], "pinhole": [PINHOLE], "fisheye": [FISHEYE]}[lens]
     )
-    kept, dropped = _spread_views(sharp), []
+    kept, dropped = _spread_views(sharp), dict[int, float]()
     chosen = _choose(gather(kept, spec.corners), size, families)
     for _ in range(ROUNDS):
         rms = chosen.fit.view_rms_px
-        bad = rms > max(OUTLIER_PX, OUTLIER_MEDIANS * float(np.median(rms)))
+        limit = max(OUTLIER_PX, OUTLIER_MEDIANS * float(np.median(rms)))
+        bad = rms > max(limit, WORST_SHARE * float(rms.max()))
         if not bad.any() or len(kept) - bad.sum() < MIN_VIEWS:
             break
-        dropped += [view.frame for view, b in zip(kept, bad, strict=True) if b]
+        dropped |= {view.frame: float(e) for view, e, b in zip(kept, rms, bad, strict=True) if b}
         kept = [view for view, b in zip(kept, bad, strict=True) if not b]
         chosen = _choose(gather(kept, spec.corners), size, families)
     fit = chosen.fit
     bow, bow_std = 1e3 * fit.globals[BOW], 1e3 * fit.std[BOW]
     return BoardCalibration(
         intrinsics=fit.intrinsics,
+        board=spec,
         rms_px=fit.rms_px,
         terms=chosen.terms,
         unsupported=chosen.unsupported,
         views=len(kept),
-        dropped=tuple(sorted(dropped)),
+        dropped=dict(sorted(dropped.items())),
         blurred=blurred,
         start_rms_px=chosen.start_rms_px,
         bow_mm=(float(bow[0]), float(bow[1])),
@@ -231,9 +240,11 @@ def _sharp_views(views: list[BoardView]) -> tuple[list[BoardView], tuple[int, ..
 
 def _choose(corners: Corners, size: tuple[int, int], families: Sequence[Sequence[Terms]]) -> _Choice:
     """The lens model and the terms that the views support."""
-    found = [_choose_terms(corners, size, family) for family in families]
-    best = found[0]
-    for other in found[1:]:
+    best = _choose_terms(corners, size, families[0])
+    for family in families[1:]:
+        if _view_deg(best.fit) < NARROW_DEG and best.fit.rms_px < OUTLIER_PX:
+            break
+        other = _choose_terms(corners, size, family)
         sigma = max(min(coordinate_sigma(best.fit), coordinate_sigma(other.fit)), MIN_SIGMA_PX)
         wide = _view_deg(other.fit) > FISHEYE_FROM_DEG
         if wide and _criterion(other.fit, sigma) + DECISIVE < _criterion(best.fit, sigma):
@@ -243,9 +254,9 @@ def _choose(corners: Corners, size: tuple[int, int], families: Sequence[Sequence
 
 def _choose_terms(corners: Corners, size: tuple[int, int], family: Sequence[Terms]) -> _Choice:
     start, start_rms = _best_start(corners, size, family[min(START, len(family) - 1)])
-    fits = [_refined(start, terms) for terms in family]
-    sigma = max(coordinate_sigma(fits[-1]), MIN_SIGMA_PX)
-    fits = [minimise(fit, HUBER_SIGMAS * sigma) for fit in fits]
+    richest = _refined(start, family[-1], START_HUBER_PX)
+    sigma = max(coordinate_sigma(richest), MIN_SIGMA_PX)
+    fits = [_refined(richest if t is family[-1] else start, t, HUBER_SIGMAS * sigma) for t in family]
     chosen = 0
     for n in range(1, len(family)):
         pays = _criterion(fits[n], sigma) < _criterion(fits[chosen], sigma)
@@ -266,8 +277,8 @@ def _best_start(corners: Corners, size: tuple[int, int], terms: Terms) -> tuple[
         again = start_fit(
             corners, fit.intrinsics, terms.free, terms.one_focal
         )  # poses that had flipped turn back
-        again = minimise(again, START_HUBER_PX)
-        fits.append(min((fit, again), key=lambda f: cost(f, START_HUBER_PX)))
+        flipped = cost(again, START_HUBER_PX) < cost(fit, START_HUBER_PX)
+        fits.append(minimise(again, START_HUBER_PX) if flipped else fit)
     first, second = fits
     better = second.rms_px < SECOND_START_GAIN * first.rms_px
     return (second if better else first), (first.rms_px, second.rms_px)
@@ -286,10 +297,10 @@ def _start_focals(corners: Corners, size: tuple[int, int], model: LensModel) -> 
     return (focal if sane else 0.8 * longest), longest
 
 
-def _refined(fit: Fit, terms: Terms) -> Fit:
+def _refined(fit: Fit, terms: Terms, huber_px: float) -> Fit:
     g = np.where(terms.free, fit.globals, 0.0)
     fit = replace(fit, globals=g, free=terms.free, one_focal=terms.one_focal)
-    return minimise(replace(fit, residual=residual(fit)), START_HUBER_PX)
+    return minimise(replace(fit, residual=residual(fit)), huber_px)
 
 
 def _criterion(fit: Fit, sigma: float) -> float:

@@ -51,7 +51,11 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
             f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares); "
             "check squares, square_m, marker_m and dictionary of capture.board"
         )
-    return best
+    wrong = [("squares", f"[{best.squares[0]}, {best.squares[1]}]")] if best.squares != spec.squares else []
+    for key in ("legacy", "inverted"):
+        if getattr(spec, key) not in ("auto", getattr(best, key)):
+            wrong.append((key, str(getattr(best, key)).lower()))
+    return replace(best, corrections=tuple(wrong))
 
 
 def chessboard_of_another_size(files: Sequence[Path], spec: BoardSpec) -> BoardSpec | None:
@@ -60,7 +64,7 @@ def chessboard_of_another_size(files: Sequence[Path], spec: BoardSpec) -> BoardS
     sizes = [(rows, columns), (columns - 1, rows - 1), (rows - 1, columns - 1)]
     pictures = [read_grey(file) for _, file in zip(range(TRIAL_PICTURES), spread(files), strict=False)]
     for squares in dict.fromkeys(s for s in sizes if min(s) > 2 and s != spec.squares):
-        other = replace(spec, squares=squares)
+        other = replace(spec, squares=squares, corrections=(("squares", f"[{squares[0]}, {squares[1]}]"),))
         if any(len(detector(other)(grey)[0]) for grey in pictures):
             return other
     return None

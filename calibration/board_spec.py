@@ -24,6 +24,7 @@ class BoardSpec:
         marker_m: Side of a marker, metres.
         dictionary: OpenCV's name of the marker dictionary.
         inverted, legacy: Known, or "auto".
+        corrections: Key and value of what pictures show otherwise than was told; filled by `find_board`.
     """
 
     type: BoardType
@@ -33,6 +34,7 @@ class BoardSpec:
     dictionary: str = "DICT_5X5_100"
     inverted: Auto = "auto"
     legacy: Auto = "auto"
+    corrections: tuple[tuple[str, str], ...] = ()
 
     @property
     def corners(self) -> Float[np.ndarray, "corners 3"]:
@@ -61,7 +63,10 @@ class BoardSpec:
     def words(self) -> str:
         """For messages."""
         marks = "" if self.type == "chessboard" else f" with {self.dictionary}"
-        return f"{self.squares[0]}x{self.squares[1]} {self.type}{marks}"
+        found = (self.legacy is True, ", legacy layout"), (self.inverted is True, ", white on black")
+        return f"{self.squares[0]}x{self.squares[1]} {self.type}{marks}" + "".join(
+            t for yes, t in found if yes
+        )
 
 
 @dataclass(frozen=True)

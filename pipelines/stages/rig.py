@@ -27,9 +27,9 @@ from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages.board_health import board_rows
 from devrf.pipelines.stages.joint_clips import JointViews, files_of, read_joint_views
 from devrf.pipelines.stages.rig_health import graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
-from devrf.pipelines.stages.static_poses import board_rows
 
 MIN_CAMERAS = 2  # of a rig from a board
 SWEEP_BOARD_TRIES = 40  # sweep pictures that are searched for the board first; all, if it is seen in them
