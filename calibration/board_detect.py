@@ -49,9 +49,7 @@ def detector(spec: BoardSpec, second_try: bool = False) -> Detector:
         side = _side(spec, ids, xy)
         fine = _refined(grey, xy, (MARKER_WINDOW if spec.type == "aruco_grid" else WINDOW) * side)
         xy = min((xy, fine), key=lambda corners: misfit(spec, ids, corners))
-        if misfit(spec, ids, xy) > MISREAD * side:
-            return _nothing()
-        return ids, xy + 0.5
+        return _nothing() if misread(spec, ids, xy) else (ids, xy + 0.5)
 
     return checked
 
@@ -70,6 +68,11 @@ def misfit(spec: BoardSpec, ids: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n
     smooth = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
     rest = rest - smooth @ np.linalg.lstsq(smooth, rest, rcond=None)[0]
     return float(np.sqrt((rest**2).sum() / max(rest.size - 14, 1)))
+
+
+def misread(spec: BoardSpec, ids: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"]) -> bool:
+    """Whether corners cannot be a picture of the board."""
+    return len(ids) >= MIN_SMOOTH and misfit(spec, ids, xy) > MISREAD * _side(spec, ids, xy)
 
 
 def edge_width(

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
+from devrf.calibration.board_detect import misfit, misread
 from devrf.calibration.board_evidence import Evidence, gather_evidence
 from devrf.calibration.board_fit import (
     BOW,
@@ -42,9 +43,7 @@ BLURRED_PX = 3.0  # ... if they are wider than this too (OpenCV calls less sharp
 ENOUGH_SHARP = 10  # blurred views are left out where so many others remain
 OUTLIER_MEDIANS = 3.0  # a view is dropped beyond this multiple of the median error, ...
 OUTLIER_PX = 0.5  # ... if it is beyond this too
-WORST_SHARE = (
-    0.3  # of the worst view's error: in each round only the like of it goes, it may spoil the others
-)
+WORST_SHARE = 0.3  # of the worst error: only the like of it goes in one round, it may have spoilt the others
 ROUNDS = 6
 START_HUBER_PX = 1.0
 HUBER_SIGMAS = 3.0
@@ -192,7 +191,9 @@ def calibrate_intrinsics(
         if terms
         else {"auto": [PINHOLE, FISHEYE], "pinhole": [PINHOLE], "fisheye": [FISHEYE]}[lens]
     )
-    kept, dropped = _spread_views(sharp), dict[int, float]()
+    wrong = {v.frame: misfit(spec, v.ids, v.xy) for v in sharp if misread(spec, v.ids, v.xy)}
+    dropped = wrong if len(sharp) - len(wrong) >= MIN_VIEWS else {}
+    kept = _spread_views([v for v in sharp if v.frame not in dropped])
     chosen = _choose(gather(kept, spec.corners), size, families)
     for _ in range(ROUNDS):
         rms = chosen.fit.view_rms_px

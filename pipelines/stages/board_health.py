@@ -25,17 +25,17 @@ def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
         ),
         row(
             f"board views of {name}",
-            board.views,
+            float(board.views),
             "",
-            warn=10,
+            warn=10.0,
             remedy=f"Few views leave the principal point unsure ({_centre_doubt(board)}): film the board longer."
             + _list(" Dropped views", board.dropped),
         ),
         row(
             f"directions in which the board was tilted before {name}",
-            board.evidence.tilt_sectors,
+            float(board.evidence.tilt_sectors),
             "of 8",
-            warn=4,
+            warn=4.0,
             remedy="Frontal views leave the focal length unsure by 1 %: tilt the board by 20 to 45 degrees, "
             "left and right, up and down.",
         ),

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.calibration.board_views import FOCAL, LENS, SIZE, SPEC, board_views, camera
 
 from devrf.calibration.board_evidence import cell_counts
 from devrf.calibration.board_fit import board_pose
 from devrf.calibration.board_intrinsics import FISHEYE, FIVE_COEFFICIENTS, PINHOLE, calibrate_intrinsics
 from devrf.calibration.intrinsics import Intrinsics
+from devrf.calibration.simulated_board import FOCAL, LENS, SIZE, SPEC, board_views, camera
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 
@@ -86,7 +86,7 @@ def test_the_same_views_give_the_same_intrinsics_to_the_last_bit():
 
 
 @pytest.mark.parametrize(
-    ("focal", "lens"), [(330.0, (0.03, -0.01, 0.0, 0.0, 0.0)), (500.0, (-0.02, 0.01, 0, 0, 0))]
+    ("focal", "lens"), [(330.0, (0.03, -0.01, 0.0, 0.0, 0.0)), (500.0, (-0.02, 0.01, 0.0, 0.0, 0.0))]
 )
 def test_a_wide_fisheye_is_recognised(focal, lens):
     true = camera(focal, lens, "OPENCV_FISHEYE")
@@ -100,12 +100,12 @@ def test_a_wide_fisheye_is_recognised(focal, lens):
 
 @pytest.mark.parametrize("focal", [600.0, 3000.0])
 def test_a_pinhole_stays_a_pinhole(focal):
-    views = board_views(12, 0.3, lens=camera(focal, (-0.2, 0.05, 0, 0, 0)))
+    views = board_views(12, 0.3, lens=camera(focal, (-0.2, 0.05, 0.0, 0.0, 0.0)))
     assert calibrate_intrinsics("cam0", views, SPEC, SIZE).intrinsics.model == "OPENCV"
 
 
 def test_the_lens_model_can_be_demanded():
-    true = camera(1200.0, (0.0, 0, 0, 0, 0), "OPENCV_FISHEYE")
+    true = camera(1200.0, (0.0, 0.0, 0.0, 0.0, 0.0), "OPENCV_FISHEYE")
     views = board_views(10, 0.1, lens=true)
     assert calibrate_intrinsics("cam0", views, SPEC, SIZE).intrinsics.model == "OPENCV"  # too narrow to tell
     found = calibrate_intrinsics("cam0", views, SPEC, SIZE, lens="fisheye").intrinsics

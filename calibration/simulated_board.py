@@ -1,4 +1,4 @@
-"""Views of a board with known truth, as corners without pictures."""
+"""Views of a board with known truth, as corners without pictures: for tests and `bench calibration`."""
 
 import cv2
 import numpy as np
