@@ -23,11 +23,11 @@ from devrf.calibration.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import FrameSet
+from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.board_health import board_rows
 from devrf.pipelines.stages.joint_clips import JointViews, files_of, read_joint_views
 from devrf.pipelines.stages.rig_health import graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
 

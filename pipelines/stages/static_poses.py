@@ -1,5 +1,6 @@
 """Stage `static_poses`: where the sweep's pictures were taken, and whether that can be trusted."""
 
+import json
 import tempfile
 from pathlib import Path
 
@@ -14,10 +15,10 @@ from devrf.calibration.sweep_masks import prepare_masks
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
-from devrf.pipelines.board_spec import board_spec
+from devrf.pipelines.board_health import board_rows
+from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.scene_config import SceneConfig, StaticPosesConfig
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.board_health import board_rows
 from devrf.pipelines.sweep_health import board_focal_row, mask_rows, sweep_rows
 
 
@@ -38,6 +39,7 @@ def run(context: StageContext) -> None:
     context.health.extend(sweep_rows(model))
     context.health.extend(mask_rows(without_mask))
     if board is not None:
+        _add_board(context.out / "static_poses.json", board)
         context.health.append(board_focal_row(model, board))
         context.health.extend(board_rows(SWEEP, board))
 
@@ -102,4 +104,10 @@ def _board(context: StageContext, frames: FrameSet) -> BoardCalibration | None:
     ingest = context.run_dir / "ingest"
     files = [ingest / frame.file for frame in clip.used if frame.file is not None]
     views, settled = find_board(f"board_{SWEEP} ({clip.source})", files, spec, context.progress)
-    return calibrate_intrinsics(SWEEP, views, settled, (clip.width, clip.height))
+    size = (clip.width, clip.height)
+    return calibrate_intrinsics(SWEEP, views, settled, size, lens_choice(context.config))
+
+
+def _add_board(file: Path, board: BoardCalibration) -> None:
+    report = json.loads(file.read_text())
+    file.write_text(json.dumps(report | {"board": board.as_dict()}, indent=1))

@@ -8,8 +8,8 @@ import pytest
 from devrf.calibration.board_intrinsics import BoardCalibration, calibrate_intrinsics
 from devrf.calibration.board_spec import BoardView
 from devrf.calibration.simulated_board import LENS, SIZE, SPEC, board_views, camera
+from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.health import HealthRow
-from devrf.pipelines.stages.board_health import board_rows
 
 
 def calibrated(views: list[BoardView], spec=SPEC) -> BoardCalibration:
