@@ -1,6 +1,7 @@
 """The configured board as calibration wants it."""
 
-from devrf.calibration.board import BoardSpec
+from devrf.calibration.board_intrinsics import LensChoice
+from devrf.calibration.board_spec import BoardSpec
 from devrf.pipelines.scene_config import SceneConfig
 
 
@@ -9,12 +10,19 @@ def board_spec(config: SceneConfig) -> BoardSpec | None:
     board = None if config.capture is None else config.capture.board
     if board is None:
         return None
+    side = (board.marker_m or 0.0) + (board.separation_m or 0.0)  # of a grid; another board has its square's
     return BoardSpec(
         type=board.type,
         squares=board.squares,
-        square_m=board.square_m,
+        square_m=side if board.square_m is None else board.square_m,
         marker_m=board.marker_m,
         dictionary=board.dictionary,
         inverted=board.inverted,
         legacy=board.legacy,
     )
+
+
+def lens_choice(config: SceneConfig) -> LensChoice:
+    """Which lens model board calibrations take."""
+    board = None if config.capture is None else config.capture.board
+    return "auto" if board is None else board.lens

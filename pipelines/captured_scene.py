@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.board import read_grey
+from devrf.calibration.board_layout import read_grey
 from devrf.calibration.bounds import (
     MASK_SIDE_PX,
     MAX_ERROR_PX,

@@ -55,20 +55,24 @@ class _Section(BaseModel):
 class BoardConfig(_Section):
     """A calibration board: intrinsics of the cameras, and metric scale."""
 
-    type: Literal["charuco", "chessboard"] = "charuco"
+    type: Literal["charuco", "chessboard", "aruco_grid"] = "charuco"
     """What is printed."""
     squares: Annotated[tuple[int, int], BeforeValidator(_as_tuple)]
-    """Columns and rows: squares of a ChArUco board, inner corners of a chessboard."""
-    square_m: float = Field(gt=0, le=10)
-    """Side of a square, metres."""
+    """Columns and rows: squares of a ChArUco board, inner corners of a chessboard, markers of an ArUco grid."""
+    square_m: float | None = Field(default=None, gt=0, le=10)
+    """Side of a square, metres (not of an ArUco grid)."""
     marker_m: float | None = Field(default=None, gt=0, le=10)
-    """Side of a marker, metres (ChArUco only)."""
+    """Side of a marker, metres (not of a chessboard)."""
+    separation_m: float | None = Field(default=None, gt=0, le=10)
+    """Gap between two markers of an ArUco grid, metres."""
     dictionary: str = "DICT_5X5_100"
-    """OpenCV's name of the marker dictionary (ChArUco only)."""
+    """OpenCV's name of the marker dictionary (not of a chessboard)."""
     inverted: AutoBool = "auto"
     """Whether the print is white on black; auto tries both."""
     legacy: AutoBool = "auto"
     """Whether the layout is the one from before OpenCV 4.6; auto tries both."""
+    lens: Literal["auto", "pinhole", "fisheye"] = "auto"
+    """Lens model of the calibrations; auto takes a fisheye where the view is wide and it fits better."""
     clips: dict[str, str] = {}
     """Camera name -> clip of the board before this camera alone: intrinsics."""
     joint_clips: dict[str, str] = {}
@@ -90,11 +94,20 @@ class BoardConfig(_Section):
 
     @model_validator(mode="after")
     def _marker(self) -> "BoardConfig":
-        if self.type == "charuco":
-            if self.marker_m is None:
+        needed = {
+            "charuco": {"square_m": "the side of its squares", "marker_m": "the side of its markers"},
+            "chessboard": {"square_m": "the side of its squares"},
+            "aruco_grid": {"marker_m": "the side of its markers", "separation_m": "the gap between them"},
+        }[self.type]
+        for key, what in needed.items():
+            if getattr(self, key) is None:
+                raise ValueError(f"{key} is missing; a board of type {self.type} needs {what} in metres")
+        for key, types in (("square_m", ("charuco", "chessboard")), ("separation_m", ("aruco_grid",))):
+            if self.type not in types and getattr(self, key) is not None:
                 raise ValueError(
-                    "marker_m is missing; a ChArUco board needs the side of its markers in metres"
+                    f"{key} is not for a board of type {self.type}; it needs {' and '.join(needed)}"
                 )
+        if self.type == "charuco" and self.marker_m is not None and self.square_m is not None:
             if self.marker_m >= self.square_m:
                 raise ValueError(
                     f"marker_m {self.marker_m} is not smaller than square_m {self.square_m}; "

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.calibration.board import BoardSpec, BoardView, find_board
-from devrf.calibration.board_intrinsics import BoardCalibration, calibrate_intrinsics
+from devrf.calibration.board_intrinsics import BoardCalibration, LensChoice, calibrate_intrinsics
 from devrf.calibration.board_views import TimedView
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rig_board import weak_intrinsics
@@ -38,11 +38,13 @@ def read_joint_views(
     spec: BoardSpec,
     calibrated: dict[str, Intrinsics],
     progress: Callable[[float, str], None],
+    lens: LensChoice = "auto",
 ) -> JointViews:
     """Search the joint clips of `names` for the board.
 
     Args:
         calibrated: Intrinsics from elsewhere (a clip of the camera's own, a given calibration).
+        lens: Lens model of the calibrations that are made.
 
     Raises:
         HealthError: The board is never seen by a camera, or too seldom to calibrate it.
@@ -61,7 +63,7 @@ def read_joint_views(
         seen, spec = find_board(label, files_of(run_dir, clip), spec, step)
         views[name] = _timed(seen, clip, clocks.get(entry, (0.0, 1.0)))
         if name not in calibrated:
-            own[name] = calibrate_intrinsics(name, seen, spec, (clip.width, clip.height))
+            own[name] = calibrate_intrinsics(name, seen, spec, (clip.width, clip.height), lens)
             start[name] = own[name].intrinsics
             known[name] = weak_intrinsics(own[name].intrinsics)
     return JointViews(spec, views, start, known, own)

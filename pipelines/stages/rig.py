@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from devrf.calibration.board import find_board
-from devrf.calibration.board_intrinsics import MIN_VIEWS, calibrate_intrinsics
+from devrf.calibration.board_intrinsics import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
 from devrf.calibration.bump import find_bump
 from devrf.calibration.clean_picture import clean_pictures
 from devrf.calibration.given import Given
@@ -24,7 +24,8 @@ from devrf.calibration.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import FrameSet
-from devrf.pipelines.board_spec import board_spec
+from devrf.pipelines.board_health import board_rows
+from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
@@ -37,7 +38,6 @@ from devrf.pipelines.stages.rig_health import (
     scale_rows,
     sweep_rows,
 )
-from devrf.pipelines.stages.static_poses import board_rows
 
 MIN_CAMERAS = 2  # of a rig from a board
 SWEEP_BOARD_TRIES = 40  # sweep pictures that are searched for the board first; all, if it is seen in them
@@ -49,7 +49,13 @@ def run(context: StageContext) -> None:
     route = job.route()
     rig = {"given": job.from_given, "sweep": job.from_sweep, "board": job.from_board}[route]()
     job.look_for_bumps()
-    write_rig(context.out / "rig.json", rig)
+    told = {
+        n: c.details | {"board": job.boards[n].as_dict()} for n, c in rig.cameras.items() if n in job.boards
+    }
+    cameras = {n: replace(c, details=told.get(n, c.details)) for n, c in rig.cameras.items()}
+    write_rig(context.out / "rig.json", replace(rig, cameras=cameras))
+    for name, calibration in job.boards.items():
+        context.health.extend(board_rows(name, calibration))
     context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale)])
 
 
@@ -67,6 +73,7 @@ class _Job:
         self.has_sweep = (self.sweep_folder / "static_poses.json").is_file()
         self.rows: list[HealthRow] = []
         self.scales: list[Scale] = []
+        self.boards: dict[str, BoardCalibration] = {}
 
     def route(self) -> str:
         """given, sweep or board."""
@@ -242,9 +249,10 @@ class _Job:
                     f"board clip {clip.source} is {size[0]}x{size[1]}, camera '{name}' films "
                     f"{camera.width}x{camera.height}; film the board in the same mode as the scene"
                 )
-            calibration = calibrate_intrinsics(name, views, spec, size)
-            out[name] = calibration.intrinsics
-            self.rows += board_rows(name, calibration)
+            self.boards[name] = calibrate_intrinsics(
+                name, views, spec, size, lens_choice(self.context.config)
+            )
+            out[name] = self.boards[name].intrinsics
         return out
 
     def _board_rig(
@@ -257,24 +265,28 @@ class _Job:
             if name not in known and f"board_{name}" in self.frames.cameras:
                 known = known | {name: self._own_calibration(name)}
         run_dir, step = self.context.run_dir, _part(progress, 0.0, 0.7)
-        seen = read_joint_views(run_dir, self.frames, names, self.spec, known, step)
+        lens = lens_choice(self.context.config)
+        seen = read_joint_views(run_dir, self.frames, names, self.spec, known, step, lens)
+        self.boards = seen.own | self.boards
         found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, _part(progress, 0.7, 0.2))
         progress(0.9, "held-out lengths")
         check = cross_check(seen.views, seen.spec, seen.start, seen.known)
-        if not self.has_sweep:
-            for name, calibration in seen.own.items():
-                self.rows += board_rows(name, calibration)
         self.rows += joint_rows(found, check)
         return seen, found
 
     def _own_calibration(self, name: str) -> Intrinsics:
         """From the camera's own board clip."""
         assert self.spec is not None
-        clip = self.frames.cameras[f"board_{name}"]
-        views, spec = find_board(
-            f"{clip.source} of camera '{name}'", files_of(self.context.run_dir, clip), self.spec
-        )
-        return calibrate_intrinsics(name, views, spec, (clip.width, clip.height)).intrinsics
+        if name not in self.boards:
+            clip = self.frames.cameras[f"board_{name}"]
+            views, spec = find_board(
+                f"{clip.source} of camera '{name}'", files_of(self.context.run_dir, clip), self.spec
+            )
+            size = (clip.width, clip.height)
+            self.boards[name] = calibrate_intrinsics(
+                name, views, spec, size, lens_choice(self.context.config)
+            )
+        return self.boards[name].intrinsics
 
     def _scales(self, model: SweepModel, centres: dict[str, np.ndarray]) -> list[Scale]:
         """Metres from the board in the sweep and from a known distance."""

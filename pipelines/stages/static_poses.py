@@ -1,8 +1,8 @@
 """Stage `static_poses`: where the sweep's pictures were taken, and whether that can be trusted."""
 
+import json
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 
@@ -15,13 +15,11 @@ from devrf.calibration.sweep_masks import prepare_masks
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
-from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.health import HealthRow, row
+from devrf.pipelines.board_health import board_rows
+from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.scene_config import SceneConfig, StaticPosesConfig
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.sweep_health import board_focal_row, mask_rows, sweep_rows
-
-LISTED = 6  # names in a message
 
 
 def run(context: StageContext) -> None:
@@ -41,6 +39,7 @@ def run(context: StageContext) -> None:
     context.health.extend(sweep_rows(model))
     context.health.extend(mask_rows(without_mask))
     if board is not None:
+        _add_board(context.out / "static_poses.json", board)
         context.health.append(board_focal_row(model, board))
         context.health.extend(board_rows(SWEEP, board))
 
@@ -105,46 +104,10 @@ def _board(context: StageContext, frames: FrameSet) -> BoardCalibration | None:
     ingest = context.run_dir / "ingest"
     files = [ingest / frame.file for frame in clip.used if frame.file is not None]
     views, settled = find_board(f"board_{SWEEP} ({clip.source})", files, spec, context.progress)
-    return calibrate_intrinsics(SWEEP, views, settled, (clip.width, clip.height))
+    size = (clip.width, clip.height)
+    return calibrate_intrinsics(SWEEP, views, settled, size, lens_choice(context.config))
 
 
-def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
-    """Rows about one camera's board calibration."""
-    dropped = f" Dropped views: {_some([str(n) for n in board.dropped])}." if board.dropped else ""
-    return [
-        row(
-            f"board error of {name}",
-            board.rms_px,
-            "px",
-            warn=1.0,
-            fail=3.0,
-            low_is_bad=False,
-            remedy=f"The board does not fit: check squares, use a flat print, avoid motion blur.{dropped}",
-        ),
-        row(
-            f"board views of {name}",
-            board.views,
-            "",
-            warn=10,
-            remedy=f"Few views leave the principal point unsure: film the board longer.{dropped}",
-        ),
-        row(
-            f"tilted board views of {name}",
-            board.tilted_views,
-            "",
-            warn=5,
-            remedy="Frontal views leave the focal length unsure by 1 %: tilt the board by 20 to 45 degrees.",
-        ),
-        row(
-            f"picture covered by board corners, {name}",
-            board.coverage,
-            "",
-            warn=0.5,
-            remedy="Distortion at the edges is a guess: hold the board into every corner of the picture.",
-        ),
-    ]
-
-
-def _some(names: list[Any]) -> str:
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return (", ".join(str(n) for n in names[:LISTED]) + more) or "none"
+def _add_board(file: Path, board: BoardCalibration) -> None:
+    report = json.loads(file.read_text())
+    file.write_text(json.dumps(report | {"board": board.as_dict()}, indent=1))

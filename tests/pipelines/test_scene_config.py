@@ -121,7 +121,16 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; expected [from, to]"),
         ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; expected a list of two numbers"),
         ("{static: static.mp4, mattes: chroma}", "capture.mattes: mattes are not built yet"),
-        ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board.square_m: is missing"),
+        ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board: square_m is missing"),
+        (
+            "{static: static.mp4, board: {type: aruco_grid, squares: [8, 6], marker_m: 0.04}}",
+            "capture.board: separation_m is missing; a board of type aruco_grid needs the gap between them",
+        ),
+        (
+            "{static: static.mp4, board: {type: aruco_grid, squares: [8, 6], marker_m: 0.04, "
+            "separation_m: 0.01, square_m: 0.05}}",
+            "capture.board: square_m is not for a board of type aruco_grid; it needs marker_m and separation_m",
+        ),
         ("{static: static.mp4, board: {squares: [8, 6], square_m: 1}}", "capture.board: marker_m is missing"),
         (
             "{static: static.mp4, board: {squares: [8, 6], square_m: 1, marker_m: 2}}",

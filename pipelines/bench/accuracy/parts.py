@@ -1,11 +1,13 @@
 """Which parts `bench calibration` and `bench sync` have; each is a function from `Cases` to rows."""
 
 from devrf.pipelines.bench.accuracy import sync_sound
+from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
 CALIBRATION: dict[str, Part] = {
+    "boards": boards,
     "sweeps": sweeps,
     "rigs": rigs,
 }
