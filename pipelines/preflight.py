@@ -4,33 +4,8 @@ from pathlib import Path
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.session import CaptureSession
+from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.scene_config import SceneConfig
-
-
-def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
-    """The raw files that a configuration names, as absolute paths.
-
-    Raises:
-        ValueError: The configuration has no `capture`.
-    """
-    capture = config.capture
-    if capture is None:
-        raise ValueError("a data set has no raw files; expected a configuration with capture")
-
-    def paths(clips: dict[str, str]) -> dict[str, Path]:
-        return {name: config.path(scene_dir, clip) for name, clip in clips.items()}
-
-    board = capture.board
-    return CaptureSession(
-        static=None if capture.static is None else config.path(scene_dir, capture.static),
-        cameras=paths(capture.all_cameras),
-        test_names=capture.test_names,
-        timestamps=None if capture.timestamps is None else config.path(scene_dir, capture.timestamps),
-        board_clips=paths(board.clips) if board else {},
-        joint_clips=paths(board.joint_clips) if board else {},
-        range_s=capture.range_s,
-        rest=capture.rest,
-    )
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -11,8 +11,8 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp
 from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.raw import linear_from_srgb
 from devrf.capture.session import CaptureSession
+from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.preflight import capture_session
 from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet

@@ -78,7 +78,7 @@ def text_of(stage: Stage) -> str:
         for name, path in sources(own).items()
         if name.startswith("devrf.pipelines.") and ":" not in name
         if name == own or not name.startswith("devrf.pipelines.stages.")
-        if not name.endswith("preflight")  # makes a session of all of capture; tested below
+        if not name.endswith("capture_session")  # makes a session of all of capture; tested below
     )
 
 
