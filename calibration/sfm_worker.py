@@ -20,16 +20,17 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from devrf.calibration.sfm_budget import Clock, Matching
 from devrf.calibration.sweep_agreement import disagreement_deg
-from devrf.calibration.sweep_pairs import Pair, affordable, matching_s, products
+from devrf.calibration.sweep_pairs import Pair
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
 POLISH_TOLERANCE = 1e-8  # relative fall of the cost in one step; at 1e-6 focals still move by 0.01 px
 POLISH_ITERATIONS = 200  # 20 to 40 are usual
 MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
 FEWEST_INLIERS = 15  # of a verified pair (COLMAP's own bound)
-EXTRACT_PROBE, MATCH_PROBE = 4, 32  # pictures and pairs whose time tells what the others will take
-EXTRACT_SHARE, MATCH_SHARE = 0.4, 0.5  # of the time that is left; mapping takes about as long as matching
+EXTRACT_PROBE = 4  # pictures whose time tells what the others will take
+EXTRACT_SHARE = 0.4  # of the time that is left; matching and mapping take about as long
 GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
 DISTORTION_OF = {  # our order k1, k2, p1, p2, k3 -> position in COLMAP's parameter vector
     "SIMPLE_PINHOLE": {},
@@ -65,12 +66,15 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     skipped = _extract_in_time(database, job, names, clock)
     pairs = [pair for pair in job["pairs"] if not skipped.intersection(pair)]
     wanted = len(pairs) if len(pairs) < len(job["pairs"]) else job["wanted"]
-    matching = _Matching(database, work, pairs, wanted)
-    matching.begin(clock)
+    matching = Matching(
+        pairs, wanted, _features_per_image(database), lambda some: _match(database, work, some), clock
+    )
+    _say(0.35, f"matching {wanted} pairs")
+    matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
     mapping = _Mapping(database, work, job, names, held, clock)
     mapping.climb(job["ladder"])
-    if mapping.registered < len(names) - len(skipped) and matching.go_on(clock):
+    if mapping.registered < len(names) - len(skipped) and matching.go_on():
         mapping.climb(job["ladder"][:1])
     out: dict[str, Any] = {
         "given": len(names),
@@ -94,17 +98,6 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     return out | _publish(mapping, database, job)
 
 
-class Clock:
-    """What is left of a time budget."""
-
-    def __init__(self, budget_s: float | None) -> None:
-        self._end = None if budget_s is None else time.monotonic() + budget_s
-
-    def left_s(self) -> float:
-        """Seconds; infinite without a budget, never below 0."""
-        return float("inf") if self._end is None else max(0.0, self._end - time.monotonic())
-
-
 def _extract_in_time(database: Path, job: dict[str, Any], names: list[str], clock: Clock) -> set[str]:
     """Features of all pictures, or of evenly spaced ones where there is no time for all; those left out."""
     probe, rest = names[:EXTRACT_PROBE], names[EXTRACT_PROBE:]
@@ -116,60 +109,6 @@ def _extract_in_time(database: Path, job: dict[str, Any], names: list[str], cloc
     if kept:
         _extract(database, job, kept)
     return set(rest) - set(kept)
-
-
-class _Matching:
-    """Pairs matched from the front of the list, as far as they are wanted and time allows."""
-
-    def __init__(self, database: Path, work: Path, pairs: list[Pair], wanted: int) -> None:
-        self.database, self.work, self.pairs = database, work, pairs
-        self.wanted, self.matched = wanted, 0
-        self.features: dict[str, int] = {}
-        self.seconds = self.s_per_product = 0.0
-
-    def begin(self, clock: Clock) -> None:
-        """Measure on the first pairs, then match what is wanted and affordable."""
-        _say(0.35, f"matching {self.wanted} pairs")
-        self.features = _features_per_image(self.database)
-        self._match_until(min(MATCH_PROBE, self.wanted))
-        self.s_per_product = self.seconds / max(1.0, products(self.pairs[: self.matched], self.features))
-        self._match_until(min(self.wanted, self._room(clock)))
-
-    def go_on(self, clock: Clock) -> bool:
-        """Match pairs that were not wanted at first; whether there were any and time for them."""
-        room = self._room(clock)
-        if self.matched < self.wanted or room <= self.matched:
-            return False
-        _say(0.6, f"matching {room - self.matched} more pairs")
-        self._match_until(room)
-        return True
-
-    def report(self) -> dict[str, Any]:
-        """For `static_poses.json`."""
-        rest = self.pairs[self.matched : self.wanted]
-        return {
-            "all": len(self.pairs),
-            "wanted": self.wanted,
-            "matched": self.matched,
-            "seconds": self.seconds,
-            "wanted_s": matching_s(self.pairs[: self.wanted], self.features, self.s_per_product),
-            "first_skipped": list(rest[0]) if rest else None,
-        }
-
-    def _room(self, clock: Clock) -> int:
-        rest = self.pairs[self.matched :]
-        if clock.left_s() == float("inf"):
-            return len(self.pairs)
-        budget_s = MATCH_SHARE * clock.left_s()
-        return self.matched + affordable(rest, self.features, self.s_per_product, budget_s)
-
-    def _match_until(self, count: int) -> None:
-        if count <= self.matched:
-            return
-        start = time.monotonic()
-        _match(self.database, self.work, self.pairs[self.matched : count])
-        self.seconds += time.monotonic() - start
-        self.matched = count
 
 
 class _Mapping:

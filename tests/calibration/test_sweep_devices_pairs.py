@@ -1,11 +1,14 @@
 """Which pictures share a camera, which pairs are matched, masks on disk."""
 
+import time
+
 import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
 from devrf.calibration.intrinsics import from_vector, guess
+from devrf.calibration.sfm_budget import Clock, Matching
 from devrf.calibration.sweep_devices import device_groups
 from devrf.calibration.sweep_gps import USUAL_STD_M, local_metres, why_not
 from devrf.calibration.sweep_masks import prepare_masks
@@ -182,3 +185,42 @@ def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
     (tmp_path / "out").mkdir()
     with pytest.raises(InputError, match=r"IMG_1.jpg.png: 30x40, the picture IMG_1.jpg is 60x40"):
         recover_sweep(tmp_path / "ingest", sweep, tmp_path / "out", config.calibration.static_poses, tmp_path)
+
+
+class SlowClock(Clock):
+    """A clock that matching moves: 10 ms a pair."""
+
+    def __init__(self, budget_s: float) -> None:
+        super().__init__(None)
+        self.left = budget_s
+
+    def left_s(self) -> float:
+        return self.left
+
+
+def test_matching_stops_in_time_and_goes_on_where_it_may():
+    """B25: half of what is left goes to matching; the rest is counted, not matched."""
+    names = [f"{n:03d}" for n in range(100)]
+    plan = plan_pairs(names, ordered=True)
+    done: list[tuple[str, str]] = []
+
+    def run(budget_s: float) -> Matching:
+        clock = SlowClock(budget_s)
+        done.clear()
+
+        def match(pairs):
+            time.sleep(1e-4 * len(pairs))
+            clock.left -= 0.01 * len(pairs)
+            done.extend(pairs)
+
+        matching = Matching(plan.pairs, plan.wanted, dict.fromkeys(names, 1000), match, clock)
+        matching.begin()
+        return matching
+
+    plenty = run(1e6)
+    assert plenty.matched == plan.wanted == len(done) and plenty.report()["first_skipped"] is None
+    assert plenty.go_on() and done == plan.pairs  # a weak result gets the other pairs too
+    short = run(0.05)  # of which the first 32 pairs take more
+    assert done == plan.pairs[:32] and not short.go_on()
+    assert short.report()["first_skipped"] == list(plan.pairs[32])
+    assert short.report()["wanted_s"] == pytest.approx(short.seconds * plan.wanted / 32)
