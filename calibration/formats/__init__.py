@@ -5,7 +5,7 @@ from pathlib import Path
 
 from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
 from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap, write_easymocap
-from devrf.calibration.formats.found import Found, FoundCamera
+from devrf.calibration.formats.found import Found, FoundCamera, text_of
 from devrf.calibration.formats.kalibr import parse as parse_kalibr
 from devrf.calibration.formats.kalibr import read_kalibr, write_kalibr
 from devrf.calibration.formats.opencv import (
@@ -31,7 +31,6 @@ READ = (
     "rig.json; a COLMAP model; yml or xml of OpenCV (one camera, or a stereo pair), ROS or EasyMocap; a kalibr "
     "camchain; toml of caliscope, aniposelib or Pose2Sim; Qualisys .qca.txt"
 )
-LARGEST_BYTES = 10_000_000  # a calibration is kilobytes; a clip named by mistake is not read
 Writer = Callable[[Path, Mapping[str, Camera], bool], None]
 RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths are metres)
     "rig-anipose": write_anipose,
@@ -55,7 +54,7 @@ def find_calibration(path: Path) -> Found:
     """
     if path.is_dir():
         return _from_folder(path)
-    text = _text(path)
+    text = text_of(path)
     qualisys = parse_qualisys(text)
     if qualisys is not None:
         return read_qualisys(path, qualisys)
@@ -84,7 +83,7 @@ def find_single_files(files: Mapping[str, Path]) -> Found:
     """
     out = {}
     for name, path in files.items():
-        data = storage(_text(path))
+        data = storage(text_of(path))
         if data is None or not is_single(data):
             raise InputError(
                 f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}'); a file with all "
@@ -103,7 +102,7 @@ def _from_folder(folder: Path) -> Found:
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file())
     singles = {}
     for path in files:
-        data = storage(_text(path))
+        data = storage(text_of(path))
         if data is not None and is_single(data):
             singles[path.stem] = (path, data)
     if not singles:
@@ -112,14 +111,3 @@ def _from_folder(folder: Path) -> Found:
             "intrinsics.yml and extrinsics.yml, or OpenCV files, one a camera; else name the file itself"
         )
     return read_singles(singles)
-
-
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is no calibration; expected {READ}")
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; expected {READ}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None

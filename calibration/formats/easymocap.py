@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, pose, size_of
+from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, pose, size_of, text_of
 from devrf.calibration.formats.opencv import storage
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import Camera
@@ -36,11 +36,13 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
         intri = _other(path, INTRI, required=True)
     elif not any(key.startswith(("R_", "Rot_")) for key in data):
         extri = _other(path, EXTRI, required=False)
-    cameras = {}
-    for name in map(str, intri["names"]):
+    names, cameras = intri.get("names"), {}
+    if not isinstance(names, list):
+        raise InputError(f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names")
+    for name in map(str, names):
         where, lens = f"{path.parent / INTRI}", "dist" if f"dist_{name}" in intri else "D"
         width, height = intri.get(f"W_{name}"), intri.get(f"H_{name}")
-        has_size = width is not None and height is not None and min(width, height) > 0  # -1: not known
+        has_size = width not in (None, -1) and height not in (None, -1)  # -1: not known
         size = size_of([width, height], f"{where}: W_{name}, H_{name}") if has_size else None
         K = matrix(intri.get(f"K_{name}"), f"{where}: K_{name}")
         k = distortion(intri.get(f"{lens}_{name}"), f"{where}: {lens}_{name}")
@@ -86,7 +88,7 @@ def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -
 
 def _other(path: Path, name: str, required: bool) -> dict[str, Any]:
     other = path.with_name(name)
-    found = storage(other.read_text()) if other.is_file() else None
+    found = storage(text_of(other)) if other.is_file() else None
     if found is None and required:
         raise InputError(
             f"{path}: has poses, but no K_ of any camera; expected {name} beside it; copy it there"

@@ -7,6 +7,7 @@ Distortion is OpenCV's k1, k2, p1, p2, k3 (`OPENCV`) or k1, k2, k3, k4, 0 of the
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from devrf.capture.errors import InputError
 
 Unit = Literal["m", "cm", "mm", "arbitrary", "unsaid"]
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+LARGEST_BYTES = 10_000_000  # a calibration is kilobytes; a clip named by mistake is not read
 LENGTHS = (0, 4, 5, 8, 12, 14)  # of OpenCV's distortion vectors
 FISHEYE_LENGTH = 4
 HELD = 5  # coefficients that our lens model has
@@ -59,6 +61,22 @@ class Found:
     cameras: dict[str, FoundCamera]
     unit: Unit
     notes: tuple[str, ...] = ()
+
+
+def text_of(path: Path) -> str:
+    """Content of a text file.
+
+    Raises:
+        InputError: Too large, not text, or cannot be read.
+    """
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise InputError(f"{path}: has {path.stat().st_size / 1e6:.0f} MB; expected a calibration file")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; expected a calibration file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
 
 
 def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:

@@ -24,6 +24,7 @@ from devrf.calibration.formats.found import (
     numbers,
     pose,
     size_of,
+    text_of,
 )
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import Camera
@@ -98,7 +99,7 @@ def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
     if "M1" not in both or "R" not in both:
         name = INTRINSICS_FILE if "M1" not in both else EXTRINSICS_FILE
         other = path.with_name(name).with_suffix(path.suffix)
-        more = storage(other.read_text()) if other.is_file() and other != path else None
+        more = storage(text_of(other)) if other.is_file() and other != path else None
         if more is None and "M1" not in both:
             raise InputError(
                 f"{path}: has R and T, but no M1; expected {other.name} beside it; copy it there"

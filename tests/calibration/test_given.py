@@ -127,6 +127,12 @@ def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
     RIG_WRITERS["rig-easymocap"](tmp_path, cameras(), True)
     for name in ("intri.yml", "extri.yml"):
         assert rig_of(read(tmp_path / name)).cameras["cam2"].camera.K[0, 0] == 502
+    (tmp_path / "intri.yml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="intri.yml: not a text file"):
+        read(tmp_path / "extri.yml")
+    (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\nK_cam0: 1\n")
+    with pytest.raises(InputError, match="intri.yml: names is None"):
+        read(tmp_path / "extri.yml")
     (tmp_path / "intri.yml").unlink()
     with pytest.raises(InputError, match=r"expected intri.yml beside it"):
         read(tmp_path / "extri.yml")
