@@ -21,8 +21,8 @@ from devrf.calibration.rig_board import boards_before, rig_from_board
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 
-HELD_OUT_FRAMES = 5  # in a row: a picture's time and motion need neighbours that are held out too
-HELD_OUT_EVERY = 3  # a third of the runs
+HELD_OUT_S = 0.8  # in a row: a picture's time and motion need neighbours that are held out too
+HELD_OUT_EVERY = 3  # a third of these stretches
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,11 @@ class RigCheck:
 def hold_out(
     views: Mapping[str, list[TimedView]],
 ) -> tuple[dict[str, list[TimedView]], dict[str, list[TimedView]]]:
-    """Views to fit, and every third run of frames to check with."""
+    """Views to fit, and those of every third stretch of time to check with."""
+    begin = min((v.time_s for own in views.values() for v in own), default=0.0)
 
     def held(view: TimedView) -> bool:
-        return view.view.frame // HELD_OUT_FRAMES % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+        return int((view.time_s - begin) / HELD_OUT_S) % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
 
     return (
         {n: [v for v in own if not held(v)] for n, own in views.items()},

@@ -131,6 +131,20 @@ def test_webcams_rig_comes_from_the_board(webcams: tuple[Path, str], data_dir: P
     assert "board" in rig["scale"]["source"]
 
 
+def test_webcams_measure_the_board_and_the_late_clock_is_named(webcams: tuple[Path, str]) -> None:
+    """Lengths on views that no fit has seen; cam1 hands out its pictures about half a frame (83 ms) early by the table.
+
+    The pictures are 5 s long: its delay is known to about 5 ms, and its single pictures scatter by 20 ms.
+    """
+    rig, health = (read(webcams[0] / "rig" / name) for name in ("rig.json", "health.json"))
+    rows = {row["check"]: row for row in health["rows"]}
+    assert rows["held-out lengths on the board, error of the median"]["verdict"] == "ok"
+    assert -130 < rig["cameras"]["cam1"]["details"]["delay_ms"] < -50
+    late = [check for check, row in rows.items() if "clock against" in check and row["verdict"] == "warn"]
+    assert any(check.startswith("cam1's") for check in late)
+    assert {(link["a"], link["b"]) for link in rig["graph"]} >= {("cam0", "cam1"), ("cam2", "cam3")}
+
+
 def test_webcams_clocks_come_from_the_table(webcams: tuple[Path, str]) -> None:
     sync = read(webcams[0] / "sync/sync.json")
     assert {camera["method"] for camera in sync["cameras"].values()} == {"timestamps"}

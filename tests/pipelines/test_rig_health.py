@@ -26,7 +26,7 @@ from devrf.pipelines.stages.rig_health import (
     sweep_rows,
 )
 
-SMALL = SyntheticRig(cameras=3, spread_deg=70.0, duration_s=15.0)
+SMALL = SyntheticRig(cameras=3, spread_deg=70.0, duration_s=12.0)
 Views = dict[str, list[TimedView]]
 
 
@@ -55,7 +55,7 @@ def healthy() -> tuple[dict[str, Camera], Views, BoardRig]:
 
 
 def test_a_healthy_rig_fires_none_and_is_where_it_is(healthy):
-    """Noise 0.3 px, 60 instants of three cameras at 2.5 m: standard deviations of about 1 mm; 4 of them."""
+    """Noise 0.3 px, 36 instants of three cameras at 2.5 m: standard deviations of about 1 mm; 4 of them."""
     cameras, views, rig = healthy
     known = calibrated(cameras)
     assert warned(joint_rows(rig, cross_check(views, SPEC, known, known))) == []
@@ -72,13 +72,13 @@ def test_a_healthy_rig_fires_none_and_is_where_it_is(healthy):
 
 
 def test_a_late_clock_is_found_and_named():
-    """C17: a corner moves 0.5 m/s here, 250 px/s: over 60 instants 40 ms are known to a millisecond or so."""
-    cameras, views = session(delay_s={"cam2": 0.04})
+    """C17: a corner moves 0.5 m/s here, 250 px/s: over 36 instants 40 ms are known to a millisecond or so."""
+    cameras, views = session(delay_s={"cam1": 0.04})
     known = calibrated(cameras)
     rig = rig_from_board(views, SPEC, known, known)
-    assert rig.delay_s["cam2"] == pytest.approx(0.04, abs=4e-3)
+    assert rig.delay_s["cam1"] == pytest.approx(0.04, abs=4e-3)
     (row,) = warned(joint_rows(rig, None))
-    assert row.check.startswith("cam2's clock against cam0's") and "sync the joint clips" in row.remedy
+    assert row.check.startswith("cam1's clock against cam0's") and "sync the joint clips" in row.remedy
 
 
 def test_intrinsics_that_are_held_wrong_show_in_millimetres():
@@ -116,7 +116,7 @@ def test_a_calibration_that_is_not_what_it_claims_is_named():
 
 
 def test_a_board_at_one_distance_leaves_focal_lengths_as_calibrated():
-    rig = SyntheticRig(cameras=2, spread_deg=30.0, depth_m=0.1, width_m=0.4, duration_s=10.0)
+    rig = SyntheticRig(cameras=2, spread_deg=30.0, depth_m=0.1, width_m=0.4, duration_s=8.0)
     cameras, views = session(rig=rig)
     known = calibrated(cameras)
     found = rig_from_board(views, SPEC, known, known)

@@ -1,6 +1,6 @@
 """Rigs from a board seen by several cameras: two real captures of caliscope's, and a simulated rig.
 
-The real ones go through the pipeline's own stages up to `sync`, then a third of the frames (runs of five) is kept
+The real ones go through the pipeline's own stages up to `sync`, then every third 0.8 s is kept
 out, the rest goes into the stage's entry point, and the kept ones are measured with what came out. caliscope's own
 cameras are measured on the same frames the same way. Its pictures come late and unevenly, by up to a frame, against
 `timestamps.csv`; lengths are given both with the pictures of one instant taken as simultaneous and with their times
