@@ -13,7 +13,7 @@ from devrf.calibration.bundle_problem import Timing
 WINDOW_PERIODS = 1.5  # each side: at 6 frames/s the neighbours, of fast cameras more: see the next line
 MIN_WINDOW_S = 0.1  # a hand moves smoothly over this; one instant's noise over 33 ms would be a wild speed
 MAX_GAP_S = 0.5  # a longer pause between instants says nothing about the motion
-DELAY_STD_S = 0.1  # of a camera's clock, before the board is looked at: webcams are late by a frame
+DELAY_STD_S = 0.1  # of a camera's clock, before the board is looked at: webcams are a frame late
 
 
 def still(view: Int[np.ndarray, " observations"], cameras: int, views: int) -> Timing:

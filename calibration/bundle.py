@@ -4,7 +4,7 @@ Minimises the sum of rho(|residual| / std) over poses, intrinsics and what is se
 Adjustment - A Modern Synthesis", 2000, sections 4 and 6). What is seen are *bodies*: a point of the sweep is
 a body that can only shift, a board at one instant is one that can turn too, its corners at known places.
 Cameras run free, so pictures that count as one instant are not quite simultaneous: a camera's clock may be
-late by a `delay`, each single picture by a `lag`. Bodies and lags are eliminated; the inverse of the system
+slow by a `delay`, the time of a single picture by a `lag`. Bodies and lags are eliminated; the inverse of the system
 left is the covariance of the cameras with the doubt of the bodies in it. Intrinsics can carry priors.
 
 Symbols: C cameras, G devices (intrinsics shared by cameras), B bodies, V views, M observations. A pose moves

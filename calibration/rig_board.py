@@ -66,7 +66,7 @@ class BoardRig:
 
     @property
     def delay_s(self) -> dict[str, float]:
-        """How late each camera's pictures are by its clock, against the first camera's."""
+        """What has to be added to each camera's times to have the first camera's clock."""
         timing = self.solution.problem.timing
         assert timing is not None
         return dict(zip(self.views.names, timing.delay_s.tolist(), strict=True))

@@ -105,7 +105,7 @@ def check_rig(
 
     Args:
         cameras: The rig, metres.
-        delay_s: How late each camera's pictures are by its clock.
+        delay_s: What has to be added to each camera's times, as `BoardRig.delay_s`.
         views: Of the board, best such that no fit has seen.
         spec: The board.
         timed: Whether every picture is first brought to the middle of its instant, along the motion that the

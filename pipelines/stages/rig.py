@@ -354,7 +354,7 @@ class _Job:
 
 
 def _clock(board: BoardRig, name: str) -> dict[str, float]:
-    """How late a camera's pictures are by its clock, for rig.json."""
+    """What has to be added to a camera's times to have the first camera's clock, for rig.json."""
     n = board.views.names.index(name)
     return {
         "delay_ms": 1e3 * board.delay_s[name],

@@ -132,7 +132,7 @@ def test_webcams_rig_comes_from_the_board(webcams: tuple[Path, str], data_dir: P
 
 
 def test_webcams_measure_the_board_and_the_late_clock_is_named(webcams: tuple[Path, str]) -> None:
-    """Lengths on views that no fit has seen; cam1 hands out its pictures about half a frame (83 ms) early by the table.
+    """Lengths on views that no fit has seen; the table stamps cam1's pictures some 100 ms late.
 
     The pictures are 5 s long: its delay is known to about 5 ms, and its single pictures scatter by 20 ms.
     """
