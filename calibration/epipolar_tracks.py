@@ -28,6 +28,7 @@ CUT_PX = 2.0  # errors beyond count as this much: a wrong match
 WRONG_SHARE = 0.5  # more wrong matches than this: views too different for descriptors
 LAGS_PER_FRAME = 8  # of the trial delays; a parabola interpolates
 MIN_MATCHES, MIN_KEYS = 30, 4
+LEAST_DEPTH_PX = 0.1  # of the curve: tracks are no better, so a flatter one has its minimum anywhere
 STD_FLOOR_FRAMES = 0.02  # tracks are interpolated between frames, and the moments share their calibration
 LK = {"winSize": (15, 15), "maxLevel": 2}
 
@@ -115,8 +116,8 @@ def track_delay(
         moments_s: File times in both at which common points are looked for, `around_s` apart.
         around_s, search_s: Where the delay is sought.
     Returns:
-        None where too few points are found in both, most are wrong, or the error is smallest at the end of the
-        search.
+        None where too few points are found in both, most are wrong, the error is the same everywhere (they move
+        along epipolar lines), or smallest at the end of the search.
     """
     lag_s = min(first.step_s, second.step_s) / LAGS_PER_FRAME
     count = int(np.ceil(search_s / lag_s))
@@ -139,7 +140,13 @@ def track_delay(
         return None
     floor_s = STD_FLOOR_FRAMES * max(first.step_s, second.step_s)
     found = _minimum(lags_s, np.array(errors), np.array(keys), floor_s)
-    return found if found is not None and found.error_px.min() <= WRONG_SHARE * CUT_PX else None
+    if (
+        found is None
+        or found.error_px.min() > WRONG_SHARE * CUT_PX
+        or np.ptp(found.error_px) < LEAST_DEPTH_PX
+    ):
+        return None
+    return found
 
 
 def essential(a: Camera, b: Camera) -> Float[np.ndarray, "3 3"]:

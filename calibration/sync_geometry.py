@@ -109,7 +109,9 @@ def check_clocks(
             pairs[a, b] = _better(tracks, planes[a, b])
     solution, kept, dropped = _solve(spans, pairs)
     notes = [
-        f"{a} and {b}: nothing to compare that moves in both" for (a, b), p in pairs.items() if p is None
+        f"{a} and {b}: not observable, nothing moves in both across epipolar lines"
+        for (a, b), p in pairs.items()
+        if p is None
     ]
     notes += [
         f"{a} and {b}: not observable, what moves there moves along epipolar lines"
