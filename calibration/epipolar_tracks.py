@@ -7,6 +7,7 @@ trial delay has its minimum at the true one (the check of two-view geometry with
 CVPR 2017). Cameras must see the same side of the subject; others are compared by `epipolar_motion`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,7 +18,6 @@ from scipy.interpolate import CubicSpline
 from devrf.calibration.epipolar_motion import TimedPictures
 from devrf.capture.camera import Camera
 
-KEYS = 10  # moments at which points are looked for: enough for a jackknife, 0.3 s each
 AROUND = 2  # frames before and after a moment at which the first camera's track is compared
 MOVING_LEVELS = 12.0  # grey levels a pixel changes over the clip: the subject, not the sensor's noise
 SIFT_CONTRAST = 0.015  # below OpenCV's 0.04: skin and cloth are plain; wrong ones fail the ratio test
@@ -25,8 +25,10 @@ BACK_PX = 0.5  # a track that does not come back to where it started is lost
 MIN_WAY_PX = 1.0  # over the whole track; what stands still says nothing of time
 RATIO = 0.8  # second best to best descriptor (Lowe, IJCV 2004, Section 7.1)
 CUT_PX = 2.0  # errors beyond count as this much: a wrong match
+WRONG_SHARE = 0.5  # more wrong matches than this: views too different for descriptors
 LAGS_PER_FRAME = 8  # of the trial delays; a parabola interpolates
 MIN_MATCHES, MIN_KEYS = 30, 4
+LEAST_DEPTH_PX = 0.1  # of the curve: tracks are no better, so a flatter one has its minimum anywhere
 STD_FLOOR_FRAMES = 0.02  # tracks are interpolated between frames, and the moments share their calibration
 LK = {"winSize": (15, 15), "maxLevel": 2}
 
@@ -101,24 +103,32 @@ class TrackFinder:
 
 
 def track_delay(
-    first: TrackFinder, second: TrackFinder, around_s: float, search_s: float
+    first: TrackFinder,
+    second: TrackFinder,
+    moments_s: Sequence[tuple[float, float]],
+    around_s: float,
+    search_s: float,
 ) -> TrackDelay | None:
     """Delay between two clips near `around_s`, at most `search_s` from it.
 
+    Args:
+        first, second: The clips.
+        moments_s: File times in both at which common points are looked for, `around_s` apart.
+        around_s, search_s: Where the delay is sought.
     Returns:
-        None where too few points are found in both, or the error is smallest at the end of the search.
+        None where too few points are found in both, most are wrong, the error is the same everywhere (they move
+        along epipolar lines), or smallest at the end of the search.
     """
     lag_s = min(first.step_s, second.step_s) / LAGS_PER_FRAME
     count = int(np.ceil(search_s / lag_s))
     lags_s = around_s + lag_s * np.arange(-count, count + 1)
-    reach = AROUND + int(np.ceil((search_s + AROUND * first.step_s) / second.step_s))
+    reach = AROUND + int(np.ceil((search_s + first.step_s + AROUND * first.step_s) / second.step_s))
     a, b = first.pictures, second.pictures
     E = essential(a.camera, b.camera)
     focal_px = 0.5 * sum(p.camera.K[0, 0] * p.grey.shape[2] / p.camera.width for p in (a, b))
     errors, keys = [], []
-    for key, time_s in enumerate(_moments(a, b, around_s, search_s + AROUND * first.step_s)):
-        p = first.at(first.near(time_s), AROUND)
-        q = second.at(second.near(time_s - around_s), reach)
+    for key, (first_s, second_s) in enumerate(moments_s):
+        p, q = first.at(first.near(first_s), AROUND), second.at(second.near(second_s), reach)
         if p is None or q is None:
             continue
         for i, j in _matches(p, q):
@@ -129,7 +139,14 @@ def track_delay(
     if len(errors) < MIN_MATCHES or len(set(keys)) < MIN_KEYS:
         return None
     floor_s = STD_FLOOR_FRAMES * max(first.step_s, second.step_s)
-    return _minimum(lags_s, np.array(errors), np.array(keys), floor_s)
+    found = _minimum(lags_s, np.array(errors), np.array(keys), floor_s)
+    if (
+        found is None
+        or found.error_px.min() > WRONG_SHARE * CUT_PX
+        or np.ptp(found.error_px) < LEAST_DEPTH_PX
+    ):
+        return None
+    return found
 
 
 def essential(a: Camera, b: Camera) -> Float[np.ndarray, "3 3"]:
@@ -190,19 +207,6 @@ def _lowest(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) ->
     bend = left - 2 * mid + right
     shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
     return float(lags_s[k] + shift * (lags_s[1] - lags_s[0]))
-
-
-def _moments(a: TimedPictures, b: TimedPictures, delay_s: float, margin_s: float) -> Float[np.ndarray, " n"]:
-    """File times in the first clip, inside what both show, that share its motion out evenly."""
-    from_s = max(a.time_s[0], b.time_s[0] + delay_s) + margin_s
-    to_s = min(a.time_s[-1], b.time_s[-1] + delay_s) - margin_s
-    middle_s = (a.time_s[1:] + a.time_s[:-1]) / 2
-    energy = np.array([cv2.absdiff(x, y).mean() for x, y in zip(a.grey[:-1], a.grey[1:], strict=True)])
-    energy = np.where((middle_s >= from_s) & (middle_s <= to_s), energy - 0.9 * energy.min(), 0.0)
-    if not energy.any():
-        return np.zeros(0)
-    wanted = (np.arange(KEYS) + 0.5) / KEYS * energy.sum()
-    return np.unique(middle_s[np.searchsorted(np.cumsum(energy), wanted)])
 
 
 def _matches(p: Tracks, q: Tracks) -> list[tuple[int, int]]:

@@ -7,7 +7,6 @@ import numpy as np
 from devrf.calibration.sync_sound import BAND_HZ, Correlation, Moment
 from devrf.capture.audio import Sound
 
-EVEN_SPREAD = 0.05  # of the distance between rivals: even distances are a beat
 ECHO_S = 5e-3  # plain correlation farther than this from the phase transform's: an echo pulls it
 WIND_SHARE = 0.97  # of the energy below the band that is used: wind or handling
 WIND_SECONDS = 30.0  # of the sound that are looked at
@@ -18,14 +17,7 @@ STEP_WINDOWS = 2  # on each side of a step
 
 def beat(found: Correlation) -> str | None:
     """Peaks nearly as high as the best at even distances: which one is right cannot be told."""
-    apart = np.abs(np.array(found.rivals_s) - found.plain_delay_s)
-    if not len(apart):
-        return None
-    period_s = float(apart.min())
-    turns = apart / period_s
-    if np.abs(turns - np.round(turns)).max() > EVEN_SPREAD * max(1.0, turns.max()):
-        return f"{len(apart)} other delays are nearly as good: ambiguous"
-    return f"beat every {period_s:.2f} s: ambiguous"
+    return None if found.beat_s is None else f"beat every {found.beat_s:.2f} s: ambiguous"
 
 
 def echo(found: Correlation) -> str | None:

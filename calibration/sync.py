@@ -420,7 +420,9 @@ def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> 
         )
     loop_s = None
     if len(used) > len(reached) - 1:
-        loop_s = float(np.abs(solution.residual_s).max())
+        surest = "audio" if any(e.cue == "audio" for e in used) else used[0].cue  # others are coarser by far
+        own = [abs(r) for r, e in zip(solution.residual_s, used, strict=True) if e.cue == surest]
+        loop_s = float(max(own))
     return SyncResult(
         clocks,
         tuple(evidence.curves),

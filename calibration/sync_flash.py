@@ -27,6 +27,7 @@ READOUT_SHARE, READOUT_STD = 0.7, 0.15  # of a frame: prior, phones and action c
 KNOWN_READOUT_STD = 0.02  # of a given readout
 PERIODIC_EVENTS, PERIODIC_SPREAD = 4, 0.08  # this many at equal distances: a lamp that blinks, no code
 SAME_FRAMES = 1.0  # two flashes farther apart than this under a trial delay are not the same
+SLOPE_STEP = 0.02  # relative change of the readout by which the effect on an event's time is measured
 STD_FLOOR_S = 3e-4  # a flash lasts a millisecond
 
 
@@ -40,11 +41,11 @@ class Brightness:
 
 @dataclass(frozen=True)
 class Flash:
-    """One event in one clip: it happened at `frame_s + row * readout`.
+    """One event in one clip: it happened at `frame_s + row * readout`, whatever the readout is.
 
     Attributes:
-        frame_s: Time of the frame in which it shows.
-        row: Share of the height at which the picture changes; beyond 1 it fell between two frames.
+        frame_s: Time of the frame in which it shows; between two where it shows in both.
+        row: Share of the height at which it shows, the mean over what is lit.
         spread_s: Standard deviation from the gap between the rows or frames it lies between.
         kind: Lamp switched (step) or flash (pulse).
         sign: Brighter (1) or darker (-1).
@@ -103,6 +104,7 @@ class FlashDelay:
 def find_flashes(brightness: Brightness, readout_s: float | None = None) -> Flashes:
     """Sudden changes of the light in one clip."""
     step_s = float(np.median(np.diff(brightness.time_s)))
+    assumed_s = READOUT_SHARE * step_s if readout_s is None else readout_s
     mean = brightness.rows.mean(axis=1)
     jump = np.diff(mean)
     jump = jump - median_filter(jump, min(SLOW_FRAMES, len(jump)), mode="nearest")
@@ -110,10 +112,12 @@ def find_flashes(brightness: Brightness, readout_s: float | None = None) -> Flas
     loud = np.flatnonzero(np.abs(jump) > SEEN_SIGMAS * sigma)
     events = []
     for group in _grouped(loud):
-        event = _event(brightness, group[0], group[-1] + 1, step_s, float(np.abs(jump[group]).max() / sigma))
+        event = _event(
+            brightness, int(group[0]), int(group[-1]) + 1, assumed_s, float(np.abs(jump[group]).max() / sigma)
+        )
         if event is not None:
             events.append(event)
-    times = np.array([e.frame_s + e.row * READOUT_SHARE * step_s for e in events])
+    times = np.array([e.frame_s + e.row * assumed_s for e in events])
     gaps = np.diff(times)
     periodic = len(events) >= PERIODIC_EVENTS and float(gaps.std()) < PERIODIC_SPREAD * float(gaps.mean())
     largest = float(np.abs(jump).max() / sigma) if len(jump) else 0.0
@@ -145,31 +149,31 @@ def flash_delay(first: Flashes, second: Flashes) -> FlashDelay | None:
     return FlashDelay(delay_s, std_s, first_s, len(pairs), accepted)
 
 
-def _event(brightness: Brightness, before: int, after: int, step_s: float, sigmas: float) -> Flash | None:
+def _event(brightness: Brightness, before: int, after: int, readout_s: float, sigmas: float) -> Flash | None:
     """One event between frame `before`, not yet changed, and frame `after`, changed for good or over."""
     time_s, rows = brightness.time_s, brightness.rows
     dark = np.median(rows[max(0, before - EVENT_FRAMES + 1) : before + 1], axis=0)
     late = np.median(rows[after : after + EVENT_FRAMES], axis=0)
     change = rows[before : after + 1] - dark
-    largest = change[np.unravel_index(np.argmax(np.abs(change.mean(axis=1))), (len(change),))]
+    largest = change[int(np.argmax(np.abs(change.mean(axis=1))))]
     step = bool(abs((late - dark).mean()) > STEP_SHARE * abs(largest.mean()))
     goal = late - dark if step else _extreme(change)
     seen = np.abs(goal) > LIT_ROWS * np.abs(goal).max()
     sign = int(np.sign(goal[seen].mean()))
-    count = rows.shape[1]
-    share = (np.arange(count) + 0.5) / count
-    readout_s = READOUT_SHARE * step_s
-    axis = (time_s[before : after + 1, None] + share * readout_s)[:, seen].ravel()
+    share = ((np.arange(rows.shape[1]) + 0.5) / rows.shape[1])[seen]
     lit = np.clip((change[:, seen] / goal[seen]).ravel(), 0, 1)
-    where = _middle_of_step(axis, lit) if step else _middle_of_pulse(axis, lit)
-    if where is None:
-        return None
-    at_s, gap_s = where
-    frame = int(np.clip(np.searchsorted(time_s, at_s, side="right") - 1, before, after))
-    row = (at_s - time_s[frame]) / readout_s
-    return Flash(
-        float(time_s[frame]), float(row), gap_s / np.sqrt(12), "step" if step else "pulse", sign, sigmas
-    )
+    middle = _middle_of_step if step else _middle_of_pulse
+    at: list[float] = []
+    gap_s = 0.0
+    for trial_s in (readout_s, (1 + SLOPE_STEP) * readout_s):
+        where = middle((time_s[before : after + 1, None] + share * trial_s).ravel(), lit)
+        if where is None:
+            return None
+        at.append(where[0])
+        gap_s = gap_s or where[1]
+    row = (at[1] - at[0]) / (SLOPE_STEP * readout_s)
+    kind = "step" if step else "pulse"
+    return Flash(at[0] - row * readout_s, row, float(gap_s / np.sqrt(12)), kind, sign, sigmas)
 
 
 def _extreme(change: Float[np.ndarray, "k r"]) -> Float[np.ndarray, " r"]:

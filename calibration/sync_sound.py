@@ -39,6 +39,8 @@ MAX_RATIO = 100.0
 STD_FLOOR_S = 1e-4  # microphone's response, block edges; what echoes leave after whitening
 RIVAL = 0.6  # of the peak: a steady beat of n claps repeats at (n - 1) / n; a peak that is believed has none
 LISTED_RIVALS = 6
+BEAT_S = 0.15  # shorter periods are tones, in which the phase transform finds its way
+EVEN_SPREAD = 0.05  # of the distance between rivals
 CURVE_S = 0.5  # half width of the curve that is kept to be looked at
 CURVE_POINTS = 801
 
@@ -62,6 +64,17 @@ class Correlation:
     lags_s: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " n"]
 
+    @property
+    def beat_s(self) -> float | None:
+        """Period of a steady beat: rivals at even distances. Which beat is which cannot be told, and the phase
+        transform of a line spectrum can be sure of a wrong one."""
+        apart = np.abs(np.array(self.rivals_s) - self.plain_delay_s)
+        if len(apart) < 2:
+            return None
+        turns = apart / apart.min()
+        even = np.abs(turns - np.round(turns)).max() <= EVEN_SPREAD * turns.max()
+        return float(apart.min()) if even else None
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -81,8 +94,10 @@ class SoundDelay:
 
     @property
     def accepted(self) -> bool:
-        """Whether the peak stands out enough to be believed."""
-        return self.correlation.ratio >= ACCEPT_RATIO and bool(self.moments)
+        """Whether the peak stands out enough to be believed, and is not one of many of a beat."""
+        return (
+            self.correlation.ratio >= ACCEPT_RATIO and bool(self.moments) and self.correlation.beat_s is None
+        )
 
 
 def sound_delay(
@@ -181,14 +196,14 @@ def _by_lag(circular: Float[np.ndarray, " n"], na: int, nb: int) -> Float[np.nda
 
 
 def _rivals(lags_s: Float[np.ndarray, " n"], plain: Float[np.ndarray, " n"]) -> tuple[float, ...]:
-    """Other high peaks of plain correlation, one within `PEAK_WIDTH_S`, the nearest to the highest first.
+    """Other high peaks of plain correlation, one within `BEAT_S`, the nearest to the highest first.
 
     The phase transform is no help here: between the lines of a beat's spectrum it listens to noise.
     """
-    apart = max(1, int(PEAK_WIDTH_S / (lags_s[1] - lags_s[0])))
+    apart = max(1, int(BEAT_S / (lags_s[1] - lags_s[0])))
     top = int(np.argmax(plain))
     least = RIVAL * float(plain[top]) + np.finfo(np.float32).tiny
-    places = [int(i) for i in find_peaks(plain, height=least, distance=apart)[0] if abs(i - top) > apart]
+    places = [int(i) for i in find_peaks(plain, height=least, distance=apart)[0] if abs(i - top) >= apart]
     nearest = sorted(places, key=lambda i: abs(i - top))[:LISTED_RIVALS]
     return tuple(float(lags_s[i]) for i in nearest)
 

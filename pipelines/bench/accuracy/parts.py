@@ -1,6 +1,6 @@
 """Which parts `bench calibration` and `bench sync` have; each is a function from `Cases` to rows."""
 
-from devrf.pipelines.bench.accuracy import sync_sound
+from devrf.pipelines.bench.accuracy import sync_flash, sync_motion, sync_sound
 from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
 from devrf.pipelines.bench.accuracy.rigs import rigs
@@ -12,5 +12,7 @@ CALIBRATION: dict[str, Part] = {
     "rigs": rigs,
 }
 SYNC: dict[str, Part] = {
+    "flash": sync_flash.rows,
+    "motion": sync_motion.rows,
     "sound": sync_sound.rows,
 }

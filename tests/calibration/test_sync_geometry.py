@@ -1,0 +1,136 @@
+"""Geometry against clocks: pictures with known shifts, the example's clips, and real ones from opposite sides."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration.clock_equations import Clock
+from devrf.calibration.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
+from devrf.calibration.epipolar_tracks import TrackFinder, essential, sampson, track_delay
+from devrf.calibration.formats import find_calibration
+from devrf.calibration.sync_geometry import check_clocks, refined
+from devrf.capture.camera import Camera
+from devrf.capture.video import VideoReader
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
+
+
+def poster(direction: str, offset_s: float, baseline_m: float, seed: int = 0) -> TimedPictures:
+    """A poster 2 m away swings sideways or up and down before a still wall; a camera `baseline_m` to the right."""
+    rng = np.random.default_rng(3)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (90, 110)).astype(np.float32), (0, 0), 1.2)
+    picture = cv2.normalize(picture, np.zeros_like(picture), 20, 235, cv2.NORM_MINMAX)
+    wall = np.full((180, 240), 128.0, np.float32)
+    focal, depth_m = 200.0, 2.0
+    times = np.arange(40) / 25.0
+    noise = np.random.default_rng(seed)
+    grey = []
+    for time_s in times + offset_s:
+        swing = 15 * np.sin(4.0 * time_s) + 6 * np.sin(9.1 * time_s + 1)
+        x, y = (swing, 0.0) if direction == "sideways" else (0.0, swing)
+        shift = np.array([[1, 0, 65 + x - focal * baseline_m / depth_m], [0, 1, 45 + y]])
+        size = (240, 180)
+        front = cv2.warpAffine(picture, shift, size, flags=cv2.INTER_LINEAR, borderValue=-1)
+        shown = np.where(front < 0, wall, front) + noise.normal(0, 1, wall.shape)
+        grey.append(np.clip(shown, 0, 255).astype(np.uint8))
+    K = np.array([[focal, 0, 120], [0, focal, 90], [0, 0, 1.0]])
+    pose = np.column_stack([np.eye(3), [-baseline_m, 0, 0]])
+    return TimedPictures(Camera(240, 180, K, pose), np.stack(grey), times)
+
+
+def test_motion_across_epipolar_lines_shows_the_delay():
+    """Tracks are good to 0.1 px; the poster moves up to 4 px a frame: a fortieth of a frame, 1 ms; 3 for doubt."""
+    a, b = poster("up and down", 0.0, 0.0), poster("up and down", 0.0312, 0.3, seed=1)
+    moments = [(t, t) for t in np.linspace(0.3, 1.2, 8)]
+    found = track_delay(TrackFinder(a), TrackFinder(b), moments, 0.0, 0.12)
+    assert found is not None and found.matches >= 30
+    assert abs(found.delay_s - 0.0312) < min(3e-3, 3 * found.std_s)
+    assert found.error_px.min() < 0.5 * found.error_px.max()
+    whole = epipolar_motion_delay(clip_flow(a), clip_flow(b))
+    assert whole is not None and accepted(whole) and abs(whole.delay_s - 0.0312) < 0.02  # half a frame
+
+
+def test_motion_along_epipolar_lines_shows_nothing():
+    """The cameras stand side by side and the poster swings sideways: any delay fits."""
+    views = {"cam0": poster("sideways", 0.0, 0.0), "cam1": poster("sideways", 0.0312, 0.3, seed=1)}
+    clocks = {n: Clock(0.0, 0.0, s, "motion", 0.6, "") for n, s in (("cam0", 0.0), ("cam1", 0.02))}
+    check = check_clocks(views, clocks)
+    assert not any(c.sharp for c in check.corrections.values())
+    assert any(
+        "cam0 and cam1" in n and ("not observable" in n or "nothing to compare" in n) for n in check.notes
+    )
+    assert refined(clocks, check) == clocks
+
+
+def example_view(name: str, shift_s: float = 0.0) -> TimedPictures:
+    truth = json.loads((EXAMPLE / "ground_truth.json").read_text())["cams"][name]
+    K = np.array(truth["K"])
+    K[:2, 2] += 0.5
+    pose = np.linalg.inv(np.array(truth["pose"]))[:3]
+    with VideoReader(EXAMPLE / f"{name}.mp4") as reader:
+        frames = list(reader)
+    camera = Camera(480, 360, K, pose, np.array([truth["k1"], 0, 0, 0, 0]))
+    grey = np.stack([cv2.cvtColor(f.rgb, cv2.COLOR_RGB2GRAY) for f in frames])
+    file_s = np.array([f.time_s for f in frames])
+    return TimedPictures(camera, grey, truth["offset_s"] + shift_s + (1 + 1e-6 * truth["drift_ppm"]) * file_s)
+
+
+def test_right_clocks_pass_and_a_late_one_is_found_and_replaced():
+    """cam2 is stated 40 ms late. Its truth is found within the goal of 3 ms, and three standard deviations."""
+    views = {
+        "cam1": example_view("cam1"),
+        "witness": example_view("witness"),
+        "cam2": example_view("cam2", 0.04),
+    }
+    clocks = {
+        "cam1": Clock(0.0, 0.0, 0.0, "reference", 1.0, ""),
+        "witness": Clock(0.0, 0.0, 1e-3, "audio", 0.8, ""),
+        "cam2": Clock(0.5, 0.0, 0.03, "motion", 0.55, ""),
+    }
+    check = check_clocks(views, clocks)
+    assert [p.by for p in check.pairs] == ["tracks"] * 3
+    right, late = check.corrections["witness"], check.corrections["cam2"]
+    assert right.sharp and not right.shifted and late.sharp and late.shifted
+    assert abs(late.offset_s + 0.04) < min(3e-3, 3 * late.std_s)
+    assert len(check.loops) == 1 and abs(check.loops[0].closure_s) < 0.25 / 16  # a quarter of a frame
+    used = refined(clocks, check)
+    assert used["witness"] == clocks["witness"]  # sound is kept; geometry only checks it
+    assert used["cam2"].method == "geometry" and used["cam2"].offset_s == pytest.approx(0.46, abs=3e-3)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_real_views_from_opposite_sides_within_half_a_frame(data_dir, stride):
+    """Hardware-synchronised cameras 148 degrees apart, a man moves: copies that begin at other frames."""
+    capture = data_dir / "pose2sim_single"
+    found = find_calibration(capture / "calibration" / "Calib.qca.txt").cameras
+    flows, starts = [], {"cam02": 0, "cam04": 5 * stride - 2}
+    for name, start in starts.items():
+        grey, time_s = [], []
+        with VideoReader(capture / "videos" / f"{name}.mp4") as reader:
+            for frame in reader:
+                if frame.index >= start and (frame.index - start) % stride == 0:
+                    small = cv2.resize(frame.rgb, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+                    grey.append(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY))
+                    time_s.append(frame.time_s - start / 60)
+        c = found[name]
+        assert c.cam_from_world is not None
+        camera = Camera(reader.info.width, reader.info.height, c.K, c.cam_from_world, c.distortion)
+        flows.append(clip_flow(TimedPictures(camera, np.stack(grey), np.array(time_s))))
+    delay = epipolar_motion_delay(*flows)
+    assert delay is not None and accepted(delay)
+    assert abs(delay.delay_s - (starts["cam04"] - starts["cam02"]) / 60) < stride / 60 / 2
+
+
+def test_the_sampson_error_of_a_point_seen_by_two_cameras_is_zero():
+    a = poster("sideways", 0.0, 0.0).camera
+    turn, _ = cv2.Rodrigues(np.array([0.1, -0.3, 0.05]))
+    b = Camera(240, 180, a.K, np.column_stack([turn, [0.4, -0.1, 0.2]]))
+    points = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 5], (20, 3))
+    x, y = (p @ c.cam_from_world[:, :3].T + c.cam_from_world[:, 3] for c, p in ((a, points), (b, points)))
+    p, q = x[:, :2] / x[:, 2:], y[:, :2] / y[:, 2:]
+    assert np.abs(sampson(essential(a, b), p, q)).max() < 1e-12
+    moved = np.abs(sampson(essential(a, b), p, q + [0.0, 1e-3]))
+    assert moved.max() < 1e-3 and moved.max() > 1e-4  # at most the distance moved

@@ -1,0 +1,304 @@
+"""What goes wrong with clocks (numbers of the list of failure cases, D1 to D25): the row that fires, its remedy."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+from devrf.calibration.clock_equations import Clock, Loop
+from devrf.calibration.sync import Extras, SyncResult, synchronise
+from devrf.calibration.sync_flash import Brightness
+from devrf.calibration.sync_geometry import Correction, GeometryCheck
+from devrf.capture.audio import Sound
+from devrf.capture.camera import Camera
+from devrf.capture.frames import CameraFrames, FrameRecord
+from devrf.capture.recorded import Recorded, timecode_s
+from devrf.capture.simulate_flash import RollingShutter, exposed
+from devrf.pipelines.clock_check import check_rows, sound_travel
+from devrf.pipelines.health import HealthRow
+from devrf.pipelines.stages.sync import health
+
+RATE_HZ, FPS = 48_000, 30.0
+NAMES = ("cam0", "cam1", "cam2")
+OFFSETS_S = {"cam0": 0.0, "cam1": 0.21, "cam2": -0.13}
+CLAPS_S = (0.9, 1.7, 2.2, 3.6)
+
+
+def camera(seconds: float = 5.0, fps: float = FPS, **more: Any) -> CameraFrames:
+    records = tuple(FrameRecord(i, i / fps, 10.0, True, f"{i}.png") for i in range(int(seconds * fps)))
+    values: dict[str, Any] = {
+        "role": "camera", "source": "clip.mp4", "width": 64, "height": 48, "fps_mean": fps,
+        "variable_rate": False, "has_audio": True, "exif_focal_px": None, "rotation_deg": 0, "frames": records,
+    }  # fmt: skip
+    return CameraFrames(**{**values, **more})
+
+
+CAMERAS = {name: camera() for name in NAMES}
+SPANS = {name: (0.0, 5.0 - 1 / FPS) for name in NAMES}
+
+
+def heard(offset_s: float, claps_s=CLAPS_S, drift_ppm: float = 0.0, seconds: float = 5.0, lag_s=0.0) -> Sound:
+    """Claps as a clock with this offset and drift records them, with noise of its own; `lag_s` late in the file."""
+    samples = 0.003 * np.random.default_rng(int(1e3 * (offset_s + 5))).normal(size=int(seconds * RATE_HZ))
+    burst = np.random.default_rng(0).normal(size=1000) * np.exp(-np.arange(1000) / 150)
+    for clap_s in claps_s:
+        at = round(((clap_s - offset_s) / (1 + 1e-6 * drift_ppm) + lag_s) * RATE_HZ)
+        if 0 <= at < len(samples) - 1000:
+            samples[at : at + 1000] += 0.3 * burst
+    return Sound(samples.astype(np.float32), RATE_HZ, 0.0)
+
+
+def lit(offset_s: float, flashes_s=(0.83, 1.47, 2.9), seed: int = 0) -> Brightness:
+    shutter, bands, n = RollingShutter(offset_s), (np.arange(24) + 0.5) / 24, np.arange(150)
+    light = np.stack([exposed(shutter, int(k), bands, flashes_s) for k in n])
+    return Brightness(n / FPS, 90 + 60 * light + np.random.default_rng(seed).normal(0, 0.2, light.shape))
+
+
+def moved(offset_s: float, seed: int = 0) -> np.ndarray:
+    """Motion energy of uneven gestures."""
+    gestures = np.random.default_rng(7)
+    at, size = gestures.uniform(0, 5, 8), gestures.uniform(0.4, 1.5, 8)
+    file_s = np.arange(149) / FPS + 0.5 / FPS
+    course = (size * np.exp(-(((file_s[:, None] + offset_s - at) / 0.15) ** 2))).sum(1)
+    noise = np.abs(np.random.default_rng(seed).normal(size=149))
+    return np.stack([file_s, course + 0.05 + 0.03 * noise], 1)
+
+
+SOUNDS = {name: heard(offset_s) for name, offset_s in OFFSETS_S.items()}
+MOTION = {name: moved(offset_s, i) for i, (name, offset_s) in enumerate(OFFSETS_S.items())}
+LIGHT = {name: lit(offset_s, seed=i) for i, (name, offset_s) in enumerate(OFFSETS_S.items())}
+
+
+def rows_of(result: SyncResult, cameras: dict[str, CameraFrames] = CAMERAS) -> dict[str, HealthRow]:
+    return {row.check: row for row in health({n: cameras[n] for n in result.cameras}, result)}
+
+
+def notes_of(result: SyncResult) -> str:
+    return "; ".join(result.notes)
+
+
+def test_a_healthy_capture_fires_none():
+    recorded = {n: Recorded(1.7e9 + o, 36_000 + o, FPS) for n, o in OFFSETS_S.items()}
+    result = synchronise(SPANS, SOUNDS, MOTION, extras=Extras(LIGHT, recorded))
+    rows = rows_of(result)
+    assert {row.verdict for row in rows.values()} == {"ok"}, rows
+    assert {"flash against sound", "motion against sound"} <= {check.split(",")[0] for check in rows}
+    for name, offset_s in OFFSETS_S.items():
+        assert result.cameras[name].offset_s == pytest.approx(offset_s, abs=2e-4)
+    assert len(result.loops) == 2 and max(abs(loop.closure_s) for loop in result.loops) < 5e-3
+
+
+def test_d1_d19_no_sound_and_nothing_moves():
+    still = {n: np.stack([np.arange(149) / FPS, np.ones(149)], 1) for n in NAMES}
+    result = synchronise(SPANS, {n: SOUNDS[n] for n in NAMES[:2]}, still)
+    row = rows_of(result)["confidence, worst camera (cam2)"]
+    assert row.verdict == "fail" and "camera cam2: no sound" in row.remedy
+    assert all(word in row.remedy for word in ("clap", "flash a light", "jump", "capture.timestamps"))
+    assert "cam0 and cam2: too little motion to compare" in notes_of(result)
+
+
+def test_d2_a_weak_peak():
+    rng = np.random.default_rng(3)
+    noise = {n: Sound(0.1 * rng.normal(size=5 * RATE_HZ).astype(np.float32), RATE_HZ, 0.0) for n in NAMES[:2]}
+    result = synchronise({n: SPANS[n] for n in noise}, noise, {})
+    row = rows_of(result)["confidence, worst camera (cam1)"]
+    assert (
+        row.verdict == "fail" and "sound not trusted, its peak is 1." in row.remedy and "clap" in row.remedy
+    )
+
+
+def test_d3_a_beat_is_ambiguous_and_a_timecode_settles_it():
+    beat = tuple(np.arange(0.1, 6.0, 0.5))
+    sounds = {n: heard(OFFSETS_S[n], beat) for n in NAMES[:2]}
+    spans = {n: SPANS[n] for n in sounds}
+    alone = synchronise(spans, sounds, {})
+    assert rows_of(alone)["confidence, worst camera (cam1)"].verdict == "fail"
+    assert "beat every 0.50 s: ambiguous" in notes_of(alone)
+    stated = {"cam0": Recorded(None, 36_000.0, FPS), "cam1": Recorded(None, 36_000.0 + 6 / FPS, FPS)}
+    settled = synchronise(spans, sounds, {}, extras=Extras(recorded=stated))
+    assert settled.cameras["cam1"].offset_s == pytest.approx(0.21, abs=2e-4)
+    assert "sound trusted all the same, near the delay by timecode" in notes_of(settled)
+
+
+def test_d4_a_room_that_rings():
+    """A resonance at 700 Hz that builds up late and holds most of the energy."""
+    t = np.arange(round(0.15 * RATE_HZ)) / RATE_HZ
+    ringing = np.where(t > 0.01, np.sin(2 * np.pi * 700 * t) * np.exp(-t / 0.04), 0.0)
+    direct = heard(OFFSETS_S["cam1"])
+    room = fftconvolve(direct.samples, ringing)[: len(direct.samples)]
+    sounds = {
+        "cam0": SOUNDS["cam0"],
+        "cam1": replace(direct, samples=(direct.samples + room).astype(np.float32)),
+    }
+    result = synchronise({n: SPANS[n] for n in sounds}, sounds, {})
+    assert "echo (plain correlation" in notes_of(result)
+    assert result.cameras["cam1"].offset_s == pytest.approx(0.21, abs=5e-4)
+
+
+def test_d5_wind_is_named_and_left_out():
+    rng = np.random.default_rng(4)
+    rumble = np.cumsum(rng.normal(size=5 * RATE_HZ))
+    rumble = (rumble - np.convolve(rumble, np.full(4800, 1 / 4800), "same")) / 200
+    windy = replace(SOUNDS["cam1"], samples=(SOUNDS["cam1"].samples + rumble).astype(np.float32))
+    result = synchronise({n: SPANS[n] for n in NAMES[:2]}, {"cam0": SOUNDS["cam0"], "cam1": windy}, {})
+    assert "camera cam1: wind or handling noise" in notes_of(result)
+    assert result.cameras["cam1"].offset_s == pytest.approx(0.21, abs=5e-4)
+
+
+def test_d8_sound_that_lags_in_one_camera():
+    sounds = SOUNDS | {"cam1": heard(OFFSETS_S["cam1"], lag_s=0.05)}
+    result = synchronise(SPANS, sounds, MOTION, extras=Extras(LIGHT))
+    clock = result.cameras["cam1"]
+    assert clock.method == "flash" and abs(clock.offset_s - 0.21) < min(0.01, 3 * clock.std_s)
+    row = rows_of(result)["flash against sound, cam0 and cam1"]
+    assert row.verdict == "warn" and row.value == pytest.approx(50, abs=10)
+    assert "calibration.sync.av_lag_s: {cam1: 0.0" in row.remedy
+    told = synchronise(SPANS, sounds, MOTION, extras=Extras(LIGHT, av_lag_s={"cam1": 0.05}))
+    assert told.cameras["cam1"].offset_s == pytest.approx(0.21, abs=2e-4)
+    assert {row.verdict for row in rows_of(told).values()} == {"ok"}
+
+
+def test_d10_a_clock_that_drifts():
+    claps = tuple(np.cumsum(np.random.default_rng(2).uniform(0.5, 2.0, 45)))
+    cameras = {n: camera(60.0) for n in NAMES[:2]}
+    sounds = {"cam0": heard(0.0, claps, 0.0, 60.0), "cam1": heard(0.5, claps, 45.0, 60.0)}
+    result = synchronise({n: (0.0, 60.0 - 1 / FPS) for n in cameras}, sounds, {})
+    assert result.cameras["cam1"].drift_ppm == pytest.approx(45.0, abs=10)
+    row = rows_of(result, cameras)["drift"]
+    assert row.verdict == "ok" and "ms over its clip; counted" in str(row.value)
+
+
+def test_d13_a_wrong_time_base():
+    clocks = {n: Clock(0.0, 1000.0 if n == "cam1" else 0.0, 1e-3, "audio", 0.8, "") for n in NAMES}
+    row = rows_of(SyncResult(clocks))["drift"]
+    assert row.verdict == "warn" and "cam1 +1000 ppm: +5.0 ms" in str(row.value)
+    assert "29.97 declared as 30" in row.remedy
+
+
+def test_d11_a_step_where_a_camera_lost_pictures():
+    claps = tuple(np.cumsum(np.random.default_rng(2).uniform(0.6, 1.8, 75)))
+    long = heard(0.0, claps, 0.0, 90.0)
+    cut = round(52.0 * RATE_HZ)
+    lost = Sound(
+        np.concatenate([long.samples[:cut], long.samples[cut + round(RATE_HZ / FPS) :]]), RATE_HZ, 0.0
+    )
+    cameras = {n: camera(89.0) for n in NAMES[:2]}
+    result = synchronise({n: (0.0, 88.9) for n in cameras}, {"cam0": long, "cam1": lost}, {})
+    row = rows_of(result, cameras)["jump of the clock, cam0 and cam1"]
+    assert row.verdict == "warn" and "capture.range_s" in row.remedy
+    jump = result.jumps[0]
+    assert jump.step_s == pytest.approx(1 / FPS, abs=2e-3) and jump.at_s == pytest.approx(
+        52, abs=11
+    )  # a window
+
+
+def test_d14_cameras_of_different_rates():
+    cameras = CAMERAS | {"cam2": camera(fps=60.0)}
+    row = rows_of(synchronise(SPANS, SOUNDS, {}), cameras)["frame rates"]
+    assert row.verdict == "ok" and "cam2 60 fps" in str(row.value)
+
+
+def test_d15_no_better_than_frames():
+    motion = synchronise({n: SPANS[n] for n in NAMES[:2]}, {}, {n: MOTION[n] for n in NAMES[:2]})
+    row = rows_of(motion)["standard deviation, worst camera (cam1)"]
+    assert row.verdict == "warn" and "17 ms" in row.remedy
+
+
+def test_d16_d17_d18_flashes_are_placed_missed_and_refused():
+    placed = synchronise(SPANS, {}, {}, "flash", extras=Extras(LIGHT))
+    assert "camera cam0: 3 flashes (" in notes_of(placed) and "row" in notes_of(placed)
+    missed = synchronise(SPANS, {}, {}, "flash", extras=Extras(LIGHT | {"cam2": lit(-0.13, ())}))
+    row = rows_of(missed)["confidence, worst camera (cam2)"]
+    assert row.verdict == "fail" and "cam2: saw no flash" in row.remedy and "bright enough" in row.remedy
+    blinking = {n: lit(o, tuple(np.arange(0.2, 4.6, 0.4))) for n, o in OFFSETS_S.items()}
+    periodic = synchronise(SPANS, {}, {}, "flash", extras=Extras(blinking))
+    assert rows_of(periodic)["confidence, worst camera (cam1)"].verdict == "fail"
+    assert "periodic" in notes_of(periodic)
+
+
+def test_d20_views_that_disagree():
+    rng = np.random.default_rng(1)
+    walk = {n: np.stack([np.arange(149) / FPS, 1 + rng.random(149)], 1) for n in NAMES[:2]}
+    result = synchronise({n: SPANS[n] for n in walk}, {}, walk)
+    row = rows_of(result)["confidence, worst camera (cam1)"]
+    assert row.verdict == "fail" and "motion not trusted (correlation" in notes_of(result)
+
+
+def test_d21_a_loop_that_does_not_close():
+    clocks = {n: Clock(0.0, 0.0, 1e-3, "audio", 0.8, "") for n in NAMES}
+    result = SyncResult(clocks, loop_s=0.0137, loops=(Loop(NAMES, "audio", 0.041),))
+    row = rows_of(result)["largest contradiction between pairs of cameras"]
+    assert row.verdict == "warn" and "The loop cam0 - cam1 - cam2 does not close, 41 ms" in row.remedy
+
+
+def test_d24_clips_that_do_not_overlap():
+    clocks = {n: Clock(3.8 * i, 0.0, 1e-3, "audio", 0.8, "") for i, n in enumerate(NAMES)}
+    row = rows_of(SyncResult(clocks))["time that all cameras show"]
+    assert row.verdict == "fail" and "cam2: 7.60 to 12.57 s" in row.remedy
+    apart = {n: Recorded(1.7e9 + 60 * i) for i, n in enumerate(NAMES)}
+    result = synchronise(SPANS, {}, {}, extras=Extras(recorded=apart))
+    assert (
+        "camera cam1: by its creation time it began +60.0 s after cam0, the clips would not overlap"
+        in result.notes
+    )
+
+
+@pytest.mark.parametrize("hours", [1, -7, 24])
+def test_d25_a_clock_set_to_another_zone(hours):
+    recorded = {n: Recorded(1.7e9 + o + (3600 * hours if n == "cam1" else 0)) for n, o in OFFSETS_S.items()}
+    result = synchronise(SPANS, SOUNDS, {}, extras=Extras(recorded=recorded))
+    said = [n for n in result.notes if "another zone" in n]
+    assert said == [
+        f"camera cam1: its creation time is {hours:+.1f} h off (clock set to another zone or day); ignored"
+    ]
+    assert result.cameras["cam1"].offset_s == pytest.approx(0.21, abs=2e-4)
+
+
+def test_timecodes_count_frames_and_drop_some():
+    assert timecode_s("01:00:00:15", 30.0) == pytest.approx(3600.5)
+    assert timecode_s("00:10:00;00", 30000 / 1001) == pytest.approx(600.0, abs=0.01)  # what drop frame is for
+    assert timecode_s("tomorrow", 30.0) is None
+
+
+# --- once cameras are known ---
+
+
+def check(**offsets_s: tuple[float, float]) -> GeometryCheck:
+    """A check that found these (offset, standard deviation)."""
+    corrections = {
+        n: Correction(o, s, s < 0.5 / FPS, abs(o) > max(0.25 / FPS, 3 * s)) for n, (o, s) in offsets_s.items()
+    }
+    return GeometryCheck((), corrections, (), ("cam0 and cam2: not observable, ...",))
+
+
+HEARD = {n: Clock(o, 0.0, 1e-3, "audio" if o else "reference", 0.9, "") for n, o in OFFSETS_S.items()}
+
+
+def test_d22_d23_geometry_against_the_clocks():
+    right = check_rows(check(cam1=(0.001, 1e-3), cam2=(-0.002, 1e-3)), HEARD, HEARD, CAMERAS)
+    assert [row.verdict for row in right] == ["ok"]
+    late = check_rows(check(cam1=(-0.012, 1e-3), cam2=(0.0, 1e-3)), HEARD, HEARD, CAMERAS)[0]
+    assert late.verdict == "warn" and "cam1: audio says 0, geometry -12.0 ms" in late.remedy
+    assert "calibration.sync.av_lag_s: {cam1: -0.012}" in late.remedy
+    flat = {
+        row.check: row for row in check_rows(check(cam1=(0.0, 1e-3), cam2=(0.03, 0.2)), HEARD, HEARD, CAMERAS)
+    }
+    row = flat["clocks that geometry cannot check"]
+    assert str(row.value).startswith("cam2: ") and "not observable" in str(row.value)
+
+
+def test_d9_sound_travels():
+    def rig(size_m: float) -> dict[str, Camera]:
+        K = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1.0]])
+        return {
+            n: Camera(64, 48, K, np.column_stack([np.eye(3), [size_m * i / 2, 0, 0]]))
+            for i, n in enumerate(NAMES)
+        }
+
+    (small,), (large,) = (sound_travel(rig(size), HEARD) for size in (2.0, 4.0))
+    assert small.verdict == "ok" and "up to 5.8 ms" in str(small.value)  # 2 m at 343 m/s
+    assert large.verdict == "warn" and "equally far from all cameras" in large.remedy
+    silent = {n: replace(c, method="motion") for n, c in HEARD.items()}
+    assert sound_travel(rig(4.0), silent) == []
