@@ -8,11 +8,11 @@ instants, a spanning tree over the camera graph. The world is the first camera's
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from devrf.calibration.board import BoardSpec, BoardView
+from devrf.calibration.board_fit import board_pose
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.capture.errors import HealthError
 
@@ -101,9 +101,9 @@ def gather(views: Mapping[str, list[TimedView]], spec: BoardSpec, start: Mapping
         camera=camera,
         frame=np.array([v.view.frame for _, v in rows], dtype=np.int64),
         time_s=time_s,
-        cam_from_board=np.array([board_pose(v.view, spec, start[names[c]]) for c, v in rows]).reshape(
-            -1, 3, 4
-        ),
+        cam_from_board=np.array(
+            [board_pose(spec.corners[v.view.ids], v.view.xy, start[names[c]]) for c, v in rows]
+        ).reshape(-1, 3, 4),
         obs_view=np.repeat(np.arange(len(rows)), [len(v.view.ids) for _, v in rows]),
         obs_id=np.concatenate([v.view.ids for _, v in rows]),
         obs_xy=np.concatenate([v.view.xy for _, v in rows]),
@@ -111,18 +111,6 @@ def gather(views: Mapping[str, list[TimedView]], spec: BoardSpec, start: Mapping
         instant_s=instant_s,
         period_s=period_s,
     )
-
-
-def board_pose(view: BoardView, spec: BoardSpec, k: Intrinsics) -> Float[np.ndarray, "3 4"]:
-    """cam_from_board of one view by planar PnP."""
-    on_board = spec.corners[view.ids]
-    centre = on_board.mean(0)  # IPPE wants the points around the origin
-    _, rotations, translations, errors = cv2.solvePnPGeneric(
-        on_board - centre, k.undistorted(view.xy) - 0.5, k.cv_matrix, None, flags=cv2.SOLVEPNP_IPPE
-    )
-    best = int(np.argmin(np.asarray(errors).reshape(-1)))
-    R = cv2.Rodrigues(rotations[best])[0]
-    return np.column_stack([R, np.asarray(translations[best]).reshape(3) - R @ centre])
 
 
 def spanning_tree(seen: Views) -> list[tuple[int, int]]:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from devrf.calibration import board_intrinsics
 from devrf.calibration.board_evidence import cell_counts
 from devrf.calibration.board_fit import board_pose
 from devrf.calibration.board_intrinsics import FISHEYE, FIVE_COEFFICIENTS, PINHOLE, calibrate_intrinsics
@@ -59,16 +60,16 @@ def test_the_minimum_and_its_doubt_are_opencvs():
 def test_two_standard_deviations_hold_the_focal_length(common_px):
     """Corners that err alone, and such that err together with their view.
 
-    Honest standard deviations hold it in 95 % of cases: in 16 seeds at least 12 with a chance of 99.9 %.
+    Honest standard deviations hold it in 95 % of cases: in 12 seeds at least 9 with a chance of 99.9 %.
     """
     inside, std = 0, []
-    for seed in range(16):
+    for seed in range(12):
         views = board_views(8, 0.3, seed, common_px=common_px)
         found = calibrate_intrinsics("cam0", views, SPEC, SIZE, lens="pinhole").intrinsics
         assert found.std is not None
         inside += bool(abs(found.K[0, 0] - FOCAL) < 2 * found.std[0])
         std.append(found.std[0])
-    assert inside >= 12
+    assert inside >= 9
     assert np.median(std) < 0.005 * FOCAL * (
         1 + 3 * common_px
     )  # and do so by being small enough to be of use
@@ -119,6 +120,14 @@ def test_poses_start_exact_at_the_border_too(model):
         on_board = SPEC.corners[view.ids]
         pose = board_pose(on_board, view.xy, intrinsics(cam))
         np.testing.assert_allclose(replace(cam, cam_from_world=pose).project(on_board), view.xy, atol=1e-3)
+
+
+def test_a_local_minimum_is_left_by_the_second_start(monkeypatch):
+    """From a focal length 100 times too long the views never find back; the start at the longest side does."""
+    monkeypatch.setattr(board_intrinsics, "_start_focals", lambda *_: (100 * FOCAL, float(max(SIZE))))
+    found = calibrate_intrinsics("cam0", board_views(12, 0.2), SPEC, SIZE, lens="pinhole")
+    assert found.second_start_better and found.start_rms_px[0] > 10 * found.start_rms_px[1]
+    assert abs(found.intrinsics.K[0, 0] - FOCAL) < 4 * found.intrinsics.std[0]  # type: ignore[index]
 
 
 def test_misread_views_are_dropped_and_listed():
