@@ -20,6 +20,18 @@ def clock_dict(clock: Clock) -> dict[str, Any]:
     }
 
 
+def read_clock_stds(path: Path) -> dict[str, float | None]:
+    """Camera -> standard deviation of its clock, seconds; None where it is not known. The reference comes first.
+
+    Empty without the file.
+    """
+    if not path.is_file():
+        return {}
+    content = json.loads(path.read_text())
+    stds = {name: c["std_s"] for name, c in content["cameras"].items()}
+    return {content["reference"]: 0.0} | stds
+
+
 def read_clocks(path: Path) -> dict[str, tuple[float, float]]:
     """Camera -> (offset_s, rate): true time = offset_s + rate * file time, on the first camera's clock.
 
