@@ -1,5 +1,6 @@
 """Clocks as unknowns of the model: the estimator in closed form, and a late camera found by the model."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import torch
 from tests.reconstruct.conftest import ball_picture
 
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.clocks import read_clock_stds
 from devrf.pipelines.stages.deformation import clock_rows
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.clocks import (
@@ -90,7 +92,7 @@ def test_shifts_against_the_motion_give_offsets_against_the_reference() -> None:
 
 
 def test_a_late_camera_is_found_where_the_motion_is_right(ball, moving: Scene, rest: RestModel) -> None:
-    """cam1's pictures are said to be 0.4 pictures later than they are, 0.6 pixels of motion; the motion is the true one.
+    """cam1 is said to be 0.4 pictures later than it is, 0.6 pixels of motion; the motion is the true one.
 
     What is left may be 0.1 pictures: 0.15 pixels. Each of five pictures puts the ball's edge and pattern in place to
     a fifth of a voxel at rest, itself 1.1 pixels (2.4 / 40 box units at a distance of 2.6, focal length 60 pixels):
@@ -168,6 +170,15 @@ def test_a_clock_that_sync_had_wrong_is_named() -> None:
     learned["cam1"]["offset_s"] = 0.007
     assert [r.verdict for r in clock_rows(learned)] == ["ok"]
     assert clock_rows({}) == []
+
+
+def test_priors_are_what_sync_says_the_reference_first(tmp_path: Path) -> None:
+    assert read_clock_stds(tmp_path / "sync.json") == {}  # a data set has no such stage
+    clock = {"offset_s": 0.1, "drift_ppm": 0.0}
+    cameras = {"a": clock | {"std_s": None}, "b": clock | {"std_s": 2e-3}, "cam0": clock | {"std_s": 0.0}}
+    (tmp_path / "sync.json").write_text(json.dumps({"cameras": cameras, "reference": "cam0"}))
+    found = read_clock_stds(tmp_path / "sync.json")
+    assert list(found) == ["cam0", "a", "b"] and found == {"cam0": 0.0, "a": None, "b": 2e-3}
 
 
 def test_learning_is_off_by_default() -> None:

@@ -3,6 +3,7 @@
 from devrf.pipelines.bench.accuracy import sync_sound
 from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
+from devrf.pipelines.bench.accuracy.learned_offsets import learned
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
@@ -12,5 +13,6 @@ CALIBRATION: dict[str, Part] = {
     "rigs": rigs,
 }
 SYNC: dict[str, Part] = {
+    "learned": learned,
     "sound": sync_sound.rows,
 }
