@@ -20,18 +20,6 @@ def clock_dict(clock: Clock) -> dict[str, Any]:
     }
 
 
-def read_clock_stds(path: Path) -> dict[str, float | None]:
-    """Camera -> standard deviation of its clock, seconds; None where it is not known. The reference comes first.
-
-    Empty without the file.
-    """
-    if not path.is_file():
-        return {}
-    content = json.loads(path.read_text())
-    stds = {name: c["std_s"] for name, c in content["cameras"].items()}
-    return {content["reference"]: 0.0} | stds
-
-
 def read_clocks(path: Path) -> dict[str, tuple[float, float]]:
     """Camera -> (offset_s, rate): true time = offset_s + rate * file time, on the first camera's clock.
 
@@ -62,3 +50,8 @@ def clocks_in_use(run_dir: Path) -> dict[str, dict[str, Any]]:
         if path.is_file():
             return json.loads(path.read_text())["cameras"]
     return {}
+
+
+def clock_stds(run_dir: Path) -> dict[str, float | None]:
+    """Camera -> standard deviation of its clock in use, seconds; None where it is not known. The reference is first."""
+    return {name: clock["std_s"] for name, clock in clocks_in_use(run_dir).items()}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
-from devrf.pipelines.clocks import read_clock_stds
+from devrf.pipelines.clocks import clock_stds
 from devrf.pipelines.code_version import code_version
 from devrf.pipelines.health import HealthRow, row
 from devrf.pipelines.stage import StageContext
@@ -39,7 +39,7 @@ def run(context: StageContext) -> None:
         context.device,
         context.progress,
         checkpoint,
-        clock_stds=read_clock_stds(context.run_dir / "sync" / "sync.json"),
+        clock_stds=clock_stds(context.run_dir),
     )
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:

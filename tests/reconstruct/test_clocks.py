@@ -11,7 +11,7 @@ import torch
 from tests.reconstruct.conftest import ball_picture
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.clocks import read_clock_stds
+from devrf.pipelines.clocks import clock_stds
 from devrf.pipelines.stages.deformation import clock_rows
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.clocks import (
@@ -172,13 +172,12 @@ def test_a_clock_that_sync_had_wrong_is_named() -> None:
     assert clock_rows({}) == []
 
 
-def test_priors_are_what_sync_says_the_reference_first(tmp_path: Path) -> None:
-    assert read_clock_stds(tmp_path / "sync.json") == {}  # a data set has no such stage
-    clock = {"offset_s": 0.1, "drift_ppm": 0.0}
-    cameras = {"a": clock | {"std_s": None}, "b": clock | {"std_s": 2e-3}, "cam0": clock | {"std_s": 0.0}}
-    (tmp_path / "sync.json").write_text(json.dumps({"cameras": cameras, "reference": "cam0"}))
-    found = read_clock_stds(tmp_path / "sync.json")
-    assert list(found) == ["cam0", "a", "b"] and found == {"cam0": 0.0, "a": None, "b": 2e-3}
+def test_priors_are_those_of_the_clocks_in_use_the_reference_first(tmp_path: Path) -> None:
+    assert clock_stds(tmp_path) == {}  # a data set has none
+    cameras = {"cam0": {"std_s": 0.0}, "b": {"std_s": 2e-3}, "a": {"std_s": None}}
+    (tmp_path / "sync").mkdir()
+    (tmp_path / "sync" / "sync.json").write_text(json.dumps({"cameras": cameras}))
+    assert list(clock_stds(tmp_path).items()) == [("cam0", 0.0), ("b", 2e-3), ("a", None)]
 
 
 def test_learning_is_off_by_default() -> None:
