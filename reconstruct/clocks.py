@@ -5,7 +5,7 @@ its camera's offset (Sync-NeRF, Kim et al., AAAI 2024, descends it beside the fi
 the field is held, and every camera's pictures are rendered a little before and after the times they are said to have;
 the next level brings the field to the new times. A parabola through the errors is Newton's step by differences: the
 exact slope has two sides at a key time, where the pictures of synchronous cameras lie, and follows fine texture
-rather than the motion (measured: it stopped after a fifth of the way).
+rather than the motion (measured: three such steps went a fifth of the way).
 
 The field follows all cameras, wrong ones too, so only how much a camera differs from the reference counts, whose clock
 is everyone's. What `sync` says of the clocks is a Gaussian prior.
