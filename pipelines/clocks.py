@@ -50,3 +50,8 @@ def clocks_in_use(run_dir: Path) -> dict[str, dict[str, Any]]:
         if path.is_file():
             return json.loads(path.read_text())["cameras"]
     return {}
+
+
+def clock_stds(run_dir: Path) -> dict[str, float | None]:
+    """Camera -> standard deviation of its clock in use, seconds; None where it is not known. The reference is first."""
+    return {name: clock["std_s"] for name, clock in clocks_in_use(run_dir).items()}

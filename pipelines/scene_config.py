@@ -268,6 +268,8 @@ class ReconstructConfig(_Section):
     """Iterations in which the scene at rest follows the moving pictures too; 0: none."""
     key_times: int | None = Field(default=None, ge=2, le=10_000)
     """Number of key times of the motion."""
+    learn_clocks: bool = False
+    """Learn an offset of each camera's clock with the motion, within what sync leaves open."""
     adapt: bool | None = None
     """Decide by the scene how many voxels, key times and levels it needs, where not given here."""
     seed: int = Field(default=0, ge=0, lt=2**31)

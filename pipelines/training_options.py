@@ -23,6 +23,7 @@ def training_options(config: SceneConfig, scene: Scene) -> "Options":
         motion_iterations=chosen.motion_iterations,
         fine_tuning_iterations=chosen.fine_tuning_iterations,
         key_times=chosen.key_times,
+        learn_clocks=chosen.learn_clocks,
         adapt=chosen.adapt,
         seed=chosen.seed,
     )

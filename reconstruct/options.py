@@ -101,6 +101,7 @@ class MotionOptions:
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
         fine_tuning_lr: Initial learning rate of its grids; falls by 10.
+        learn_clocks: Learn an offset of each camera's clock before the motion (`clocks.py`).
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
         seed: Of every random draw.
@@ -126,6 +127,7 @@ class MotionOptions:
     fine_tuning: int = 0
     fine_tuning_given: bool = False
     fine_tuning_lr: float = 0.03
+    learn_clocks: bool = False
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
@@ -272,6 +274,7 @@ def preset(
     motion_iterations: int | None = None,
     fine_tuning_iterations: int | None = None,
     key_times: int | None = None,
+    learn_clocks: bool = False,
     adapt: bool | None = None,
     seed: int = 0,
 ) -> Options:
@@ -286,6 +289,7 @@ def preset(
         motion_iterations: Of stage 2, per key time, over all levels; fine-tuning's keep their proportion to it.
         fine_tuning_iterations: Of the scene at rest, once its motion is known.
         key_times: How many, where it is not to be decided by the scene.
+        learn_clocks: Whether offsets of the cameras' clocks are learned, too.
         adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
     """
@@ -335,4 +339,5 @@ def preset(
         )
     if fine_tuning_iterations is not None:
         motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
-    return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))
+    motion = replace(motion, keys=key_times, learn_clocks=learn_clocks, seed=seed)
+    return Options(replace(canonical, seed=seed), motion)

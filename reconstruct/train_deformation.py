@@ -1,11 +1,13 @@
 """Stage 2 as a whole: how the scene moves, then the scene at rest as it looks in motion."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.clocks import LearnedClock, with_clocks
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
@@ -25,6 +27,7 @@ def train_deformation(
     progress: Progress = no_progress,
     checkpoint: Checkpoint | None = None,
     watch: Watch | None = None,
+    clock_stds: Mapping[str, float | None] | None = None,
 ) -> tuple[MotionField, RestModel | None, dict[str, Any]]:
     """Motion, the scene at rest as it looks in motion (None: as it does at rest), and what was measured.
 
@@ -32,10 +35,19 @@ def train_deformation(
     """
     share = MOTION if options.fine_tuning else 1.0
     motion, metrics = train_motion(
-        scene, rest, flows, options, device, lambda f, m: progress(share * f, m), checkpoint, watch
+        scene,
+        rest,
+        flows,
+        options,
+        device,
+        lambda f, m: progress(share * f, m),
+        checkpoint,
+        watch,
+        clock_stds,
     )
     if not options.fine_tuning:
         return motion, None, metrics
+    scene = with_clocks(scene, {name: LearnedClock(**c) for name, c in metrics.get("clocks", {}).items()})
     tuned = fine_tune(scene, rest, motion, options, device, lambda f, m: progress(share + (1 - share) * f, m))
     metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
     for name in ("seconds", "iterations", "rays"):

@@ -3,7 +3,8 @@
 Coarse to fine: at each level of the pyramid the key times are visited in order, away from the time of rest, and
 each key's two grids are trained alone on the pictures around its time, with a fresh Adam. At the first level a key
 starts from the one before it, which tracks the motion through time; later levels start from their own, refined.
-A ray's own time lies between two keys and is interpolated; the neighbours are held fixed meanwhile.
+A ray's own time lies between two keys and is interpolated; the neighbours are held fixed meanwhile. Between levels
+the cameras' clocks may be learned, too (`clocks.py`).
 
 The published program takes the pixels of one camera in each step, the cameras in turn, all pixels alike: preset
 `reference` does so, the others take all cameras at once and mostly pixels that change. Departures: exact times
@@ -13,7 +14,8 @@ fog; the first key is not trained twice (the program's slot 0 falls to it).
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -25,6 +27,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.clocks import SHIFTS, Clocks, LearnedClock, error_curves
 from devrf.reconstruct.grids import BETAS, EPS
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
@@ -67,6 +70,7 @@ def train_motion(
     progress: Progress = no_progress,
     checkpoint: Checkpoint | None = None,
     watch: Watch | None = None,
+    clock_stds: Mapping[str, float | None] | None = None,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
 
@@ -79,6 +83,8 @@ def train_motion(
         progress: Told how far it is.
         checkpoint: Where to keep the state between two key times, and to take it up from.
         watch: Shown the motion field now and then, between two key times.
+        clock_stds: Standard deviations of the clocks, the reference first, seconds, where they are learned; None or
+            absent: not known.
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverged.
     """
@@ -88,7 +94,8 @@ def train_motion(
         raise ReconstructError("no training pictures of the scene in motion")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
-    recipe = _Recipe(scene, rest, rays, flows, options, device)
+    clocks = Clocks(frames, clock_stds or {}) if options.learn_clocks else None
+    recipe = _Recipe(scene, rest, rays, flows, options, device, clocks)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
     begin = _take_up(recipe, log, checkpoint)
     total = sum(options.iterations) * (len(recipe.order) - len(recipe.still))
@@ -97,6 +104,7 @@ def train_motion(
             recipe.leave_level()
             if not recipe.worth_refining():
                 break
+            recipe.learn_clocks()
             recipe.enter_level(level)
         if key in recipe.still:
             recipe.follow(key)
@@ -124,6 +132,8 @@ def train_motion(
         "level_gains_db": [round(gain, 3) for gain in recipe.gains],
         "decisions": [str(decision) for decision in recipe.decisions],
     }
+    if clocks is not None:
+        metrics["clocks"] = {name: asdict(clock) for name, clock in clocks.learned.items()}
     return recipe.motion, metrics
 
 
@@ -162,6 +172,7 @@ class _Recipe:
         flows: dict[str, CameraFlow],
         options: MotionOptions,
         device: str,
+        clocks: Clocks | None,
     ) -> None:
         looked_at = rest.canonical.seen_with(
             options.stepsize, options.alpha_threshold, options.weight_threshold
@@ -194,10 +205,8 @@ class _Recipe:
         everything = list(range(keys)) if not at_end else list(range(keys - 1, -1, -1))
         self.order = [key for key in everything if key != self.motion.rest_key]
         self.direction = -1 if at_end else 1
-        self.tau_of_frame = self.motion.tau(rays.times)
-        self.key_pictures = KeyPictures(
-            [f.camera_name for f in rays.frames], self.tau_of_frame, keys, self.direction
-        )
+        self.clocks, self.span_s = clocks, scene.t1_s - scene.t0_s
+        self._take_times()
         extent = box[1] - box[0]
         # Published units per unit of the box frame; in normalised device coordinates they are the same.
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
@@ -211,6 +220,27 @@ class _Recipe:
         if options.adapt:
             self.still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
             self._note(decision)
+
+    def _take_times(self) -> None:
+        """The pictures' times, in key spacings and by key."""
+        self.times = self.rays.times
+        if self.clocks is not None:
+            self.times = self.times + (self.clocks.offsets_s / self.span_s).to(self.times)
+        self.tau_of_frame = self.motion.tau(self.times)
+        names = [f.camera_name for f in self.rays.frames]
+        self.key_pictures = KeyPictures(names, self.tau_of_frame, self.motion.keys, self.direction)
+
+    def learn_clocks(self) -> None:
+        """Offsets at which the motion, as it is, fits every camera best."""
+        if self.clocks is None:
+            return
+        gaps = self.clocks.of_frames(self.clocks.gaps_s / self.span_s).to(self.times)
+        times = self.times[:, None] + gaps[:, None] * torch.from_numpy(SHIFTS).to(self.times)
+        generator = torch.Generator().manual_seed(self.options.seed)
+        self.clocks.update(
+            error_curves(self.rest, self.motion, self.rays, self.around, self.changing, times, generator)
+        )
+        self._take_times()
 
     def _note(self, decision: Decision | None) -> None:
         """Keep a decision, where what the preset offers was not taken."""
@@ -231,15 +261,22 @@ class _Recipe:
             "generator": self.generator.get_state(),
         }
         names = ("level", "left_box", "seen", "errors", "gains")
-        return tensors, {name: getattr(self, name) for name in names}
+        numbers = {name: getattr(self, name) for name in names}
+        if self.clocks is not None:
+            numbers["learned"] = {name: asdict(clock) for name, clock in self.clocks.learned.items()}
+        return tensors, numbers
 
     def take_up(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
         """Go on from a `state`."""
+        if self.clocks is not None:
+            learned = numbers.pop("learned")
+            self.clocks.learned = {name: LearnedClock(**clock) for name, clock in learned.items()}
         for name, value in numbers.items():
             setattr(self, name, value)
         fields = {name: tensors[name] for name in ("backward", "forward")}
         self.motion = replace(self.motion, **fields).stored(self.device)
         self.generator.set_state(tensors["generator"])
+        self._take_times()
 
     def leave_level(self) -> None:
         """Note what it gained on rays held back; of the first nothing can be said."""

@@ -155,7 +155,7 @@ STAGES = (
     ),
     Stage(
         name="deformation",
-        reads=("scene", "flow", "canonical"),
+        reads=("sync", "scene", "flow", "canonical"),
         config_keys=("preset", "reconstruct"),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),

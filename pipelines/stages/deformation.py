@@ -7,8 +7,9 @@ from pathlib import Path
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
+from devrf.pipelines.clocks import clock_stds
 from devrf.pipelines.code_version import code_version
-from devrf.pipelines.health import row
+from devrf.pipelines.health import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options
@@ -18,8 +19,9 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.train_deformation import train_deformation
 
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
+CLOCK_MOVED = 2.0  # standard deviations of a clock, beyond which what sync says of it is doubted
 CHECKPOINT = ".deformation.safetensors"
-READS = ("scene", "canonical", "flow")
+READS = ("sync", "scene", "canonical", "flow")
 
 
 def run(context: StageContext) -> None:
@@ -30,7 +32,14 @@ def run(context: StageContext) -> None:
     flows = read_flows(context.run_dir / "flow")
     checkpoint = Checkpoint(context.run_dir / CHECKPOINT, _fingerprint(context.run_dir, options))
     motion, tuned, metrics = train_deformation(
-        scene, rest, flows, options, context.device, context.progress, checkpoint
+        scene,
+        rest,
+        flows,
+        options,
+        context.device,
+        context.progress,
+        checkpoint,
+        clock_stds=clock_stds(context.run_dir),
     )
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
@@ -50,6 +59,28 @@ def run(context: StageContext) -> None:
             "rests, or let the fixed cameras see all of its way so that the box is made larger.",
         )
     )
+    context.health.extend(clock_rows(metrics.get("clocks", {})))
+
+
+def clock_rows(clocks: dict[str, dict[str, float]]) -> list[HealthRow]:
+    """Whether what was learned of the clocks agrees with what sync said; none where none was learned."""
+    moved = {name: abs(clock["offset_s"]) / clock["prior_std_s"] for name, clock in clocks.items()}
+    if not moved:
+        return []
+    worst = max(moved, key=lambda name: moved[name])
+    by_ms = 1000 * clocks[worst]["offset_s"]
+    return [
+        row(
+            f"learned clock against sync, worst camera ({worst}, {by_ms:+.1f} ms)",
+            moved[worst],
+            "std. deviations",
+            warn=CLOCK_MOVED,
+            low_is_bad=False,
+            remedy=f"The pictures of {worst} fit the motion better {abs(by_ms):.1f} ms "
+            f"{'later' if by_ms > 0 else 'earlier'} than sync says: look at the clocks in the report, clap near "
+            "the middle of the scene, or give true times in capture.timestamps.",
+        )
+    ]
 
 
 def _fingerprint(run_dir: Path, options: MotionOptions) -> str:

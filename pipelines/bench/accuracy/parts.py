@@ -3,6 +3,7 @@
 from devrf.pipelines.bench.accuracy import sync_flash, sync_motion, sync_sound
 from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
+from devrf.pipelines.bench.accuracy.learned_offsets import learned
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
@@ -13,6 +14,7 @@ CALIBRATION: dict[str, Part] = {
 }
 SYNC: dict[str, Part] = {
     "flash": sync_flash.rows,
+    "learned": learned,
     "motion": sync_motion.rows,
     "sound": sync_sound.rows,
 }
