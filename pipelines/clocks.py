@@ -1,4 +1,4 @@
-"""Clocks on disk: how they are written, and which ones are in use."""
+"""Clocks on disk, as stage `sync` and the check by geometry write them."""
 
 import json
 import math
@@ -39,19 +39,3 @@ def read_sync(run_dir: Path) -> dict[str, Clock]:
         name: Clock(**{**entry, "std_s": math.inf if entry["std_s"] is None else entry["std_s"]})
         for name, entry in cameras.items()
     }
-
-
-def clocks_in_use(run_dir: Path) -> dict[str, dict[str, Any]]:
-    """The clocks that gave the scene its times: those of stage `sync`, unless geometry replaced some of them.
-
-    Empty where there are none.
-    """
-    for path in (run_dir / "scene" / "clock_check.json", run_dir / "sync" / "sync.json"):
-        if path.is_file():
-            return json.loads(path.read_text())["cameras"]
-    return {}
-
-
-def clock_stds(run_dir: Path) -> dict[str, float | None]:
-    """Camera -> standard deviation of its clock in use, seconds; None where it is not known. The reference is first."""
-    return {name: clock["std_s"] for name, clock in clocks_in_use(run_dir).items()}

@@ -11,7 +11,7 @@ import numpy as np
 from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_truth
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
-from devrf.pipelines.clocks import clocks_in_use
+from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.health import HealthRow, row
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext

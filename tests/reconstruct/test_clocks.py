@@ -11,7 +11,7 @@ import torch
 from tests.reconstruct.conftest import ball_picture
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.clocks import clock_stds
+from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.stages.deformation import clock_rows
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.clocks import (

@@ -1,0 +1,21 @@
+"""The clocks that gave the scene its times."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+
+def clocks_in_use(run_dir: Path) -> dict[str, dict[str, Any]]:
+    """The clocks that gave the scene its times: those of stage `sync`, unless geometry replaced some of them.
+
+    Empty where there are none.
+    """
+    for path in (run_dir / "scene" / "clock_check.json", run_dir / "sync" / "sync.json"):
+        if path.is_file():
+            return json.loads(path.read_text())["cameras"]
+    return {}
+
+
+def clock_stds(run_dir: Path) -> dict[str, float | None]:
+    """Camera -> standard deviation of its clock in use, seconds; None where it is not known. The reference is first."""
+    return {name: clock["std_s"] for name, clock in clocks_in_use(run_dir).items()}
