@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from devrf.calibration.scale import closest_point
+from devrf.calibration.rigs.scale import closest_point
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
 

@@ -1,6 +1,6 @@
 """Health rows about one camera's board calibration, for the stages that make one."""
 
-from devrf.calibration.board_intrinsics import BoardCalibration
+from devrf.calibration.boards.calibrate import BoardCalibration
 from devrf.pipelines.health import HealthRow, note, row
 
 LISTED = 6  # frames in a message

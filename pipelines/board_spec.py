@@ -1,7 +1,7 @@
 """The configured board as calibration wants it."""
 
-from devrf.calibration.board_intrinsics import LensChoice
-from devrf.calibration.board_spec import BoardSpec
+from devrf.calibration.boards.calibrate import LensChoice
+from devrf.calibration.boards.spec import BoardSpec
 from devrf.pipelines.scene_config import SceneConfig
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.board_layout import read_grey
+from devrf.calibration.boards.layout import read_grey
 from devrf.calibration.bounds import (
     MASK_SIDE_PX,
     MAX_ERROR_PX,
@@ -17,9 +17,9 @@ from devrf.calibration.bounds import (
     motion_mask,
     scene_bounds,
 )
-from devrf.calibration.clock_equations import Clock
-from devrf.calibration.rig import ARBITRARY, Rig, read_rig
-from devrf.calibration.static_poses import SweepModel, read_static_poses
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
+from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.calibration.board import read_grey
-from devrf.calibration.clock_equations import Clock
-from devrf.calibration.epipolar_motion import TimedPictures
-from devrf.calibration.sync import SOUND_PATH_S_PER_M
-from devrf.calibration.sync_geometry import GeometryCheck, check_clocks, refined
+from devrf.calibration.boards.find import read_grey
+from devrf.calibration.clocks.epipolar_motion import TimedPictures
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.clocks.geometry import GeometryCheck, check_clocks, refined
+from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
 from devrf.capture.progress import Progress

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from devrf.calibration.clock_equations import Clock
+from devrf.calibration.clocks.equations import Clock
 
 
 def clock_dict(clock: Clock) -> dict[str, Any]:

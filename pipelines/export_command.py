@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from devrf.calibration.formats import RIG_WRITERS
-from devrf.calibration.rig import read_rig
+from devrf.calibration.rigs.rig import read_rig
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats import DATASET_FORMATS, DatasetFormat, read_scene, write_dataset
 from devrf.capture.formats.export import README, check_target, new_folder

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from devrf.calibration.given import Given, read_given
+from devrf.calibration.rigs.given import Given, read_given
 from devrf.pipelines.scene_config import SceneConfig
 
 

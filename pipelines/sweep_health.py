@@ -6,9 +6,8 @@ The measures come from `calibration`; here is how much is too much, and what a c
 from collections.abc import Sequence
 from typing import Any
 
-from devrf.calibration.board_intrinsics import BoardCalibration
-from devrf.calibration.static_poses import SweepModel
-from devrf.calibration.sweep_checks import (
+from devrf.calibration.boards.calibrate import BoardCalibration
+from devrf.calibration.sweep.checks import (
     field_of_view_deg,
     fold,
     open_loop,
@@ -17,6 +16,7 @@ from devrf.calibration.sweep_checks import (
     principal_point_off,
     two_zooms,
 )
+from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.pipelines.health import HealthRow, note, row
 
 LISTED = 6  # names in a message

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from devrf.calibration.sync import synchronise
+from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp

@@ -6,21 +6,21 @@ from functools import cached_property
 
 import numpy as np
 
-from devrf.calibration.board import find_board
-from devrf.calibration.board_intrinsics import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
-from devrf.calibration.bump import find_bump
-from devrf.calibration.clean_picture import clean_pictures
-from devrf.calibration.given import Given
+from devrf.calibration.boards.calibrate import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
+from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
-from devrf.calibration.rig_board import BoardRig, rig_from_board
-from devrf.calibration.rig_check import cross_check
-from devrf.calibration.rig_graph import Link, camera_graph
-from devrf.calibration.rig_joint import adjust_together, disagreement
-from devrf.calibration.rig_result import rig_camera
-from devrf.calibration.rig_sweep import FixedCameraInput, SweepRig, rig_from_sweep
-from devrf.calibration.scale import combined, scale_from_board, scale_from_distances
-from devrf.calibration.static_poses import SweepModel, read_static_poses
+from devrf.calibration.rigs.board_route import BoardRig, rig_from_board
+from devrf.calibration.rigs.bump import find_bump
+from devrf.calibration.rigs.clean_picture import clean_pictures
+from devrf.calibration.rigs.cross_check import cross_check
+from devrf.calibration.rigs.given import Given
+from devrf.calibration.rigs.graph import Link, camera_graph
+from devrf.calibration.rigs.joint import adjust_together, disagreement
+from devrf.calibration.rigs.result import rig_camera
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
+from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
+from devrf.calibration.rigs.sweep_route import FixedCameraInput, SweepRig, rig_from_sweep
+from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import FrameSet
@@ -28,9 +28,8 @@ from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.joint_clips import JointViews, files_of, read_joint_views
-from devrf.pipelines.stages.rig_health import (
+from devrf.pipelines.joint_clips import JointViews, files_of, read_joint_views
+from devrf.pipelines.rig_health import (
     bump_row,
     graph_rows,
     joint_rows,
@@ -38,6 +37,7 @@ from devrf.pipelines.stages.rig_health import (
     scale_rows,
     sweep_rows,
 )
+from devrf.pipelines.stage import StageContext
 
 MIN_CAMERAS = 2  # of a rig from a board
 SWEEP_BOARD_TRIES = 40  # sweep pictures that are searched for the board first; all, if it is seen in them

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from PIL import Image
 
-from devrf.calibration.board import find_board
-from devrf.calibration.board_intrinsics import BoardCalibration, calibrate_intrinsics
+from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
+from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.static_poses import SweepModel, SweepOptions, recover_static_poses
-from devrf.calibration.sweep_devices import device_groups
-from devrf.calibration.sweep_masks import prepare_masks
+from devrf.calibration.sweep.devices import device_groups
+from devrf.calibration.sweep.masks import prepare_masks
+from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions, recover_static_poses
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from devrf.calibration.intrinsics import from_vector
-from devrf.calibration.static_poses import (
+from devrf.calibration.sweep.devices import device_groups
+from devrf.calibration.sweep.static_poses import (
     DEFAULT_OPTIONS,
     SweepModel,
     SweepOptions,
     recover_static_poses,
 )
-from devrf.calibration.sweep_devices import device_groups
 from devrf.capture.exif import Exif, Place
 
 SIZE = (320, 240)

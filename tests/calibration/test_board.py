@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration.board import BoardSpec, find_board
-from devrf.calibration.board_detect import CHESSBOARD_TRIES, detector, misfit
-from devrf.calibration.board_layout import read_grey, settle
+from devrf.calibration.boards.detect import CHESSBOARD_TRIES, detector, misfit
+from devrf.calibration.boards.find import BoardSpec, find_board
+from devrf.calibration.boards.layout import read_grey, settle
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError, InputError
 

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration import board_intrinsics
-from devrf.calibration.board_evidence import cell_counts
-from devrf.calibration.board_fit import board_pose
-from devrf.calibration.board_intrinsics import FISHEYE, FIVE_COEFFICIENTS, PINHOLE, calibrate_intrinsics
+from devrf.calibration.boards import calibrate
+from devrf.calibration.boards.calibrate import FISHEYE, FIVE_COEFFICIENTS, PINHOLE, calibrate_intrinsics
+from devrf.calibration.boards.evidence import cell_counts
+from devrf.calibration.boards.fit import board_pose
+from devrf.calibration.boards.simulated import FOCAL, LENS, SIZE, SPEC, board_views, camera
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.simulated_board import FOCAL, LENS, SIZE, SPEC, board_views, camera
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 
@@ -124,7 +124,7 @@ def test_poses_start_exact_at_the_border_too(model):
 
 def test_a_local_minimum_is_left_by_the_second_start(monkeypatch):
     """From a focal length 100 times too long the views never find back; the start at the longest side does."""
-    monkeypatch.setattr(board_intrinsics, "_start_focals", lambda *_: (100 * FOCAL, float(max(SIZE))))
+    monkeypatch.setattr(calibrate, "_start_focals", lambda *_: (100 * FOCAL, float(max(SIZE))))
     found = calibrate_intrinsics("cam0", board_views(12, 0.2), SPEC, SIZE, lens="pinhole")
     assert found.second_start_better and found.start_rms_px[0] > 10 * found.start_rms_px[1]
     assert abs(found.intrinsics.K[0, 0] - FOCAL) < 4 * found.intrinsics.std[0]  # type: ignore[index]
@@ -197,7 +197,7 @@ def test_evidence_says_where_and_how_the_board_was_held():
 
 
 def _view(n: int, pose: np.ndarray):
-    from devrf.calibration.board_spec import BoardView
+    from devrf.calibration.boards.spec import BoardView
 
     xy = replace(camera(), cam_from_world=pose).project(SPEC.corners)
     return BoardView(n, np.arange(len(xy)), xy)

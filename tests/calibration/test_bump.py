@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration.bump import find_bump
+from devrf.calibration.rigs.bump import find_bump
 
 SIZE = (320, 240)
 

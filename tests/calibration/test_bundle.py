@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration.bundle import adjust
-from devrf.calibration.bundle_model import jacobians, reprojection
-from devrf.calibration.bundle_problem import Problem, Timing, bodies_of_points
+from devrf.calibration.bundle.adjust import adjust
+from devrf.calibration.bundle.model import jacobians, reprojection
+from devrf.calibration.bundle.problem import Problem, Timing, bodies_of_points
 from devrf.capture.camera import Camera
 
 TRUE_K = np.array([500.0, 505.0, 321.0, 239.0, -0.1, 0.02, 0.001, -0.002, 0.003])

@@ -15,9 +15,9 @@ import yaml
 from devrf.calibration.formats import RIG_WRITERS, find_calibration
 from devrf.calibration.formats.opencv import storage
 from devrf.calibration.formats.toml_tables import tomllib
-from devrf.calibration.given import read_given
 from devrf.calibration.intrinsics import HALF_PIXEL
-from devrf.calibration.rig import Rig
+from devrf.calibration.rigs.given import read_given
+from devrf.calibration.rigs.rig import Rig
 from devrf.capture.camera import Camera
 from devrf.capture.errors import DevrfError, InputError
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from devrf.calibration.formats import RIG_WRITERS
-from devrf.calibration.given import Given, read_given
-from devrf.calibration.rig import Rig, RigCamera, Scale, write_rig
+from devrf.calibration.rigs.given import Given, read_given
+from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.colmap_model import Model, read_model, write_model

@@ -7,24 +7,24 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration import rig_sweep
-from devrf.calibration.board import BoardSpec, BoardView
-from devrf.calibration.board_views import TimedView
-from devrf.calibration.clean_picture import clean_pictures
+from devrf.calibration.boards.find import BoardSpec, BoardView
 from devrf.calibration.intrinsics import Intrinsics, from_vector, guess
-from devrf.calibration.registration import camera_of, register
-from devrf.calibration.rig import Rig, RigCamera, Scale, read_rig, write_rig
-from devrf.calibration.rig_board import rig_from_board
-from devrf.calibration.rig_graph import camera_graph
-from devrf.calibration.rig_joint import adjust_together, disagreement
-from devrf.calibration.rig_sweep import FixedCameraInput, rig_from_sweep
-from devrf.calibration.scale import closest_point, combined, scale_from_board, scale_from_distances
-from devrf.calibration.static_poses import SweepModel
+from devrf.calibration.rigs import sweep_route
+from devrf.calibration.rigs.board_route import rig_from_board
+from devrf.calibration.rigs.board_views import TimedView
+from devrf.calibration.rigs.clean_picture import clean_pictures
+from devrf.calibration.rigs.graph import camera_graph
+from devrf.calibration.rigs.joint import adjust_together, disagreement
+from devrf.calibration.rigs.registration import camera_of, register
+from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, read_rig, write_rig
+from devrf.calibration.rigs.scale import closest_point, combined, scale_from_board, scale_from_distances
+from devrf.calibration.rigs.sweep_route import FixedCameraInput, rig_from_sweep
+from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, HealthError
+from devrf.pipelines.joint_clips import JointViews
 from devrf.pipelines.stages import rig as rig_stage
-from devrf.pipelines.stages.joint_clips import JointViews
 
 SIZE = (640, 480)
 VECTOR = np.array([520.0, 520.0, 324.0, 236.0, -0.06, 0.0, 0.0, 0.0, 0.0])
@@ -136,7 +136,7 @@ def test_rig_from_sweep(sweep, tmp_path, monkeypatch, board):
     model, look = sweep
     truth = fixed_cameras()
     features = {f"{n}_clip": features_of(c, model, look, 10 + i) for i, (n, c) in enumerate(truth.items())}
-    monkeypatch.setattr(rig_sweep, "_features", lambda inputs, out: features)
+    monkeypatch.setattr(sweep_route, "_features", lambda inputs, out: features)
     std = np.array([1.0, 1.0, 0.5, 0.5, 2e-3, 0, 0, 0, 0])
     rng = np.random.default_rng(1)
     known = from_vector(*SIZE, VECTOR + std * rng.standard_normal(9), std)
@@ -161,7 +161,7 @@ def test_a_camera_that_shares_no_view_is_named(sweep, tmp_path, monkeypatch):
     rng = np.random.default_rng(3)
     noise = rng.integers(0, 160, (400, 128)).astype(np.uint8)
     features["cam1_clip"] = (rng.uniform(0, SIZE, (400, 2)).astype(np.float32), noise)
-    monkeypatch.setattr(rig_sweep, "_features", lambda inputs, out: features)
+    monkeypatch.setattr(sweep_route, "_features", lambda inputs, out: features)
     inputs = [
         FixedCameraInput(n, [tmp_path / f"{n}_clip.png"], *SIZE, from_vector(*SIZE, VECTOR)) for n in truth
     ]
@@ -262,7 +262,7 @@ def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
     model, look = sweep
     truth = above(3)
     features = {f"{n}_clip": features_of(c, model, look, 20 + i) for i, (n, c) in enumerate(truth.items())}
-    monkeypatch.setattr(rig_sweep, "_features", lambda inputs, out: features)
+    monkeypatch.setattr(sweep_route, "_features", lambda inputs, out: features)
     std = np.array([3.0, 3.0, 1.0, 1.0, 5e-3, 0, 0, 0, 0])
     rng = np.random.default_rng(2)
     known = {n: from_vector(*SIZE, VECTOR + std * rng.standard_normal(9), std) for n in truth}

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration import sfm_process
-from devrf.calibration.sfm_process import run_job
-from devrf.calibration.static_poses import read_static_poses, recover_static_poses
-from devrf.calibration.sweep_devices import device_groups
+from devrf.calibration.sweep import sfm_process
+from devrf.calibration.sweep.devices import device_groups
+from devrf.calibration.sweep.sfm_process import run_job
+from devrf.calibration.sweep.static_poses import read_static_poses, recover_static_poses
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.errors import CalibrationError, HealthError
 
@@ -108,7 +108,7 @@ def test_a_worker_without_a_result_is_an_error(tmp_path):
 def test_importing_pycolmap_first_through_the_package_does_not_corrupt_zlib():
     """The wheel embeds zlib; loaded first it breaks PNG and npz writing (double free)."""
     code = (
-        "import devrf.calibration.sfm_worker, io, zlib, cv2, numpy as np\n"
+        "import devrf.calibration.sweep.sfm_worker, io, zlib, cv2, numpy as np\n"
         "x = np.random.default_rng(0).integers(0, 255, (300, 300, 3)).astype(np.uint8)\n"
         "for _ in range(5):\n"
         "    ok, png = cv2.imencode('.png', x); assert ok\n"

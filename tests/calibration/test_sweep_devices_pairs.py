@@ -8,11 +8,11 @@ import pytest
 from PIL import ExifTags, Image
 
 from devrf.calibration.intrinsics import from_vector, guess
-from devrf.calibration.sfm_budget import Clock, Matching
-from devrf.calibration.sweep_devices import device_groups
-from devrf.calibration.sweep_gps import USUAL_STD_M, local_metres, why_not
-from devrf.calibration.sweep_masks import prepare_masks
-from devrf.calibration.sweep_pairs import EXHAUSTIVE_UP_TO, affordable, matching_s, plan_pairs, products
+from devrf.calibration.sweep.devices import device_groups
+from devrf.calibration.sweep.gps import USUAL_STD_M, local_metres, why_not
+from devrf.calibration.sweep.masks import prepare_masks
+from devrf.calibration.sweep.pairs import EXHAUSTIVE_UP_TO, affordable, matching_s, plan_pairs, products
+from devrf.calibration.sweep.sfm_budget import Clock, Matching
 from devrf.capture.clips import extract_folder
 from devrf.capture.errors import InputError
 from devrf.capture.exif import Exif, Place

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration.static_poses import SweepModel, SweepOptions
-from devrf.calibration.sweep_agreement import disagreement_deg
-from devrf.calibration.sweep_checks import picture_fits, two_zooms
-from devrf.calibration.two_views import TwoViews, against_model
+from devrf.calibration.sweep.agreement import disagreement_deg
+from devrf.calibration.sweep.checks import picture_fits, two_zooms
+from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
+from devrf.calibration.sweep.two_views import TwoViews, against_model
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place

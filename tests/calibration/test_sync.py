@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from devrf.calibration.clock_equations import Clock, Equation, consistent
-from devrf.calibration.sync import synchronise
-from devrf.calibration.sync_motion import motion_delay
-from devrf.calibration.sync_sound import gcc_phat, sound_delay
+from devrf.calibration.clocks.equations import Clock, Equation, consistent
+from devrf.calibration.clocks.motion import motion_delay
+from devrf.calibration.clocks.sound import gcc_phat, sound_delay
+from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import CalibrationError
 

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.calibration.clock_equations import Clock
-from devrf.calibration.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
-from devrf.calibration.epipolar_tracks import TrackFinder, essential, sampson, track_delay
+from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
+from devrf.calibration.clocks.epipolar_tracks import TrackFinder, essential, sampson, track_delay
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.clocks.geometry import check_clocks, refined
 from devrf.calibration.formats import find_calibration
-from devrf.calibration.sync_geometry import check_clocks, refined
 from devrf.capture.camera import Camera
 from devrf.capture.video import VideoReader
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devrf.calibration.board_intrinsics import BoardCalibration, calibrate_intrinsics
-from devrf.calibration.board_spec import BoardView
-from devrf.calibration.simulated_board import LENS, SIZE, SPEC, board_views, camera
+from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
+from devrf.calibration.boards.simulated import LENS, SIZE, SPEC, board_views, camera
+from devrf.calibration.boards.spec import BoardView
 from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.health import HealthRow
 

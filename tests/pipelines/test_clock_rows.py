@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from devrf.calibration.clock_equations import Clock, Loop
-from devrf.calibration.sync import Extras, SyncResult, synchronise
-from devrf.calibration.sync_flash import Brightness
-from devrf.calibration.sync_geometry import Correction, GeometryCheck
+from devrf.calibration.clocks.equations import Clock, Loop
+from devrf.calibration.clocks.flash import Brightness
+from devrf.calibration.clocks.geometry import Correction, GeometryCheck
+from devrf.calibration.clocks.sync import Extras, SyncResult, synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from devrf.calibration.given import read_given
-from devrf.calibration.rig import read_rig
+from devrf.calibration.rigs.given import read_given
+from devrf.calibration.rigs.rig import read_rig
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
 from devrf.capture.scene import Scene
 

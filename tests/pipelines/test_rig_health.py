@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devrf.calibration.board_views import TimedView
-from devrf.calibration.bump import Bump
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.rig import ARBITRARY, Rig, RigCamera, Scale
-from devrf.calibration.rig_board import BoardRig, rig_from_board
-from devrf.calibration.rig_check import check_rig, cross_check
-from devrf.calibration.rig_graph import Link, camera_graph
-from devrf.calibration.rig_joint import disagreement
-from devrf.calibration.synthetic_rig import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
+from devrf.calibration.rigs.board_route import BoardRig, rig_from_board
+from devrf.calibration.rigs.board_views import TimedView
+from devrf.calibration.rigs.bump import Bump
+from devrf.calibration.rigs.cross_check import check_rig, cross_check
+from devrf.calibration.rigs.graph import Link, camera_graph
+from devrf.calibration.rigs.joint import disagreement
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale
+from devrf.calibration.rigs.synthetic import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.pipelines.health import HealthRow
-from devrf.pipelines.stages.rig_health import (
+from devrf.pipelines.rig_health import (
     bump_row,
     graph_rows,
     joint_rows,

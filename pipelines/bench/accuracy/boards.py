@@ -10,11 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from devrf.calibration.board import BoardSpec, BoardView, find_board
-from devrf.calibration.board_intrinsics import FIVE_COEFFICIENTS, BoardCalibration, calibrate_intrinsics
-from devrf.calibration.given import read_given
-from devrf.calibration.rig_board import TimedView, rig_from_board
-from devrf.calibration.simulated_board import FOCAL, SIZE, SPEC, board_views
+from devrf.calibration.boards.calibrate import FIVE_COEFFICIENTS, BoardCalibration, calibrate_intrinsics
+from devrf.calibration.boards.find import BoardSpec, BoardView, find_board
+from devrf.calibration.boards.simulated import FOCAL, SIZE, SPEC, board_views
+from devrf.calibration.rigs.board_route import TimedView, rig_from_board
+from devrf.calibration.rigs.given import read_given
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row, with_goal
 

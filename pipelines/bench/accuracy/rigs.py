@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from devrf.calibration.given import read_given
-from devrf.calibration.rig_board import BoardRig, rig_from_board
-from devrf.calibration.rig_check import RigCheck, check_rig, hold_out
-from devrf.calibration.rig_joint import disagreement, median_baseline
-from devrf.calibration.synthetic_rig import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
+from devrf.calibration.rigs.board_route import BoardRig, rig_from_board
+from devrf.calibration.rigs.cross_check import RigCheck, check_rig, hold_out
+from devrf.calibration.rigs.given import read_given
+from devrf.calibration.rigs.joint import disagreement, median_baseline
+from devrf.calibration.rigs.synthetic import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CalibrationError, InputError
@@ -27,10 +27,10 @@ from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.cli_options import configured
+from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import DONE, Run, execute
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stages.joint_clips import JointViews, read_joint_views
 
 SESSIONS = {"caliscope_charuco_calibration": (54.08, 0.44), "caliscope_post_optimization": (53.58, 0.47)}
 CALISCOPE = "caliscope's camera_array.toml, corners triangulated as if its pictures were simultaneous"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.calibration.static_poses import SweepModel
+from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.frames import SWEEP
 from devrf.capture.ingest import write_frames

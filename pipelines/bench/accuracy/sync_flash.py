@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from devrf.calibration.sync_flash import Brightness, find_flashes, flash_delay
+from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.simulate_flash import RollingShutter, film_flashes
 from devrf.pipelines.bench.accuracy.cases import Cases

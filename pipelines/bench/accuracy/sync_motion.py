@@ -11,10 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from devrf.calibration.clock_equations import Clock
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.clocks.geometry import check_clocks, refined
+from devrf.calibration.clocks.sync import synchronise
 from devrf.calibration.formats import find_calibration
-from devrf.calibration.sync import synchronise
-from devrf.calibration.sync_geometry import check_clocks, refined
 from devrf.calibration.truth import Clock as TrueClock
 from devrf.calibration.truth import Truth, compare_clocks, read_truth
 from devrf.capture.camera import Camera

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import fftconvolve
 
-from devrf.calibration.sync_sound import sound_delay
+from devrf.calibration.clocks.sound import sound_delay
 from devrf.capture.audio import RATE_HZ, Sound, read_sound
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row, with_goal

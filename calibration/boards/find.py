@@ -1,0 +1,65 @@
+"""Calibration boards in the pictures of a clip: ChArUco, chessboard and grids of markers, however they were printed."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from devrf.calibration.boards.detect import detector, edge_width
+from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, read_grey, settle
+from devrf.calibration.boards.spec import BoardSpec, BoardView
+from devrf.capture.errors import HealthError
+from devrf.capture.progress import Progress, no_progress
+
+MIN_CORNERS = 6  # of a view that is used at all
+ENOUGH_VIEWS = 20  # of a chessboard; up to here pictures in which it was not found are searched once more
+
+
+def find_board(
+    name: str,
+    files: Sequence[Path],
+    spec: BoardSpec,
+    progress: Progress = no_progress,
+    required: bool = True,
+) -> tuple[list[BoardView], BoardSpec]:
+    """Search pictures for the board.
+
+    Args:
+        name: Of the clip, for messages.
+        files: Pictures.
+        spec: Description; what is "auto" is settled first.
+        progress: Called per picture.
+        required: Whether to refuse a clip in which the board is never seen.
+    Returns:
+        A view for every picture with at least `MIN_CORNERS` corners, and the settled description.
+    Raises:
+        HealthError: The board is never seen, or what is seen does not fit the description.
+    """
+    if spec.type == "chessboard":
+        settled = replace(spec, inverted=False, legacy=False)
+    elif (found := settle(name, files, spec, required)) is not None:
+        settled = found
+    else:
+        return [], spec
+    views = _search(name, files, settled, progress)
+    if not views and spec.type == "chessboard" and required:
+        other = chessboard_of_another_size(files, settled)
+        if other is not None:
+            settled, views = other, _search(name, files, other, progress)
+    if not views and required:
+        raise HealthError(never_seen(name, len(files), settled))
+    return views, settled
+
+
+def _search(name: str, files: Sequence[Path], spec: BoardSpec, progress: Progress) -> list[BoardView]:
+    views: dict[int, BoardView] = {}
+    for second_try in (False, True) if spec.type == "chessboard" else (False,):
+        detect = detector(spec, second_try)
+        for i, file in enumerate(files):
+            if i in views or (second_try and len(views) >= ENOUGH_VIEWS):
+                continue
+            grey = read_grey(file)
+            ids, xy = detect(grey)
+            if len(ids) >= MIN_CORNERS:
+                views[i] = BoardView(i, ids, xy, *edge_width(grey, spec, ids, xy))
+            progress((i + 1) / len(files), f"board in {name}: {len(views)} of {i + 1} pictures")
+    return [views[i] for i in sorted(views)]

@@ -1,0 +1,151 @@
+"""How a board was printed, found out from pictures: inverted, legacy, columns and rows swapped.
+
+A wrong description still detects, with nonsense corners; what is right shows in the markers: their corners must
+fit the description's plane by one homography. Chessboards have no markers: another size is tried where the
+described one is never seen.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from devrf.calibration.boards.detect import detector
+from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_places
+from devrf.capture.errors import CaptureError, HealthError
+
+TRIAL_VIEWS = 12  # views with markers that decide inverted, legacy and swapped
+TRIAL_PICTURES = 8  # in which a chessboard of another size is looked for
+TRIAL_MARKERS = 4
+FIT_SQUARES = 0.25  # a layout whose markers miss their places by more than this share of a square is wrong
+
+
+def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = True) -> BoardSpec | None:
+    """Decide what is "auto" in the description of a board with markers, and whether the rest of it is right.
+
+    What the description says is tried first, and kept where nothing speaks against it.
+
+    Returns:
+        The settled description; None where no marker is seen and that is allowed.
+    Raises:
+        InputError: No such dictionary.
+        HealthError: No marker is seen in any picture, or the markers do not fit any layout.
+    """
+    inverted, seen = _marker_trial(files, spec)
+    if not seen:
+        if not required:
+            return None
+        raise HealthError(never_seen(name, len(files), spec))
+    fits = []
+    for squares in (spec.squares, spec.squares[::-1]):
+        for legacy in _tries(spec.legacy) if spec.type == "charuco" else (False,):
+            layout = replace(spec, squares=squares, inverted=inverted, legacy=legacy)
+            fits.append((_layout_error(layout, seen), len(fits), layout))
+    error, _, best = min(fits)
+    if error > FIT_SQUARES:
+        raise HealthError(
+            f"{name}: markers of {spec.dictionary} are seen in {len(seen)} pictures but fit no "
+            f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares); "
+            "check squares, square_m, marker_m and dictionary of capture.board"
+        )
+    wrong = [("squares", f"[{best.squares[0]}, {best.squares[1]}]")] if best.squares != spec.squares else []
+    for key in ("legacy", "inverted"):
+        if getattr(spec, key) not in ("auto", getattr(best, key)):
+            wrong.append((key, str(getattr(best, key)).lower()))
+    return replace(best, corrections=tuple(wrong))
+
+
+def chessboard_of_another_size(files: Sequence[Path], spec: BoardSpec) -> BoardSpec | None:
+    """The chessboard that a few pictures show, where it is the described one turned, or counted in squares."""
+    columns, rows = spec.squares
+    sizes = [(rows, columns), (columns - 1, rows - 1), (rows - 1, columns - 1)]
+    pictures = [read_grey(file) for _, file in zip(range(TRIAL_PICTURES), spread(files), strict=False)]
+    for squares in dict.fromkeys(s for s in sizes if min(s) > 2 and s != spec.squares):
+        other = replace(spec, squares=squares, corrections=(("squares", f"[{squares[0]}, {squares[1]}]"),))
+        if any(len(detector(other)(grey)[0]) for grey in pictures):
+            return other
+    return None
+
+
+def read_grey(file: Path) -> UInt8[np.ndarray, "h w"]:
+    """A picture as grey levels.
+
+    Raises:
+        CaptureError: It cannot be read.
+    """
+    grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise CaptureError(f"{file}: cannot be read as a picture; run again with --from ingest")
+    return np.asarray(grey, dtype=np.uint8)
+
+
+def never_seen(name: str, count: int, spec: BoardSpec) -> str:
+    """A message."""
+    return (
+        f"board never seen in {name}: 0 of {count} frames show a {spec.words}; check squares and dictionary "
+        "of capture.board, and film the board larger than a quarter of the picture, sharp and without glare"
+    )
+
+
+def spread(files: Sequence[Path]) -> Iterable[Path]:
+    """The files in an order that soon has looked everywhere: every 16th, then every 8th, ..."""
+    done: set[int] = set()
+    for step in (16, 8, 4, 2, 1):
+        for i in range(0, len(files), step):
+            if i not in done:
+                done.add(i)
+                yield files[i]
+
+
+_Markers = tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 4 2"]]
+
+
+def _tries(told: object) -> tuple[bool, bool]:
+    """What is told first, then the other."""
+    return (True, False) if told is True else (False, True)
+
+
+def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[_Markers]]:
+    """Whether the print is inverted, and the markers of the first pictures that show some."""
+    finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
+    columns, rows = spec.squares
+    count = columns * rows if spec.type == "aruco_grid" else columns * rows // 2 + 1
+    polarities = _tries(spec.inverted)
+    seen: dict[bool, list[_Markers]] = {p: [] for p in polarities}
+    for file in spread(files):
+        grey = read_grey(file)
+        for polarity in polarities:
+            corners, ids, _ = finder.detectMarkers(255 - grey if polarity else grey)
+            if ids is None:
+                continue
+            numbers = np.asarray(ids).reshape(-1)
+            ours = numbers < count
+            if ours.sum() >= TRIAL_MARKERS:
+                quads = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
+                seen[polarity].append((numbers[ours].astype(np.int64), quads[ours]))
+        if max(len(s) for s in seen.values()) >= TRIAL_VIEWS:
+            break
+    best = max(polarities, key=lambda p: sum(len(ids) for ids, _ in seen[p]))
+    return best, seen[best]
+
+
+def _layout_error(layout: BoardSpec, seen: list[_Markers]) -> float:
+    """Median over pictures of how far the markers lie from a homography of the layout, in squares."""
+    place = marker_places(layout)
+    errors = []
+    for ids, quads in seen:
+        pairs = [(place[i], quad) for i, quad in zip(ids.tolist(), quads, strict=True) if i in place]
+        if len(pairs) < TRIAL_MARKERS:
+            continue
+        on_board = np.concatenate([a for a, _ in pairs]).astype(np.float64)
+        in_picture = np.concatenate([b for _, b in pairs])
+        H, _ = cv2.findHomography(in_picture, on_board, cv2.LMEDS)
+        if H is None:
+            continue
+        mapped = cv2.perspectiveTransform(in_picture[:, None], H)[:, 0]
+        error = np.linalg.norm(mapped - on_board, axis=1) / layout.square_m
+        errors.append(float(np.sqrt(np.minimum(error, 10.0) ** 2).mean()))
+    return float(np.median(errors)) if errors else np.inf

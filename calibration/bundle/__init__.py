@@ -1,0 +1,1 @@
+"""One bundle adjustment for points and boards."""

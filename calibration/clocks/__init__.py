@@ -1,0 +1,1 @@
+"""Every camera's clock: by sound, flashes, motion, recorded times; checked by geometry."""

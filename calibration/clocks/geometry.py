@@ -1,0 +1,235 @@
+"""Clocks checked by geometry once cameras are known: the epipolar error against trial offset.
+
+Every picture carries its time by the clocks to be checked. Two cameras' pictures of what moves obey the
+epipolar constraint where trial times agree; so the error must be smallest at a trial offset of 0, and clearly
+so. Cameras that see the same side of the subject are compared by tracks of common points
+(`epipolar_tracks`, good to a few hundredths of a frame), the others by the motion in each epipolar plane
+(`epipolar_motion`, half a frame).
+"""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
+from devrf.calibration.clocks.epipolar_tracks import TrackFinder, track_delay
+from devrf.calibration.clocks.equations import Clock, Equation, Loop, Solution, consistent, loops, solve
+from devrf.capture.progress import Progress, no_progress
+
+COARSE_MOMENTS, FINE_MOMENTS = 6, 12  # of the wide and the narrow search for common points
+FINE_SEARCH_FRAMES = 1.5  # short tracks are lost less often
+SEARCH_FRAMES = 3.0  # around the clocks' own statement; in-camera lags are one to three frames
+SEARCH_SIGMAS = 3.0
+LARGEST_SEARCH_FRAMES = 6.0
+FLAT_FRAMES = 0.5  # a minimum that is not known better than this many frames shows nothing
+SHIFT_FRAMES = 0.25  # a minimum farther from 0 than this is no rounding
+SHIFT_SIGMAS = 3.0
+SHARP_CONFIDENCE = 0.9
+BETTER = 0.5  # geometry replaces a clock only where its standard deviation is at most half as large
+
+
+@dataclass(frozen=True)
+class PairCheck:
+    """Two cameras compared.
+
+    Attributes:
+        first, second: Cameras.
+        by: Tracks of common points, or the motion in epipolar planes.
+        offset_s: Where the error is smallest: what the second camera's times must be raised by.
+        std_s: Its standard deviation.
+        sharp: Whether the minimum is known to half a frame.
+        lags_s, values: The curve [n]: mean error, pixels (tracks), or correlation (planes).
+    """
+
+    first: str
+    second: str
+    by: Literal["tracks", "planes"]
+    offset_s: float
+    std_s: float
+    sharp: bool
+    lags_s: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What geometry says of one clock.
+
+    Attributes:
+        offset_s: What must be added to the camera's times, seconds.
+        std_s: Its standard deviation.
+        sharp: Whether it is known to half a frame.
+        shifted: Whether it is not 0 (beyond a quarter of a frame and three standard deviations).
+    """
+
+    offset_s: float
+    std_s: float
+    sharp: bool
+    shifted: bool
+
+
+@dataclass(frozen=True)
+class GeometryCheck:
+    """The check of all clocks: pairs, corrections of the cameras they reach (not the first), loops, notes."""
+
+    pairs: tuple[PairCheck, ...]
+    corrections: dict[str, Correction]
+    loops: tuple[Loop, ...]
+    notes: tuple[str, ...]
+
+
+def check_clocks(
+    views: Mapping[str, TimedPictures], clocks: Mapping[str, Clock], progress: Progress = no_progress
+) -> GeometryCheck:
+    """Compare all pairs of cameras.
+
+    Args:
+        views: Camera -> camera and pictures, whose times are those of the clocks to be checked.
+        clocks: The clocks, for how sure they are.
+        progress: Called after each pair.
+    """
+    names = list(views)
+    spans = {n: (float(v.time_s[0]), float(v.time_s[-1])) for n, v in views.items()}
+    work = _Work(views)
+    combinations = list(itertools.combinations(names, 2))
+    planes, pairs = {}, {}
+    for i, (a, b) in enumerate(combinations):
+        progress(0.5 * i / len(combinations), f"geometry of {a} and {b}")
+        planes[a, b] = work.planes(a, b)
+        unsure_s = float(np.hypot(clocks[a].std_s, clocks[b].std_s))
+        pairs[a, b] = _better(work.wide_search(a, b, planes[a, b], unsure_s), planes[a, b])
+    found = _solve(spans, pairs)[0].offset_s
+    for i, (a, b) in enumerate(combinations):
+        progress(0.5 + 0.5 * i / len(combinations), f"geometry of {a} and {b}")
+        if a in found and b in found and (tracks := work.narrow_search(a, b, found)):
+            pairs[a, b] = _better(tracks, planes[a, b])
+    solution, kept, dropped = _solve(spans, pairs)
+    notes = [
+        f"{a} and {b}: not observable, nothing moves in both across epipolar lines"
+        for (a, b), p in pairs.items()
+        if p is None
+    ]
+    notes += [
+        f"{a} and {b}: not observable, what moves there moves along epipolar lines"
+        for (a, b), p in pairs.items()
+        if p is not None and not p.sharp
+    ]
+    notes += [f"{e.a} and {e.b}: geometry contradicts the other pairs; dropped" for e in dropped]
+    corrections = {
+        n: _correction(solution.offset_s[n], solution.std_s[n], work.step_s(n))
+        for n in names[1:]
+        if n in solution.offset_s
+    }
+    checked = tuple(p for p in pairs.values() if p is not None)
+    return GeometryCheck(checked, corrections, tuple(loops(names, kept)), tuple(notes))
+
+
+def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Clock]:
+    """The clocks that motion or nothing gave, replaced where geometry is much surer.
+
+    It must be sharp, too, unless there is nothing it could be worse than.
+    """
+    out = dict(clocks)
+    for name, correction in check.corrections.items():
+        clock = clocks[name]
+        surer = correction.std_s <= BETTER * clock.std_s
+        enough = correction.sharp or not np.isfinite(clock.std_s)
+        if clock.method in ("motion", "none", "timestamps") and clock.std_s > 0 and enough and surer:
+            out[name] = Clock(
+                clock.offset_s + correction.offset_s,
+                clock.drift_ppm,
+                correction.std_s,
+                "geometry",
+                max(clock.confidence, SHARP_CONFIDENCE if correction.sharp else 0.5),
+                f"epipolar error smallest {1e3 * correction.offset_s:+.1f} ms from the clock by {clock.method}",
+            )
+    return out
+
+
+class _Work:
+    """What is computed once for each camera, and the comparisons of two."""
+
+    def __init__(self, views: Mapping[str, TimedPictures]) -> None:
+        self.finders = {name: TrackFinder(view) for name, view in views.items()}
+        self.flows = {name: clip_flow(view) for name, view in views.items()}
+        self._from_s = max(float(v.time_s[0]) for v in views.values())
+        self._to_s = min(float(v.time_s[-1]) for v in views.values())
+
+    def step_s(self, *names: str) -> float:
+        """The longest frame step of these cameras."""
+        return max(self.finders[name].step_s for name in names)
+
+    def planes(self, a: str, b: str) -> PairCheck | None:
+        """By the motion in epipolar planes, at any delay; None where no delay stands out."""
+        found = epipolar_motion_delay(self.flows[a], self.flows[b])
+        if found is None or not accepted(found):
+            return None
+        sharp = found.std_s <= 2 * FLAT_FRAMES * self.step_s(a, b)  # half a frame is its floor
+        return PairCheck(a, b, "planes", found.delay_s, found.std_s, sharp, found.lags_s, found.values)
+
+    def wide_search(self, a: str, b: str, planes: PairCheck | None, unsure_s: float) -> PairCheck | None:
+        """By tracks near what the clocks say, and near what the planes say where that is elsewhere."""
+        step_s = self.step_s(a, b)
+        frames = np.clip(SEARCH_SIGMAS * unsure_s / step_s, SEARCH_FRAMES, LARGEST_SEARCH_FRAMES)
+        search_s = float(frames) * step_s
+        centres = [0.0]
+        if planes is not None and abs(planes.offset_s) > search_s / 2:
+            centres.append(planes.offset_s)
+        tried = [self._tracks(a, b, {a: 0.0, b: c}, search_s, COARSE_MOMENTS) for c in centres]
+        return min((t for t in tried if t is not None), key=lambda t: float(t.values.min()), default=None)
+
+    def narrow_search(self, a: str, b: str, offset_s: Mapping[str, float]) -> PairCheck | None:
+        """By tracks near what all pairs together say."""
+        return self._tracks(a, b, offset_s, FINE_SEARCH_FRAMES * self.step_s(a, b), FINE_MOMENTS)
+
+    def _tracks(
+        self, a: str, b: str, offset_s: Mapping[str, float], search_s: float, count: int
+    ) -> PairCheck | None:
+        moments = [(t - offset_s[a], t - offset_s[b]) for t in self._moments_s(count, search_s)]
+        around_s = offset_s[b] - offset_s[a]
+        found = track_delay(self.finders[a], self.finders[b], moments, around_s, search_s)
+        if found is None:
+            return None
+        sharp = found.std_s <= FLAT_FRAMES * self.step_s(a, b)
+        return PairCheck(a, b, "tracks", found.delay_s, found.std_s, sharp, found.lags_s, found.error_px)
+
+    def _moments_s(self, count: int, margin_s: float) -> list[float]:
+        """Times that share out evenly what moves in all cameras; the same for all, so that points are found once."""
+        grid = np.linspace(self._from_s + margin_s, self._to_s - margin_s, 256)
+        if grid[0] >= grid[-1]:
+            return []
+        moved = np.zeros(len(grid))
+        for flow in self.flows.values():
+            speed = np.abs(flow.flow).mean(axis=(1, 2, 3))
+            moved += np.interp(grid, flow.time_s, speed) / max(float(speed.max()), 1e-9)
+        share = np.cumsum(np.maximum(moved - 0.5 * np.median(moved), 0.0))
+        wanted = (np.arange(count) + 0.5) / count * share[-1]
+        return [float(t) for t in np.unique(grid[np.searchsorted(share, wanted).clip(max=len(grid) - 1)])]
+
+
+def _better(tracks: PairCheck | None, planes: PairCheck | None) -> PairCheck | None:
+    if tracks is None or planes is None:
+        return tracks or planes
+    return tracks if tracks.std_s < planes.std_s else planes
+
+
+def _solve(
+    spans: Mapping[str, tuple[float, float]], pairs: Mapping[tuple[str, str], PairCheck | None]
+) -> tuple[Solution, list[Equation], list[Equation]]:
+    """What each camera's times must be raised by; the pairs that agree, and those that do not."""
+    equations = [
+        Equation(p.first, p.second, p.offset_s, 0.0, p.std_s, "geometry", 1.0)
+        for p in pairs.values()
+        if p is not None
+    ]
+    kept, dropped = consistent(spans, equations)
+    return solve(spans, kept), kept, dropped
+
+
+def _correction(offset_s: float, std_s: float, step_s: float) -> Correction:
+    limit_s = max(SHIFT_FRAMES * step_s, SHIFT_SIGMAS * std_s)
+    return Correction(offset_s, std_s, std_s <= FLAT_FRAMES * step_s, abs(offset_s) > limit_s)

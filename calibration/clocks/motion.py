@@ -1,0 +1,199 @@
+"""The delay between two silent clips, by how much moves in each at each time.
+
+Motion energy is the mean absolute difference of successive frames, at the time midway between them. Views
+from different sides see different amounts of the same movement, so only its course counts: the square
+root flattens the peaks, and the correlation is normalised over what overlaps at each lag. Half a frame is the
+best accuracy to be claimed; where views differ and the peak is wide, the standard deviation is larger.
+
+A delay here is `file time in the first clip - file time in the second` of one and the same movement.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import find_peaks
+
+from devrf.calibration.clocks.sound import fast_size
+
+OVERSAMPLING = 4  # grid points per frame step
+MIN_OVERLAP_SHARE = 0.5  # of the shorter clip: less would let two single gestures match by chance
+MIN_OVERLAP_STEPS = 12
+OUTLIER_QUANTILE = 0.99  # one flash or cut must not be all there is
+DISTINCT_STEPS = 2.0  # another peak closer than this many frames is the same one
+MIN_VARIATION = 0.05  # standard deviation over mean of the energy: below it nothing happens
+ACCEPT_CORRELATION = 0.6  # below it views disagree
+ACCEPT_SCORE = 4.0  # standard deviations away from chance (Fisher's z with independent samples)
+ACCEPT_MARGIN = 0.1  # peak minus next best; periodic movement has equals one period away
+CURVE_S = 0.5
+
+
+@dataclass(frozen=True)
+class MotionDelay:
+    """How two clips lie to each other by their motion.
+
+    Attributes:
+        delay_s: File time in the first clip minus file time in the second.
+        first_s: File time in the first clip in the middle of what both show.
+        std_s: Standard deviation of the delay, at least half a frame.
+        correlation: Normalised correlation at the peak, -1 to 1.
+        score: How many standard deviations that is away from chance.
+        margin: How much more evidence (correlation times root of the overlap) it has than any rival.
+        lags_s, values: The curve around the peak [n].
+    """
+
+    delay_s: float
+    first_s: float
+    std_s: float
+    correlation: float
+    score: float
+    margin: float
+    lags_s: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " n"]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the peak is high and alone enough to be believed."""
+        return (
+            self.correlation >= ACCEPT_CORRELATION
+            and self.score >= ACCEPT_SCORE
+            and self.margin >= ACCEPT_MARGIN
+        )
+
+
+def motion_delay(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> MotionDelay | None:
+    """Delay between two clips by their motion energies: rows of (time, energy).
+
+    Returns:
+        None where a clip is too short, or nothing moves in it.
+    """
+    if min(len(first), len(second)) < MIN_OVERLAP_STEPS:
+        return None
+    roots = [_root(m[:, 1]) for m in (first, second)]
+    if roots[0] is None or roots[1] is None:
+        return None
+    return course_delay(first[:, 0], roots[0][:, None], second[:, 0], roots[1][:, None])
+
+
+def course_delay(
+    first_s: Float[np.ndarray, " n"],
+    first: Float[np.ndarray, "n channels"],
+    second_s: Float[np.ndarray, " m"],
+    second: Float[np.ndarray, "m channels"],
+) -> MotionDelay | None:
+    """Delay between two courses of one or more channels that have the same meaning in both clips.
+
+    Args:
+        first_s, second_s: File times, ascending.
+        first, second: Values at these times.
+    Returns:
+        None where the clips are too short to overlap enough, or no delay stands out at all.
+    """
+    steps = [float(np.median(np.diff(t))) for t in (first_s, second_s)]
+    dt = min(steps) / OVERSAMPLING
+    a, b = _on_grid(first_s, first, dt), _on_grid(second_s, second, dt)
+    minimum = max(MIN_OVERLAP_SHARE * min(len(a), len(b)), MIN_OVERLAP_STEPS * OVERSAMPLING)
+    lags, values, share = _normalised_correlation(a, b, int(minimum))
+    tops = find_peaks(values)[0] if len(lags) else []
+    if not len(tops):
+        return None
+    evidence = values * np.sqrt(share)  # few samples correlate highly by chance
+    peak = int(max(tops, key=lambda i: evidence[i]))
+    apart = np.abs(lags - lags[peak]) * dt > DISTINCT_STEPS * max(steps)
+    rivals = [evidence[i] for i in tops if apart[i]]
+    rivals += [evidence[i] for i in (0, len(lags) - 1) if apart[i]]  # it may still rise beyond the ends
+    margin = float(evidence[peak] - max(rivals, default=0.0))
+    shift_s = first_s[0] - second_s[0]
+    reach = OVERSAMPLING  # one frame step: the grid's own spacing is interpolated, and bends nothing
+    delay_s = (lags[peak] + _parabola(values, peak, reach)) * dt + shift_s
+    lags_s = lags * dt + shift_s
+    near = np.abs(lags_s - delay_s) <= max(CURVE_S, 15 * max(steps))
+    from_s, to_s = max(first_s[0], second_s[0] + delay_s), min(first_s[-1], second_s[-1] + delay_s)
+    spread_s, score = _spread(lags_s, values, peak, to_s - from_s)
+    return MotionDelay(
+        delay_s=float(delay_s),
+        first_s=float((from_s + to_s) / 2),
+        std_s=max(max(steps) / 2, spread_s),
+        correlation=float(values[peak]),
+        score=score,
+        margin=margin,
+        lags_s=lags_s[near],
+        values=values[near],
+    )
+
+
+def _root(energy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
+    """Square root of the energy without its outliers; None where it hardly varies."""
+    energy = np.minimum(energy, np.quantile(energy, OUTLIER_QUANTILE))
+    root = np.sqrt(np.maximum(energy, 0))
+    return root if root.std() >= MIN_VARIATION * max(float(root.mean()), 1e-6) else None
+
+
+def _on_grid(
+    time_s: Float[np.ndarray, " n"], values: Float[np.ndarray, "n channels"], dt: float
+) -> Float[np.ndarray, "samples channels"]:
+    """Values on an even grid that begins at the first time."""
+    grid = np.arange(time_s[0], time_s[-1], dt)
+    return np.stack([np.interp(grid, time_s, channel) for channel in values.T], axis=1)
+
+
+def _normalised_correlation(
+    a: Float[np.ndarray, "n channels"], b: Float[np.ndarray, "m channels"], minimum: int
+) -> tuple[np.ndarray, Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
+    """Pearson correlation of a[i + lag] and b[i] over what overlaps, for all lags with enough overlap.
+
+    Each channel's own mean over the overlap is taken away; covariances and variances are summed over channels.
+
+    Returns:
+        Lags, correlations, and the share of the shorter signal that overlaps.
+    """
+    size = fast_size(len(a) + len(b))
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)  # against cancellation in the sums below
+
+    def correlate(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        spectrum = np.fft.rfft(x, size, axis=0) * np.conj(np.fft.rfft(y, size, axis=0))
+        full = np.fft.irfft(spectrum, size, axis=0)
+        return np.concatenate([full[size - len(b) + 1 :], full[: len(a)]])
+
+    ones_a, ones_b = np.ones((len(a), 1)), np.ones((len(b), 1))
+    n = np.maximum(np.round(correlate(ones_a, ones_b)), 1)
+    sum_a, sum_b = correlate(a, ones_b), correlate(ones_a, b)
+    var_a = (correlate(a * a, ones_b) - sum_a**2 / n).sum(axis=1)
+    var_b = (correlate(ones_a, b * b) - sum_b**2 / n).sum(axis=1)
+    cov = (correlate(a, b) - sum_a * sum_b / n).sum(axis=1)
+    lags = np.arange(-(len(b) - 1), len(a))
+    floor = 1e-6 * len(a) * float(a.var(axis=0).sum() + b.var(axis=0).sum())
+    values = cov / np.sqrt(np.maximum(var_a, floor) * np.maximum(var_b, floor))
+    keep = n[:, 0] >= minimum
+    return lags[keep], values[keep], n[keep, 0] / min(len(a), len(b))
+
+
+def _spread(
+    lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], peak: int, overlap_s: float
+) -> tuple[float, float]:
+    """Standard deviation of a peak's place, and how many standard deviations its height is from chance.
+
+    The first is the unexplained share over curvature and number of independent samples, the second is
+    Fisher's z-transform with that number.
+
+    The peak is taken as a Gaussian of the width it has at half its height (for the delay of two noisy
+    signals see Knapp & Carter 1976, Section IV; here the "noise" is what the other view does not see).
+    """
+    low = np.flatnonzero(values < values[peak] / 2)
+    left, right = low[low < peak], low[low > peak]
+    reach = [lags_s[peak] - lags_s[left[-1]]] if len(left) else []
+    reach += [lags_s[right[0]] - lags_s[peak]] if len(right) else []
+    sigma_s = (min(reach) if reach else overlap_s) / np.sqrt(2 * np.log(2))
+    independent = max(1.0, overlap_s / (2 * sigma_s))
+    r = float(np.clip(values[peak], 1e-3, 0.9999))
+    score = np.arctanh(r) * np.sqrt(max(independent - 3, 0.0))
+    return float(sigma_s * np.sqrt((1 - r * r) / (r * r * independent))), float(score)
+
+
+def _parabola(values: Float[np.ndarray, " n"], peak: int, reach: int) -> float:
+    """Top of the parabola through a peak and the points `reach` to either side, in samples from the peak."""
+    if not reach <= peak < len(values) - reach:
+        return 0.0
+    left, mid, right = (float(values[peak + k]) for k in (-reach, 0, reach))
+    bend = left - 2 * mid + right
+    return float(np.clip(0.5 * (left - right) / bend, -1, 1)) * reach if bend < 0 else 0.0

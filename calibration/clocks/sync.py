@@ -1,0 +1,556 @@
+"""Every camera's clock from what the cameras heard or saw together.
+
+Every pair of cameras is compared by sound, flashes of light and motion (`sound`, `flash`,
+`motion`). Sound and flashes give the clocks, motion those of cameras that neither reaches; all pairs
+together are solved by weighted least squares (`equations`), so a pair that contradicts the others shows
+and is dropped. Cues that are not needed are compared with the solution: sound that runs late in a camera
+agrees with itself everywhere, and only another cue can tell.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from devrf.calibration.clocks import sound_faults
+from devrf.calibration.clocks.equations import (
+    Clock,
+    Cue,
+    Equation,
+    Loop,
+    PairCue,
+    Solution,
+    consistent,
+    groups,
+    loops,
+    reached_from_first,
+    solve,
+)
+from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
+from devrf.calibration.clocks.motion import ACCEPT_CORRELATION, ACCEPT_SCORE, MotionDelay, motion_delay
+from devrf.calibration.clocks.sound import ACCEPT_RATIO, SoundDelay, sound_delay
+from devrf.calibration.clocks.times import doubts, stated_delay, timecode_guesses
+from devrf.capture.audio import Sound
+from devrf.capture.errors import CalibrationError
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.recorded import Recorded
+
+Method = Literal["auto", "audio", "motion", "flash", "timestamps", "none"]
+
+GUESS_RATIO = 1.5  # a refused cue this good is still taken as a guess, with a confidence below one half
+GUESS_SCORE = 2.0
+SOUND_PATH_S_PER_M = 1 / 343.0
+PRIOR_STD_S = 0.1  # a delay known this well beforehand can settle which of several peaks of sound is right
+PRIOR_SIGMAS = 3.0
+PRIOR_CONFIDENCE = 0.75  # of sound that needed it
+LAG_S, LAG_SIGMAS = 0.01, 3.0  # sound and flash that differ by more contradict; 10 ms are 3 m of air
+MOTION_SIGMAS = 4.0  # motion that differs by more contradicts; views differ, so less says nothing
+TRUSTED: tuple[tuple[Cue, tuple[Cue, ...]], ...] = (  # a clock's cue: the first that connects it
+    ("audio", ("audio",)),
+    ("flash", ("flash",)),
+    ("audio", ("audio", "flash")),
+)
+WORDS = {"audio": "sound", "timestamps": "timecode"}  # cues whose name is not what they are
+
+
+@dataclass(frozen=True)
+class Curve:
+    """How well two cameras agree at each lag: what the decision was taken from."""
+
+    first: str
+    second: str
+    method: Literal["audio", "motion"]
+    delay_s: float
+    quality: float
+    accepted: bool
+    lags_s: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two independent cues for the delay between two cameras.
+
+    Attributes:
+        first, second: Cameras.
+        cue, other: What is compared with what.
+        difference_s: Delay by `other` minus delay by `cue`.
+        limit_s: Beyond it they contradict each other.
+    """
+
+    first: str
+    second: str
+    cue: PairCue
+    other: PairCue
+    difference_s: float
+    limit_s: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the cues cannot both be right."""
+        return abs(self.difference_s) > self.limit_s
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A step in the delay between two clips: a camera lost pictures or sound there."""
+
+    first: str
+    second: str
+    at_s: float
+    step_s: float
+
+
+@dataclass(frozen=True)
+class SyncResult:
+    """Clocks of all cameras, and what they were taken from.
+
+    Attributes:
+        cameras: Name -> clock; the first is the reference.
+        curves: One per compared pair and cue.
+        loop_s: Largest disagreement of a pair with the solution, seconds; None without spare pairs.
+        loops: Closure of every triple of cameras whose pairs were all compared.
+        comparisons: Independent cues beside the ones that were used.
+        jumps: Steps in the delay between long clips.
+        notes: What was decided and why, one sentence each.
+    """
+
+    cameras: dict[str, Clock]
+    curves: tuple[Curve, ...] = ()
+    loop_s: float | None = None
+    loops: tuple[Loop, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+    jumps: tuple[Jump, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What else is known of the clips; every part may be missing.
+
+    Attributes:
+        brightness: Camera -> brightness of rows over time, for flashes.
+        recorded: Camera -> what its file says of its beginning.
+        av_lag_s: Camera -> how late its sound is behind its pictures.
+        readout_s: Camera -> time from the first row's reading to the last one's.
+    """
+
+    brightness: Mapping[str, Brightness] = field(default_factory=dict)
+    recorded: Mapping[str, Recorded] = field(default_factory=dict)
+    av_lag_s: Mapping[str, float] = field(default_factory=dict)
+    readout_s: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class _Evidence:
+    equations: list[Equation] = field(default_factory=list)
+    checks: list[Equation] = field(default_factory=list)  # not needed for the clocks
+    comparisons: list[Comparison] = field(default_factory=list)
+    curves: list[Curve] = field(default_factory=list)
+    jumps: list[Jump] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def accepted(self, *cues: PairCue) -> list[Equation]:
+        """Believed equations of these cues; of all without any."""
+        return [e for e in self.equations if e.accepted and (not cues or e.cue in cues)]
+
+
+def synchronise(
+    spans_s: Mapping[str, tuple[float, float]],
+    sounds: Mapping[str, Sound],
+    motion: Mapping[str, Float[np.ndarray, "_ 2"]],
+    method: Method = "auto",
+    true_times: bool = False,
+    progress: Progress = no_progress,
+    extras: Extras | None = None,
+) -> SyncResult:
+    """Put all cameras on the first one's clock.
+
+    Args:
+        spans_s: Camera -> (first, last) file time of its frames; the first camera is the reference.
+        sounds: Camera -> sound, only for those that have one.
+        motion: Camera -> motion energies, rows of (time, energy).
+        method: The cue to use; auto: true times where given, else sound and flashes, else motion.
+        true_times: Whether the frames' times come from a table on one clock.
+        progress: Called after each pair.
+        extras: What else is known of the clips.
+    Returns:
+        Clocks. A camera that no cue reaches keeps its best guess with a confidence below 0.5.
+    Raises:
+        CalibrationError: If the method asked for cannot be used at all.
+    """
+    extras = extras or Extras()
+    names = list(spans_s)
+    if method == "timestamps" and not true_times:
+        raise CalibrationError(
+            "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
+        )
+    if true_times and method in ("auto", "timestamps"):
+        basis = "the table of times is on one clock"
+        return SyncResult({n: Clock(0.0, 0.0, 0.0, "timestamps", 1.0, basis) for n in names})
+    if len(names) == 1:
+        return SyncResult({names[0]: _reference()})
+    if method in ("none", "timestamps"):
+        basis = "the clips' own times are taken as true, unchecked"
+        clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
+        return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
+    longest_s = max(b - a for a, b in spans_s.values())
+    evidence = _Evidence()
+    sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
+    if method in ("auto", "audio"):
+        silent = [n for n in names if n not in sounds]
+        if method == "audio" and silent:
+            raise CalibrationError(
+                f"camera {', '.join(silent)}: no sound to synchronise by; set calibration.sync.method to auto, "
+                "flash or motion, or give capture.timestamps"
+            )
+        if silent:
+            evidence.notes.append(f"camera {', '.join(silent)}: no sound")
+        _hear(names, sounds, evidence, progress)
+    if method in ("auto", "flash"):
+        _see_flashes(names, extras, evidence, aloud=method == "flash")
+    if method in ("auto", "motion"):
+        _watch(names, motion, evidence, progress)
+    if method in ("auto", "audio"):
+        _hear_again(names, sounds, extras.recorded, evidence)
+    if method == "auto":
+        _settle_lags(spans_s, evidence)
+        named = {n: extras.recorded[n] for n in names if n in extras.recorded}
+        evidence.equations += timecode_guesses(named, longest_s)
+    result = _settle(spans_s, evidence)
+    return _against_files(result, extras.recorded, longest_s)
+
+
+# --- evidence ---
+
+
+def _hear(names: Sequence[str], sounds: Mapping[str, Sound], out: _Evidence, progress: Progress) -> None:
+    heard = [n for n in names if n in sounds]
+    out.notes += [f"camera {n}: {text}" for n in heard if (text := sound_faults.wind(sounds[n]))]
+    pairs = list(itertools.combinations(heard, 2))
+    for i, (a, b) in enumerate(pairs):
+        progress(i / len(pairs), f"sound of {a} and {b}")
+        found = sound_delay(sounds[a], sounds[b])
+        if found is None:
+            out.notes.append(f"{a} and {b}: too little sound to compare")
+            continue
+        c = found.correlation
+        out.curves.append(Curve(a, b, "audio", c.delay_s, c.ratio, found.accepted, c.lags_s, c.values))
+        if not found.accepted:
+            why = sound_faults.beat(c)
+            out.notes.append(
+                f"{a} and {b}: sound not trusted, its peak is {c.ratio:.1f} times the next one, expected "
+                f"{ACCEPT_RATIO:.0f}" + (f" ({why})" if why else "")
+            )
+        elif text := sound_faults.echo(c):
+            out.notes.append(f"{a} and {b}: {text}")
+        if found.accepted and (jump := sound_faults.step(found.moments)):
+            out.jumps.append(Jump(a, b, *jump))
+        out.equations += _sound_equations(a, b, found, found.accepted)
+
+
+def _sound_equations(a: str, b: str, found: SoundDelay, accepted: bool) -> list[Equation]:
+    ratio = found.correlation.ratio
+    guess = not accepted and ratio >= GUESS_RATIO
+    return [
+        Equation(a, b, m.first_s, m.second_s, m.std_s, "audio", ratio, accepted, guess) for m in found.moments
+    ]
+
+
+def _hear_again(
+    names: Sequence[str], sounds: Mapping[str, Sound], recorded: Mapping[str, Recorded], out: _Evidence
+) -> None:
+    """Sound with several peaks, near the delay that another cue or a timecode states: which peak is right."""
+    trusted = {(e.a, e.b) for e in out.accepted("audio")}
+    for a, b in itertools.combinations([n for n in names if n in sounds], 2):
+        prior = _prior(a, b, recorded, out)
+        if (a, b) in trusted or prior is None:
+            continue
+        around_s, std_s, what = prior
+        found = sound_delay(sounds[a], sounds[b], around_s, PRIOR_SIGMAS * std_s)
+        if found is not None and found.accepted:
+            out.equations = [e for e in out.equations if not (e.cue == "audio" and (e.a, e.b) == (a, b))]
+            quality = min(found.correlation.ratio, 1 / (1 - PRIOR_CONFIDENCE))
+            out.equations += [replace(e, quality=quality) for e in _sound_equations(a, b, found, True)]
+            out.notes.append(f"{a} and {b}: sound trusted all the same, near the delay by {what}")
+
+
+def _prior(
+    a: str, b: str, recorded: Mapping[str, Recorded], out: _Evidence
+) -> tuple[float, float, str] | None:
+    """A delay known well enough to choose between peaks of sound, its standard deviation, and whose it is."""
+    priors = [(e.delay_s, e.std_s, e.cue) for e in out.accepted("flash", "motion") if (e.a, e.b) == (a, b)]
+    if a in recorded and b in recorded and (stated := stated_delay(recorded[a], recorded[b])):
+        priors.append(stated)
+    return min((p for p in priors if p[1] <= PRIOR_STD_S), key=lambda p: p[1], default=None)
+
+
+def _see_flashes(names: Sequence[str], extras: Extras, out: _Evidence, aloud: bool) -> None:
+    """Compare flashes; what was not seen is said where flashes were asked for or others saw some."""
+    seen: dict[str, Flashes] = {
+        n: find_flashes(extras.brightness[n], extras.readout_s.get(n))
+        for n in names
+        if n in extras.brightness
+    }
+    if not aloud and sum(len(f.events) > 0 for f in seen.values()) < 2:
+        return
+    for name, found in seen.items():
+        if found.periodic:
+            out.notes.append(f"camera {name}: flashes come at equal distances (periodic), not used")
+        elif not found.events:
+            out.notes.append(
+                f"camera {name}: saw no flash (largest step {found.largest_sigmas:.1f} standard deviations)"
+            )
+        else:
+            rows = ", ".join(f"{e.frame_s:.2f} s row {100 * min(e.row, 1):.0f} %" for e in found.events[:4])
+            out.notes.append(f"camera {name}: {len(found.events)} flashes ({rows} of the height)")
+    for a, b in itertools.combinations(seen, 2):
+        found = flash_delay(seen[a], seen[b])
+        if found is None:
+            continue
+        if not found.accepted:
+            out.notes.append(f"{a} and {b}: flashes not trusted, several delays explain as many")
+        out.equations.append(
+            Equation(
+                a,
+                b,
+                found.first_s,
+                found.first_s - found.delay_s,
+                found.std_s,
+                "flash",
+                float(found.matches),
+                found.accepted,
+                not found.accepted and not (seen[a].periodic or seen[b].periodic),
+            )
+        )
+
+
+def _watch(
+    names: Sequence[str], motion: Mapping[str, Float[np.ndarray, "_ 2"]], out: _Evidence, progress: Progress
+) -> None:
+    """Compare motion: for the clocks where sound and flashes do not connect two cameras, else as a check."""
+    seen = [n for n in names if n in motion]
+    group = groups(names, out.accepted())
+    pairs = list(itertools.combinations(seen, 2))
+    for i, (a, b) in enumerate(pairs):
+        needed = group[a] != group[b]
+        progress(i / len(pairs), f"motion in {a} and {b}")
+        found: MotionDelay | None = motion_delay(motion[a], motion[b])
+        if found is None:
+            if needed:
+                out.notes.append(f"{a} and {b}: too little motion to compare")
+            continue
+        quality = found.correlation * min(1.0, max(0.0, found.margin) / 0.1)
+        guess = not found.accepted and found.score >= GUESS_SCORE and found.margin > 0
+        moment = (found.first_s, found.first_s - found.delay_s)
+        equation = Equation(a, b, *moment, found.std_s, "motion", quality, found.accepted, guess, found.score)
+        if not needed:
+            out.checks.append(equation)
+            continue
+        out.equations.append(equation)
+        out.curves.append(
+            Curve(a, b, "motion", found.delay_s, quality, found.accepted, found.lags_s, found.values)
+        )
+        if not found.accepted:
+            out.notes.append(
+                f"{a} and {b}: motion not trusted (correlation {found.correlation:.2f}, {found.score:.1f} "
+                f"standard deviations from chance, {found.margin:.2f} above the next best)"
+            )
+
+
+# --- solution ---
+
+
+def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> None:
+    """Compare sound with flashes; where they differ, a camera's sound lags, and what its pictures saw counts."""
+    sound, flash = (_offsets(spans_s, evidence.accepted(cue)) for cue in ("audio", "flash"))
+    first = next(iter(spans_s))
+    late = set()
+    for name in list(sound.offset_s)[1:]:
+        if name not in flash.offset_s:
+            continue
+        difference_s = flash.offset_s[name] - sound.offset_s[name]
+        unsure_s = float(np.hypot(sound.std_s[name], flash.std_s[name]))
+        limit_s = max(LAG_S, LAG_SIGMAS * unsure_s)
+        found = Comparison(first, name, "audio", "flash", difference_s, limit_s)
+        evidence.comparisons.append(found)
+        if found.contradicts:
+            late.add(name)
+            evidence.notes.append(
+                f"camera {name}: sound and flash differ by {1e3 * difference_s:+.0f} ms, its sound lags by that "
+                f"beside {first}'s; the flash is used; set calibration.sync.av_lag_s: {{{name}: {difference_s:.3f}}}"
+            )
+    evidence.equations = [
+        e for e in evidence.equations if not (e.cue == "audio" and (e.a in late or e.b in late))
+    ]
+
+
+def _offsets(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]) -> Solution:
+    """The clocks by one cue, without what contradicts the rest of it."""
+    return solve(spans_s, consistent(spans_s, list(equations))[0])
+
+
+def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> SyncResult:
+    """Solve the accepted equations; add the best refused ones for cameras that are not reached otherwise."""
+    names, notes = list(spans_s), list(evidence.notes)
+    backed = _backed_by_others(spans_s, evidence.equations)
+    used, dropped = consistent(spans_s, [*evidence.accepted(), *backed])
+    notes += [f"{e.a} and {e.b}: {_word(e.cue)} contradicts the other pairs; dropped" for e in dropped]
+    notes += [f"{e.a} and {e.b}: motion trusted all the same, other pairs agree with it" for e in backed]
+    sure = reached_from_first(names, used)
+    believed = loops(names, used)
+    guesses = sorted((e for e in evidence.equations if e.guess and e not in backed), key=lambda e: -e.quality)
+    for guess in guesses:
+        group = groups(names, used)
+        if group[guess.a] != group[guess.b]:
+            used.append(guess)
+    solution = solve(spans_s, used)
+    reached = reached_from_first(names, used)
+    clocks = {names[0]: _reference()}
+    for name in names[1:]:
+        clocks[name] = _clock(name, names, used, solution, reached, name in sure)
+    best = {n for n in names if clocks[n].method in ("reference", "audio", "flash")}
+    if len(best) < len(names) and best != {names[0]}:
+        cues = " and ".join(dict.fromkeys(_word(clocks[n].method) for n in names[1:] if n in best))
+        notes.append(
+            f"camera {', '.join(n for n in names if n not in best)}: by motion, the others by {cues}"
+        )
+    loop_s = None
+    if len(used) > len(reached) - 1:
+        surest = "audio" if any(e.cue == "audio" for e in used) else used[0].cue  # others are coarser by far
+        own = [abs(r) for r, e in zip(solution.residual_s, used, strict=True) if e.cue == surest]
+        loop_s = float(max(own))
+    return SyncResult(
+        clocks,
+        tuple(evidence.curves),
+        loop_s,
+        tuple(believed),
+        (*evidence.comparisons, *_against_motion(solution, evidence.checks)),
+        tuple(evidence.jumps),
+        tuple(dict.fromkeys(notes)),
+    )
+
+
+def _clock(
+    name: str,
+    names: Sequence[str],
+    used: Sequence[Equation],
+    solution: Solution,
+    reached: set[str],
+    sure: bool,
+) -> Clock:
+    """A camera's clock, its cue (the best one that connects it with the first camera) and its confidence."""
+    if name not in reached:
+        basis = "no cue that can be trusted; taken as started together with the first camera"
+        return Clock(0.0, 0.0, float("inf"), "none", 0.0, basis)
+    cue: Cue = "motion"
+    for best, those in TRUSTED:
+        if name in reached_from_first(names, [e for e in used if e.accepted and e.cue in those]):
+            cue = best
+            break
+    if not sure:
+        cue = next(e.cue for e in reversed(used) if name in (e.a, e.b))
+    mine = [e for e in used if name in (e.a, e.b)]
+    own = [e for e in mine if e.cue == cue] or mine
+    quality = max(e.quality for e in own)
+    confidence = {
+        "audio": 1 - 1 / max(quality, 1.0),
+        "flash": 1 - 1 / (1 + quality),
+        "motion": _motion_confidence(quality),
+        "timestamps": 0.0,
+    }[cue]
+    if not sure:
+        confidence = min(confidence, 0.49)
+    std_s = solution.std_s[name]
+    if cue == "motion":
+        std_s = max(std_s, min(e.std_s for e in own))
+    return Clock(
+        solution.offset_s[name],
+        solution.drift_ppm[name],
+        std_s,
+        cue,
+        float(confidence),
+        _basis(cue, quality, len(own)),
+    )
+
+
+def _against_motion(solution: Solution, checks: Sequence[Equation]) -> list[Comparison]:
+    """Motion that was not needed, against the clocks by sound and flashes."""
+    out = []
+    for e in checks:
+        if e.accepted and e.a in solution.offset_s and e.b in solution.offset_s:
+            at = {
+                n: solution.offset_s[n] + (1 + 1e-6 * solution.drift_ppm[n]) * t
+                for n, t in ((e.a, e.a_s), (e.b, e.b_s))
+            }
+            difference_s = at[e.a] - at[e.b]
+            out.append(Comparison(e.a, e.b, "audio", "motion", difference_s, MOTION_SIGMAS * e.std_s))
+    return out
+
+
+def _against_files(result: SyncResult, recorded: Mapping[str, Recorded], longest_s: float) -> SyncResult:
+    """The result, with a note for each file whose own times contradict it."""
+    first = next(iter(result.cameras))
+    measured = {
+        (first, n): c.offset_s for n, c in result.cameras.items() if n != first and c.confidence >= 0.5
+    }
+    named = {n: recorded[n] for n in result.cameras if n in recorded}
+    if first not in named:
+        return result
+    return replace(result, notes=(*result.notes, *doubts(named, measured, longest_s)))
+
+
+def _backed_by_others(
+    spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]
+) -> list[Equation]:
+    """Refused motion equations that the other equations predict within their standard deviation.
+
+    Short clips leave every single pair near chance; several that agree are not. A camera needs two such
+    pairs whose distances from chance add up (as for independent tests) to what one pair alone would need.
+    """
+    names = list(spans_s)
+    pool = [e for e in equations if e.accepted or (e.guess and e.quality >= ACCEPT_CORRELATION)]
+    predicted = []
+    for e in pool:
+        rest = [other for other in pool if other is not e]
+        if e.cue != "motion" or e.accepted or not {e.a, e.b} <= reached_from_first(names, rest):
+            continue
+        offset = solve(spans_s, rest).offset_s
+        if abs(e.delay_s - (offset[e.b] - offset[e.a])) <= e.std_s:
+            predicted.append(e)
+    backed: list[Equation] = []
+    for name in names[1:]:
+        own = [e for e in predicted if name in (e.a, e.b)]
+        if len(own) > 1 and np.sqrt(sum(e.score**2 for e in own)) >= ACCEPT_SCORE:
+            backed += [e for e in own if e not in backed]
+    return backed
+
+
+def _reference() -> Clock:
+    return Clock(0.0, 0.0, 0.0, "reference", 1.0, "its clock is the session's")
+
+
+def _motion_confidence(correlation: float) -> float:
+    """0.5 for a correlation that is just accepted, 0.75 for a perfect one: frames are no microphones."""
+    return 0.5 + 0.25 * (correlation - ACCEPT_CORRELATION) / (1 - ACCEPT_CORRELATION)
+
+
+def _word(cue: str) -> str:
+    return WORDS.get(cue, cue)
+
+
+def _basis(cue: Cue, quality: float, pairs: int) -> str:
+    count = f"{pairs} comparison{'s' if pairs != 1 else ''}"
+    if cue == "audio":
+        return (
+            f"sound: best peak {quality:.1f} times the next one, {count}; the sound's paths are "
+            f"not corrected for ({1e3 * SOUND_PATH_S_PER_M:.1f} ms per metre)"
+        )
+    if cue == "flash":
+        return f"light: {quality:.0f} flash{'es' if quality > 1 else ''} seen in common, {count}"
+    if cue == "timestamps":
+        return "timecode alone, which is as good as the hand that set it"
+    return f"motion energy: correlation {quality:.2f}, {count}; good to half a frame at best"

@@ -1,0 +1,230 @@
+"""A calibration that people already own, fitted to the cameras of a capture: names, picture sizes, unit of length.
+
+A file may hold a whole rig, or intrinsics only; these then serve as a board calibration would.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from devrf.calibration.formats import Found, FoundCamera, find_calibration, find_single_files
+from devrf.calibration.intrinsics import Intrinsics
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, read_rig
+from devrf.capture.errors import InputError
+from devrf.capture.picture_files import natural_key
+
+KEY = "calibration.rig.given"
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+LARGEST_RIG_M = (
+    50.0  # where a format does not say its unit: cameras farther apart than this are in millimetres, ...
+)
+CENTRE_SHARE = (
+    0.25  # a principal point farther off the middle belongs to another picture size (of a size unsaid)
+)
+
+
+@dataclass(frozen=True)
+class GivenNote:
+    """What was assumed or changed; with a remedy where somebody should look at it."""
+
+    check: str
+    text: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a calibration says about the cameras of a capture.
+
+    Attributes:
+        format: In words.
+        rig: The cameras in one world; None where the file has intrinsics only.
+        intrinsics: Of each camera.
+        notes: What was assumed or changed.
+    """
+
+    format: str
+    rig: Rig | None
+    intrinsics: dict[str, Intrinsics]
+    notes: tuple[GivenNote, ...]
+
+
+def read_given(
+    source: Path | Mapping[str, Path],
+    names: list[str],
+    sizes: Mapping[str, tuple[int, int]],
+    unit: str | None = None,
+    known_distance_m: float | None = None,
+) -> Given:
+    """Read a calibration in any known format (`devrf.calibration.formats`), or our own rig.json.
+
+    Args:
+        source: A file or folder; or camera name -> OpenCV file of that camera.
+        names: Cameras of the capture; each must be in it.
+        sizes: Picture sizes of their clips, pixels.
+        unit: Unit of the file's lengths (m, cm, mm), where its owner knows better than the format.
+        known_distance_m: Between the first two cameras: gives metres where the file has none.
+    Raises:
+        InputError: Another format, a camera that is missing, or a calibration for other pictures.
+        CaptureError: A damaged COLMAP model.
+    """
+    own = read_rig(source) if isinstance(source, Path) and _is_json(source) else None
+    found = _found(source) if own is None else _own(own)
+    where = str(source) if isinstance(source, Path) else KEY
+    notes = [GivenNote("given calibration", f"{found.format}, {len(found.cameras)} cameras")]
+    notes += [GivenNote("given calibration", text) for text in found.notes]
+    chosen, note = _match(names, list(found.cameras), where)
+    notes += [note] if note else []
+    fitted: dict[str, FoundCamera] = {}
+    for name in names:
+        fitted[name], note = _fitted(name, found.cameras[chosen[name]], sizes[name], where)
+        notes += [note] if note else []
+    intrinsics = {
+        name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()
+    }
+    without = [name for name, camera in fitted.items() if camera.cam_from_world is None]
+    if without:
+        if len(without) < len(fitted):
+            notes.append(GivenNote("poses not used", f"the file has none of {', '.join(without)}"))
+        return Given(found.format, None, intrinsics, tuple(notes))
+    scale, note = _scale(found, fitted, names, unit, known_distance_m)
+    notes += [note] if note else []
+    cameras = {name: _placed(intrinsics[name], fitted[name], scale.factor) for name in names}
+    if own is not None and scale.factor == 1:  # its doubts are still true
+        cameras = {name: replace(own.cameras[chosen[name]], camera=c.camera) for name, c in cameras.items()}
+        scale = own.scale if unit is None else scale
+    _check_apart(cameras, where)
+    return Given(found.format, Rig(cameras, replace(scale, factor=1.0), "given"), intrinsics, tuple(notes))
+
+
+def _found(source: Path | Mapping[str, Path]) -> Found:
+    return find_calibration(source) if isinstance(source, Path) else find_single_files(source)
+
+
+def _placed(intrinsics: Intrinsics, camera: FoundCamera, metres: float) -> RigCamera:
+    """A camera at its pose, in metres."""
+    T = np.array(camera.cam_from_world)
+    T[:, 3] *= metres
+    return RigCamera(intrinsics.at(T), "given")
+
+
+def _is_json(path: Path) -> bool:
+    if path.suffix.lower() == ".json" or not path.is_file():
+        return path.suffix.lower() == ".json"
+    with path.open("rb") as file:
+        return file.read(64).lstrip().startswith(b"{")
+
+
+def _own(rig: Rig) -> Found:
+    """Our rig.json as any other calibration."""
+    cameras = {}
+    for name, c in rig.cameras.items():
+        size = (c.camera.width, c.camera.height)
+        cameras[name] = FoundCamera(
+            c.camera.K, c.camera.distortion, c.camera.model, size, c.camera.cam_from_world
+        )
+    return Found("devrf rig.json", cameras, "m" if rig.scale.metric else "arbitrary")
+
+
+def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, str], GivenNote | None]:
+    """The capture's name -> the file's: the same name, else the same number, else the same place in the order."""
+    if set(names) <= set(found):
+        return {name: name for name in names}, None
+    ours, theirs = [_number(name) for name in names], [_number(name) for name in found]
+    unique = len(set(ours)) == len(ours) and len(set(theirs)) == len(theirs)
+    if unique and None not in ours and set(ours) <= set(theirs):
+        chosen = {name: found[theirs.index(number)] for name, number in zip(names, ours, strict=True)}
+        return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
+    if len(names) == len(found) and not set(names) & set(
+        found
+    ):  # where some agree, one is missing, not renamed
+        chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))
+        remedy = f"Names do not tell which camera is which; name capture.cameras as the calibration does ({where})."
+        return chosen, GivenNote(
+            "given cameras, matched by order", _pairs(chosen), remedy if len(names) > 1 else ""
+        )
+    missing = [name for name in names if name not in found]
+    raise InputError(
+        f"{where}: has no camera {', '.join(missing)}; it has {', '.join(found) or 'none'}, the capture has "
+        f"{', '.join(names)}; name capture.cameras as the calibration does"
+    )
+
+
+def _number(name: str) -> int | None:
+    digits = re.findall(r"\d+", name)
+    return int(digits[-1]) if len(digits) == 1 else None
+
+
+def _pairs(chosen: Mapping[str, str]) -> str:
+    return ", ".join(f"{ours}: {theirs}" for ours, theirs in chosen.items())
+
+
+def _fitted(
+    name: str, camera: FoundCamera, size: tuple[int, int], where: str
+) -> tuple[FoundCamera, GivenNote | None]:
+    """A camera at the size of its clip."""
+    check = f"given calibration of {name}"
+    if camera.size is None:
+        off = np.abs(camera.K[:2, 2] / size - 0.5)
+        if off.max() > CENTRE_SHARE:
+            raise InputError(
+                f"{where}: camera '{name}' has its principal point at {camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}, its "
+                f"clip is {size[0]}x{size[1]}; expected it near the middle; calibrate at the size of the clip"
+            )
+        text = f"the file has no picture size; taken as the clip's, {size[0]}x{size[1]}"
+        return replace(camera, size=size), GivenNote(check, text)
+    (width, height), (clip_width, clip_height) = camera.size, size
+    if camera.size == size:
+        return camera, None
+    if width * clip_height != height * clip_width:
+        raise InputError(
+            f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}; "
+            "expected the same size, or all of the picture made larger or smaller; a cropped clip needs a "
+            "calibration of its own"
+        )
+    scale = clip_width / width
+    text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
+    return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), GivenNote(check, text)
+
+
+def _scale(
+    found: Found,
+    cameras: Mapping[str, FoundCamera],
+    names: list[str],
+    unit: str | None,
+    known_distance_m: float | None,
+) -> tuple[Scale, GivenNote | None]:
+    """Metres a unit of the file (as `factor`), and what was assumed about it."""
+    centres = {name: -c.cam_from_world[:, :3].T @ c.cam_from_world[:, 3] for name, c in cameras.items()}  # type: ignore
+    apart = max((float(np.linalg.norm(a - b)) for a, b in combinations(centres.values(), 2)), default=0.0)
+    if unit is not None:
+        return Scale(True, f"given calibration ({found.format}, {unit})", METRES[unit], None), None
+    if found.unit in METRES:
+        scale = Scale(True, f"given calibration ({found.format}, {found.unit})", METRES[found.unit], None)
+        return scale, None
+    if known_distance_m is not None and len(names) > 1:
+        first, second = names[:2]
+        distance = float(np.linalg.norm(centres[first] - centres[second]))
+        if distance > 0:
+            source = f"known distance from {first} to {second}"
+            return Scale(True, source, known_distance_m / distance, None), None
+    if found.unit == "arbitrary" or apart == 0:
+        return ARBITRARY, None
+    guess = "mm" if apart > LARGEST_RIG_M else "m"
+    remedy = f"{found.format} does not say its unit: set calibration.rig.given_unit to m, cm or mm."
+    text = f"taken as {guess}: the cameras are up to {apart * METRES[guess]:.3g} m apart"
+    scale = Scale(True, f"given calibration ({found.format}, taken as {guess})", METRES[guess], None)
+    return scale, GivenNote("unit of the given calibration", text, remedy)
+
+
+def _check_apart(cameras: Mapping[str, RigCamera], where: str) -> None:
+    for (a, first), (b, second) in combinations(cameras.items(), 2):
+        if np.array_equal(first.camera.cam_from_world, second.camera.cam_from_world):
+            raise InputError(
+                f"{where}: cameras '{a}' and '{b}' have the same pose; expected a pose each; calibrate the rig, "
+                "not only the lenses"
+            )

@@ -1,0 +1,139 @@
+"""The rig: every fixed camera with its uncertainty, and the scale of the world it stands in. rig.json.
+
+`cam_from_world` is in the scaled world: metres where `scale.metric`, else the sweep's arbitrary unit.
+`scale.factor` takes the sweep's unit (static_poses.json) to this one. K has the centre of the top-left pixel
+at (0.5, 0.5); distortion is as in `capture.camera`.
+"""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.calibration.rigs.graph import Link
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+
+
+@dataclass(frozen=True)
+class RigCamera:
+    """One fixed camera.
+
+    Attributes:
+        camera: Calibration.
+        intrinsics_source: `board`, `self` (the sweep's points) or `given`.
+        rotation_std_deg, position_std: Standard deviations; None where not known.
+        inliers: Points (sweep) or board corners that support it; None where not counted.
+        rms_px: Reprojection error of these.
+        details: More numbers for the report.
+    """
+
+    camera: Camera
+    intrinsics_source: str
+    rotation_std_deg: float | None = None
+    position_std: float | None = None
+    inliers: int | None = None
+    rms_px: float | None = None
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How long a unit is.
+
+    Attributes:
+        metric: Whether the unit is a metre.
+        source: What says so, or "arbitrary scale".
+        factor: From the sweep's unit to the rig's.
+        std: Relative standard deviation of the factor; None where not known.
+    """
+
+    metric: bool
+    source: str
+    factor: float
+    std: float | None
+
+
+ARBITRARY = Scale(False, "arbitrary scale", 1.0, None)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """All fixed cameras, test cameras too, the scale, and which cameras are tied together by what."""
+
+    cameras: dict[str, RigCamera]
+    scale: Scale
+    route: str = "sweep"
+    graph: tuple[Link, ...] = ()
+
+
+def write_rig(path: Path, rig: Rig) -> None:
+    """Write rig.json."""
+    cameras = {}
+    for name, c in rig.cameras.items():
+        cameras[name] = {
+            "model": c.camera.model,
+            "width": c.camera.width,
+            "height": c.camera.height,
+            "K": c.camera.K.tolist(),
+            "distortion": c.camera.distortion.tolist(),
+            "cam_from_world": c.camera.cam_from_world.tolist(),
+            "std": {"rotation_deg": c.rotation_std_deg, "position": c.position_std},
+            "intrinsics": c.intrinsics_source,
+            "inliers": c.inliers,
+            "rms_px": c.rms_px,
+            **({"details": c.details} if c.details else {}),
+        }
+    s = rig.scale
+    scale = {"metric": s.metric, "source": s.source, "factor": s.factor, "std": s.std}
+    content = {"route": rig.route, "cameras": cameras, "scale": scale}
+    if rig.graph:
+        content["graph"] = [asdict(link) for link in rig.graph]
+    path.write_text(json.dumps(content, indent=1))
+
+
+def read_rig(path: Path) -> Rig:
+    """Read rig.json.
+
+    Raises:
+        InputError: Not such a file; says which key is wrong.
+    """
+    try:
+        data = json.loads(path.read_text())
+        cameras = {}
+        for name, c in data["cameras"].items():
+            camera = Camera(
+                int(c["width"]),
+                int(c["height"]),
+                np.array(c["K"], dtype=np.float64),
+                np.array(c["cam_from_world"], dtype=np.float64)[:3],
+                np.array(c.get("distortion", [0.0] * 5), dtype=np.float64),
+                c.get("model", "OPENCV"),
+            )
+            std = c.get("std") or {}
+            cameras[name] = RigCamera(
+                camera,
+                c.get("intrinsics", "given"),
+                std.get("rotation_deg"),
+                std.get("position"),
+                c.get("inliers"),
+                c.get("rms_px"),
+                c.get("details", {}),
+            )
+        s = data.get("scale") or {}
+        scale = Scale(
+            bool(s.get("metric", False)),
+            str(s.get("source", ARBITRARY.source)),
+            float(s.get("factor", 1.0)),
+            s.get("std"),
+        )
+        return Rig(cameras, scale, data.get("route", "given"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: not a rig.json ({error!r}); expected cameras with width, height, K, distortion and "
+            "cam_from_world, as docs/formats.md says"
+        ) from None
