@@ -17,6 +17,7 @@ from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
 from devrf.capture.progress import Progress
+from devrf.pipelines.clock_health import REFUSED_BELOW, confidence_row
 from devrf.pipelines.clocks import clock_dict
 from devrf.pipelines.health import HealthRow, note, row
 
@@ -63,10 +64,10 @@ def clock_check(
     """The clocks to be used, rows about them, and the content of `clock_check.json`."""
     views = timed_pictures(folder, frames, cameras, clocks, motion)
     if len(views) < 2:
-        return dict(clocks), [], {}
+        return dict(clocks), unknown_rows(clocks, "too few pictures for geometry"), {}
     check = check_clocks(views, clocks, progress)
     used = refined(clocks, check)
-    rows = check_rows(check, clocks, used, frames)
+    rows = check_rows(check, clocks, used, frames) + unknown_rows(used, "; ".join(check.notes))
     if metric:
         rows += sound_travel(cameras, clocks)
     return used, rows, _content(check, used)
@@ -109,6 +110,15 @@ def check_rows(
         )
         rows.append(note("clocks that geometry cannot check", text))
     return rows
+
+
+def unknown_rows(used: Mapping[str, Clock], why: str) -> list[HealthRow]:
+    """A refusal where a clock that was to be found by a cue is still not known."""
+    found = {n: c for n, c in used.items() if c.method != "reference" and c.std_s > 0}  # 0: taken as true
+    worst = min(found, key=lambda n: found[n].confidence, default=None)
+    if worst is None or found[worst].confidence >= REFUSED_BELOW:
+        return []
+    return [confidence_row(worst, found[worst], why, final=True)]
 
 
 def sound_travel(cameras: Mapping[str, Camera], clocks: Mapping[str, Clock]) -> list[HealthRow]:

@@ -29,6 +29,7 @@ FLAT_FRAMES = 0.5  # a minimum that is not known better than this many frames sh
 SHIFT_FRAMES = 0.25  # a minimum farther from 0 than this is no rounding
 SHIFT_SIGMAS = 3.0
 SHARP_CONFIDENCE = 0.9
+GUESS_CONFIDENCE = 0.5  # below, a cue was refused and its own standard deviation says nothing
 BETTER = 0.5  # geometry replaces a clock only where its standard deviation is at most half as large
 
 
@@ -129,16 +130,20 @@ def check_clocks(
 
 
 def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Clock]:
-    """The clocks that motion or nothing gave, replaced where geometry is much surer.
+    """The clocks that motion, a guess or nothing gave, replaced where geometry is much surer.
 
     It must be sharp, too, unless there is nothing it could be worse than.
     """
     out = dict(clocks)
     for name, correction in check.corrections.items():
         clock = clocks[name]
-        surer = correction.std_s <= BETTER * clock.std_s
+        if clock.method == "reference" or clock.std_s == 0:  # taken as true
+            continue
+        guess = clock.confidence < GUESS_CONFIDENCE
+        std_s = np.inf if guess else clock.std_s
+        surer = correction.std_s <= BETTER * std_s
         enough = correction.sharp or not np.isfinite(clock.std_s)
-        if clock.method in ("motion", "none", "timestamps") and clock.std_s > 0 and enough and surer:
+        if (guess or clock.method in ("motion", "timestamps")) and enough and surer:
             out[name] = Clock(
                 clock.offset_s + correction.offset_s,
                 clock.drift_ppm,

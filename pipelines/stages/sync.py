@@ -14,11 +14,11 @@ from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
+from devrf.pipelines.clock_health import confidence_row
 from devrf.pipelines.clocks import clock_dict
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
-REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
 MIN_SHARED_FRAMES = 2
 FEW_SHARED_FRAMES = 5
 LISTED_NOTES = 2
@@ -125,20 +125,8 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
         return [note("cue", "none; the clips' own times", verdict="warn", remedy=remedy)]
     worst = min(others, key=lambda name: others[name].confidence)
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
-    rows = [
-        note("cue", ", ".join(cues)),
-        row(
-            f"confidence, worst camera ({worst})",
-            others[worst].confidence,
-            "",
-            warn=0.6,
-            fail=REFUSED_BELOW,
-            remedy=f"The clock of {worst} is not known: {why or others[worst].basis}. "
-            "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough "
-            "for all cameras; or let somebody jump; or give capture.timestamps; or, for cameras synchronised by "
-            "hardware, set calibration.sync.method to none.",
-        ),
-    ]
+    moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
+    rows = [note("cue", ", ".join(cues)), confidence_row(worst, others[worst], why, final=not moves)]
     vague = max(others, key=lambda name: others[name].std_s)
     if math.isfinite(others[vague].std_s):
         fps = cameras[vague].fps_mean or 30.0
