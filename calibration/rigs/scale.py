@@ -2,7 +2,7 @@
 
 A board that stands in the sweep: its corners are triangulated with the sweep's poses and compared with the
 print. Two fixed cameras that saw a board at once: their distance in metres over their distance in the
-sweep's model. Or a distance that somebody measured.
+sweep's model. Or a distance that somebody measured. Or, metres off, where photos say they were taken.
 """
 
 from itertools import combinations
@@ -15,6 +15,7 @@ from devrf.calibration.bundle.adjust import adjust
 from devrf.calibration.bundle.problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import Scale
+from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import similarity
 from devrf.capture.camera import Camera
 
@@ -145,3 +146,11 @@ def combined(found: list[Scale]) -> Scale:
     weight = agree / std**2
     source = "; ".join(s.source for s, a in zip(found, agree, strict=True) if a)
     return Scale(True, source, float(weight @ factors / weight.sum()), float(weight.sum() ** -0.5))
+
+
+def scale_from_gps(model: SweepModel) -> Scale | None:
+    """Scale from where photos say they were taken; None where the sweep does not fit to enough such places."""
+    gps = model.report.get("gps")
+    if gps is None or gps["why"] is not None:
+        return None
+    return Scale(True, f"GPS of {gps['agreeing']} pictures", gps["factor"], gps["factor_std"])
