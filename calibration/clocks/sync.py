@@ -7,21 +7,18 @@ and is dropped. Cues that are not needed are compared with the solution: sound t
 agrees with itself everywhere, and only another cue can tell.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.clocks import sound_faults
 from devrf.calibration.clocks.equations import (
     Clock,
     Cue,
     Equation,
     Loop,
-    PairCue,
     Solution,
     consistent,
     groups,
@@ -29,10 +26,19 @@ from devrf.calibration.clocks.equations import (
     reached_from_first,
     solve,
 )
-from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
-from devrf.calibration.clocks.motion import ACCEPT_CORRELATION, ACCEPT_SCORE, MotionDelay, motion_delay
-from devrf.calibration.clocks.sound import ACCEPT_RATIO, SoundDelay, sound_delay
-from devrf.calibration.clocks.times import doubts, stated_delay, timecode_guesses
+from devrf.calibration.clocks.evidence import (
+    Comparison,
+    Curve,
+    Evidence,
+    Extras,
+    Jump,
+    hear,
+    hear_again,
+    see_flashes,
+    watch,
+)
+from devrf.calibration.clocks.motion import ACCEPT_CORRELATION, ACCEPT_SCORE
+from devrf.calibration.clocks.times import doubts, timecode_guesses
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CalibrationError
 from devrf.capture.progress import Progress, no_progress
@@ -40,12 +46,7 @@ from devrf.capture.recorded import Recorded
 
 Method = Literal["auto", "audio", "motion", "flash", "timestamps", "none"]
 
-GUESS_RATIO = 1.5  # a refused cue this good is still taken as a guess, with a confidence below one half
-GUESS_SCORE = 2.0
 SOUND_PATH_S_PER_M = 1 / 343.0
-PRIOR_STD_S = 0.1  # a delay known this well beforehand can settle which of several peaks of sound is right
-PRIOR_SIGMAS = 3.0
-PRIOR_CONFIDENCE = 0.75  # of sound that needed it
 LAG_S, LAG_SIGMAS = 0.01, 3.0  # sound and flash that differ by more contradict; 10 ms are 3 m of air
 MOTION_SIGMAS = 4.0  # motion that differs by more contradicts; views differ, so less says nothing
 TRUSTED: tuple[tuple[Cue, tuple[Cue, ...]], ...] = (  # a clock's cue: the first that connects it
@@ -54,54 +55,6 @@ TRUSTED: tuple[tuple[Cue, tuple[Cue, ...]], ...] = (  # a clock's cue: the first
     ("audio", ("audio", "flash")),
 )
 WORDS = {"audio": "sound", "timestamps": "timecode"}  # cues whose name is not what they are
-
-
-@dataclass(frozen=True)
-class Curve:
-    """How well two cameras agree at each lag: what the decision was taken from."""
-
-    first: str
-    second: str
-    method: Literal["audio", "motion"]
-    delay_s: float
-    quality: float
-    accepted: bool
-    lags_s: Float[np.ndarray, " n"]
-    values: Float[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Two independent cues for the delay between two cameras.
-
-    Attributes:
-        first, second: Cameras.
-        cue, other: What is compared with what.
-        difference_s: Delay by `other` minus delay by `cue`.
-        limit_s: Beyond it they contradict each other.
-    """
-
-    first: str
-    second: str
-    cue: PairCue
-    other: PairCue
-    difference_s: float
-    limit_s: float
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether the cues cannot both be right."""
-        return abs(self.difference_s) > self.limit_s
-
-
-@dataclass(frozen=True)
-class Jump:
-    """A step in the delay between two clips: a camera lost pictures or sound there."""
-
-    first: str
-    second: str
-    at_s: float
-    step_s: float
 
 
 @dataclass(frozen=True)
@@ -125,37 +78,6 @@ class SyncResult:
     comparisons: tuple[Comparison, ...] = ()
     jumps: tuple[Jump, ...] = ()
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Extras:
-    """What else is known of the clips; every part may be missing.
-
-    Attributes:
-        brightness: Camera -> brightness of rows over time, for flashes.
-        recorded: Camera -> what its file says of its beginning.
-        av_lag_s: Camera -> how late its sound is behind its pictures.
-        readout_s: Camera -> time from the first row's reading to the last one's.
-    """
-
-    brightness: Mapping[str, Brightness] = field(default_factory=dict)
-    recorded: Mapping[str, Recorded] = field(default_factory=dict)
-    av_lag_s: Mapping[str, float] = field(default_factory=dict)
-    readout_s: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass
-class _Evidence:
-    equations: list[Equation] = field(default_factory=list)
-    checks: list[Equation] = field(default_factory=list)  # not needed for the clocks
-    comparisons: list[Comparison] = field(default_factory=list)
-    curves: list[Curve] = field(default_factory=list)
-    jumps: list[Jump] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def accepted(self, *cues: PairCue) -> list[Equation]:
-        """Believed equations of these cues; of all without any."""
-        return [e for e in self.equations if e.accepted and (not cues or e.cue in cues)]
 
 
 def synchronise(
@@ -198,7 +120,7 @@ def synchronise(
         clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
         return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
     longest_s = max(b - a for a, b in spans_s.values())
-    evidence = _Evidence()
+    evidence = Evidence()
     sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
     if method in ("auto", "audio"):
         silent = [n for n in names if n not in sounds]
@@ -209,13 +131,13 @@ def synchronise(
             )
         if silent:
             evidence.notes.append(f"camera {', '.join(silent)}: no sound")
-        _hear(names, sounds, evidence, progress)
+        hear(names, sounds, evidence, progress)
     if method in ("auto", "flash"):
-        _see_flashes(names, extras, evidence, aloud=method == "flash")
+        see_flashes(names, extras, evidence, aloud=method == "flash")
     if method in ("auto", "motion"):
-        _watch(names, motion, evidence, progress)
+        watch(names, motion, evidence, progress)
     if method in ("auto", "audio"):
-        _hear_again(names, sounds, extras.recorded, evidence)
+        hear_again(names, sounds, extras.recorded, evidence)
     if method == "auto":
         _settle_lags(spans_s, evidence)
         named = {n: extras.recorded[n] for n in names if n in extras.recorded}
@@ -224,147 +146,7 @@ def synchronise(
     return _against_files(result, extras.recorded, longest_s)
 
 
-# --- evidence ---
-
-
-def _hear(names: Sequence[str], sounds: Mapping[str, Sound], out: _Evidence, progress: Progress) -> None:
-    heard = [n for n in names if n in sounds]
-    out.notes += [f"camera {n}: {text}" for n in heard if (text := sound_faults.wind(sounds[n]))]
-    pairs = list(itertools.combinations(heard, 2))
-    for i, (a, b) in enumerate(pairs):
-        progress(i / len(pairs), f"sound of {a} and {b}")
-        found = sound_delay(sounds[a], sounds[b])
-        if found is None:
-            out.notes.append(f"{a} and {b}: too little sound to compare")
-            continue
-        c = found.correlation
-        out.curves.append(Curve(a, b, "audio", c.delay_s, c.ratio, found.accepted, c.lags_s, c.values))
-        if not found.accepted:
-            why = sound_faults.beat(c)
-            out.notes.append(
-                f"{a} and {b}: sound not trusted, its peak is {c.ratio:.1f} times the next one, expected "
-                f"{ACCEPT_RATIO:.0f}" + (f" ({why})" if why else "")
-            )
-        elif text := sound_faults.echo(c):
-            out.notes.append(f"{a} and {b}: {text}")
-        if found.accepted and (jump := sound_faults.step(found.moments)):
-            out.jumps.append(Jump(a, b, *jump))
-        out.equations += _sound_equations(a, b, found, found.accepted)
-
-
-def _sound_equations(a: str, b: str, found: SoundDelay, accepted: bool) -> list[Equation]:
-    ratio = found.correlation.ratio
-    guess = not accepted and ratio >= GUESS_RATIO
-    return [
-        Equation(a, b, m.first_s, m.second_s, m.std_s, "audio", ratio, accepted, guess) for m in found.moments
-    ]
-
-
-def _hear_again(
-    names: Sequence[str], sounds: Mapping[str, Sound], recorded: Mapping[str, Recorded], out: _Evidence
-) -> None:
-    """Sound with several peaks, near the delay that another cue or a timecode states: which peak is right."""
-    trusted = {(e.a, e.b) for e in out.accepted("audio")}
-    for a, b in itertools.combinations([n for n in names if n in sounds], 2):
-        prior = _prior(a, b, recorded, out)
-        if (a, b) in trusted or prior is None:
-            continue
-        around_s, std_s, what = prior
-        found = sound_delay(sounds[a], sounds[b], around_s, PRIOR_SIGMAS * std_s)
-        if found is not None and found.accepted:
-            out.equations = [e for e in out.equations if not (e.cue == "audio" and (e.a, e.b) == (a, b))]
-            quality = min(found.correlation.ratio, 1 / (1 - PRIOR_CONFIDENCE))
-            out.equations += [replace(e, quality=quality) for e in _sound_equations(a, b, found, True)]
-            out.notes.append(f"{a} and {b}: sound trusted all the same, near the delay by {what}")
-
-
-def _prior(
-    a: str, b: str, recorded: Mapping[str, Recorded], out: _Evidence
-) -> tuple[float, float, str] | None:
-    """A delay known well enough to choose between peaks of sound, its standard deviation, and whose it is."""
-    priors = [(e.delay_s, e.std_s, e.cue) for e in out.accepted("flash", "motion") if (e.a, e.b) == (a, b)]
-    if a in recorded and b in recorded and (stated := stated_delay(recorded[a], recorded[b])):
-        priors.append(stated)
-    return min((p for p in priors if p[1] <= PRIOR_STD_S), key=lambda p: p[1], default=None)
-
-
-def _see_flashes(names: Sequence[str], extras: Extras, out: _Evidence, aloud: bool) -> None:
-    """Compare flashes; what was not seen is said where flashes were asked for or others saw some."""
-    seen: dict[str, Flashes] = {
-        n: find_flashes(extras.brightness[n], extras.readout_s.get(n))
-        for n in names
-        if n in extras.brightness
-    }
-    if not aloud and sum(len(f.events) > 0 for f in seen.values()) < 2:
-        return
-    for name, found in seen.items():
-        if found.periodic:
-            out.notes.append(f"camera {name}: flashes come at equal distances (periodic), not used")
-        elif not found.events:
-            out.notes.append(
-                f"camera {name}: saw no flash (largest step {found.largest_sigmas:.1f} standard deviations)"
-            )
-        else:
-            rows = ", ".join(f"{e.frame_s:.2f} s row {100 * min(e.row, 1):.0f} %" for e in found.events[:4])
-            out.notes.append(f"camera {name}: {len(found.events)} flashes ({rows} of the height)")
-    for a, b in itertools.combinations(seen, 2):
-        found = flash_delay(seen[a], seen[b])
-        if found is None:
-            continue
-        if not found.accepted:
-            out.notes.append(f"{a} and {b}: flashes not trusted, several delays explain as many")
-        out.equations.append(
-            Equation(
-                a,
-                b,
-                found.first_s,
-                found.first_s - found.delay_s,
-                found.std_s,
-                "flash",
-                float(found.matches),
-                found.accepted,
-                not found.accepted and not (seen[a].periodic or seen[b].periodic),
-            )
-        )
-
-
-def _watch(
-    names: Sequence[str], motion: Mapping[str, Float[np.ndarray, "_ 2"]], out: _Evidence, progress: Progress
-) -> None:
-    """Compare motion: for the clocks where sound and flashes do not connect two cameras, else as a check."""
-    seen = [n for n in names if n in motion]
-    group = groups(names, out.accepted())
-    pairs = list(itertools.combinations(seen, 2))
-    for i, (a, b) in enumerate(pairs):
-        needed = group[a] != group[b]
-        progress(i / len(pairs), f"motion in {a} and {b}")
-        found: MotionDelay | None = motion_delay(motion[a], motion[b])
-        if found is None:
-            if needed:
-                out.notes.append(f"{a} and {b}: too little motion to compare")
-            continue
-        quality = found.correlation * min(1.0, max(0.0, found.margin) / 0.1)
-        guess = not found.accepted and found.score >= GUESS_SCORE and found.margin > 0
-        moment = (found.first_s, found.first_s - found.delay_s)
-        equation = Equation(a, b, *moment, found.std_s, "motion", quality, found.accepted, guess, found.score)
-        if not needed:
-            out.checks.append(equation)
-            continue
-        out.equations.append(equation)
-        out.curves.append(
-            Curve(a, b, "motion", found.delay_s, quality, found.accepted, found.lags_s, found.values)
-        )
-        if not found.accepted:
-            out.notes.append(
-                f"{a} and {b}: motion not trusted (correlation {found.correlation:.2f}, {found.score:.1f} "
-                f"standard deviations from chance, {found.margin:.2f} above the next best)"
-            )
-
-
-# --- solution ---
-
-
-def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> None:
+def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> None:
     """Compare sound with flashes; where they differ, a camera's sound lags, and what its pictures saw counts."""
     sound, flash = (_offsets(spans_s, evidence.accepted(cue)) for cue in ("audio", "flash"))
     first = next(iter(spans_s))
@@ -393,7 +175,7 @@ def _offsets(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equ
     return solve(spans_s, consistent(spans_s, list(equations))[0])
 
 
-def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: _Evidence) -> SyncResult:
+def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> SyncResult:
     """Solve the accepted equations; add the best refused ones for cameras that are not reached otherwise."""
     names, notes = list(spans_s), list(evidence.notes)
     backed = _backed_by_others(spans_s, evidence.equations)

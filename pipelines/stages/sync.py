@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from devrf.calibration.clocks.evidence import Curve, Extras
 from devrf.calibration.clocks.flash import Brightness
-from devrf.calibration.clocks.sync import Curve, Extras, SyncResult, synchronise
+from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress

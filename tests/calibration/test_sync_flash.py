@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
-from devrf.calibration.clocks.sync import Extras, synchronise
+from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.simulate_flash import RollingShutter, exposed, film_flashes
 

@@ -8,9 +8,10 @@ import pytest
 from scipy.signal import fftconvolve
 
 from devrf.calibration.clocks.equations import Clock, Loop
+from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.geometry import Correction, GeometryCheck, refined
-from devrf.calibration.clocks.sync import Extras, SyncResult, synchronise
+from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord
