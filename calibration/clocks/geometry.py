@@ -142,7 +142,7 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
         guess = clock.confidence < GUESS_CONFIDENCE
         std_s = np.inf if guess else clock.std_s
         surer = correction.std_s <= BETTER * std_s
-        enough = correction.sharp or not np.isfinite(clock.std_s)
+        enough = correction.sharp or not np.isfinite(std_s)
         if (guess or clock.method in ("motion", "timestamps")) and enough and surer:
             out[name] = Clock(
                 clock.offset_s + correction.offset_s,
