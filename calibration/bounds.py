@@ -34,6 +34,7 @@ SMALLEST_NEAR = 0.02  # of the longest half side
 MASK_SIDE_PX = 200
 MASK_NOISE = 5.0  # a pixel moves if its range over time exceeds this multiple of the median pixel's
 MASK_FLOOR = 10.0  # grey levels
+MASK_CEILING = 40.0  # more is no noise: the subject fills half the picture, and the median pixel moves too
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 
 
@@ -154,7 +155,7 @@ def motion_mask(pictures: Sequence[UInt8[np.ndarray, "h w"]]) -> Bool[np.ndarray
     stack *= np.median(level) / np.maximum(level, 1.0)
     low, high = np.percentile(stack, [5, 95], axis=0)
     spread = high - low
-    mask = spread > max(MASK_FLOOR, MASK_NOISE * float(np.median(spread)))
+    mask = spread > np.clip(MASK_NOISE * float(np.median(spread)), MASK_FLOOR, MASK_CEILING)
     kernel = np.ones((3, 3), dtype=np.uint8)
     mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((7, 7), dtype=np.uint8))

@@ -57,6 +57,10 @@ class Camera:
             if not np.isfinite(value).all():
                 raise ValueError(f"camera.{name} is not finite: {value.tolist()}")
             object.__setattr__(self, name, value)
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
+            raise ValueError(
+                f"camera.K has focal lengths {self.K[0, 0]:g}, {self.K[1, 1]:g}, expected more than 0"
+            )
         R = self.cam_from_world[:, :3]
         if np.abs(R @ R.T - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(R) < 0:
             raise ValueError(f"camera.cam_from_world is not rigid: R = {R.tolist()}")

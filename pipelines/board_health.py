@@ -36,7 +36,7 @@ def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
             float(board.evidence.tilt_sectors),
             "of 8",
             warn=4.0,
-            remedy="Frontal views leave the focal length unsure by 1 %: tilt the board by 20 to 45 degrees, "
+            remedy="Frontal views leave the focal length unsure: tilt the board by 20 to 45 degrees, "
             "left and right, up and down.",
         ),
         *_coverage_rows(name, board),

@@ -24,6 +24,11 @@ from devrf.pipelines.health import HealthRow, note, row
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
 MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower
 MIN_FRAMES = 12
+FRAMES_UNSURE, FRAMES_UNKNOWN = (
+    0.25,
+    3.0,
+)  # frames: of a clock by geometry; more is worth a warning, a refusal
+WORDS = {"audio": "sound", "none": "nothing"}
 FAR_M = 3.0  # a rig wider than this hears one clap at clearly different times
 
 
@@ -84,7 +89,21 @@ def check_rows(
     replaced = [n for n in used if used[n].method == "geometry"]
     if replaced:
         text = ", ".join(f"{n} {1e3 * check.corrections[n].offset_s:+.1f} ms" for n in replaced)
-        rows.append(note("clocks by geometry instead of motion", text))
+        before = ", ".join(sorted({WORDS.get(clocks[n].method, clocks[n].method) for n in replaced}))
+        rows.append(note(f"clocks by geometry instead of {before}", text))
+        vague = max(replaced, key=lambda n: used[n].std_s)
+        step_ms = 1e3 / (frames[vague].fps_mean or 30.0)
+        rows.append(
+            row(
+                f"standard deviation of clocks by geometry, worst camera ({vague})",
+                1e3 * used[vague].std_s,
+                "ms",
+                warn=FRAMES_UNSURE * step_ms,
+                fail=FRAMES_UNKNOWN * step_ms,
+                low_is_bad=False,
+                remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
+            )
+        )
     kept = {n: c for n, c in check.corrections.items() if n not in replaced and c.sharp}
     if kept:
         worst = max(kept, key=lambda n: abs(kept[n].offset_s))
@@ -99,17 +118,30 @@ def check_rows(
                 warn=max(0.25 * step_ms, 3e3 * found.std_s),
                 low_is_bad=False,
                 remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
-                "smallest there). An in-camera lag between sound and pictures is likely: set "
-                f"calibration.sync.av_lag_s: {{{worst}: {found.offset_s:.3f}}}, or check the camera's pose.",
+                f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
             )
         )
-    unchecked = [n for n in list(clocks)[1:] if n not in check.corrections or not check.corrections[n].sharp]
+    unchecked = [
+        n
+        for n in list(clocks)[1:]
+        if n not in replaced and (n not in check.corrections or not check.corrections[n].sharp)
+    ]
     if unchecked:
         text = (
             f"{', '.join(unchecked)}: {'; '.join(check.notes) or 'no pair of cameras shows the same motion'}"
         )
         rows.append(note("clocks that geometry cannot check", text))
     return rows
+
+
+def _mend(name: str, cue: str, offset_s: float) -> str:
+    """What to change where a clock is off, by what gave it."""
+    if cue == "audio":
+        lag = f"calibration.sync.av_lag_s: {{{name}: {offset_s:.3f}}}"
+        return f"An in-camera lag between sound and pictures is likely: set {lag}"
+    if cue == "timestamps":
+        return f"Add {offset_s:.3f} s to its times in capture.timestamps"
+    return "Film with sound and clap a few times"
 
 
 def unknown_rows(used: Mapping[str, Clock], why: str) -> list[HealthRow]:

@@ -16,7 +16,8 @@ def sync_section(run: RunFolder) -> str:
         "True time = offset + (1 + drift) × file time, on the first camera's clock. "
         "One clear peak in the correlation is what makes an offset sure."
     )
-    cameras = run.cameras(SYNC)
+    used = CHECK if run.cameras(CHECK) else SYNC  # geometry may have replaced some
+    cameras = run.cameras(used)
     if not cameras:
         return section("sync", "Clocks", lead, absent(run.why_absent("sync")))
     rows = []
@@ -25,15 +26,15 @@ def sync_section(run: RunFolder) -> str:
         rows.append(
             [
                 f"<strong>{text(name)}</strong>",
-                number(clock.get("offset_s"), "s", 4, file=SYNC, key=f"{key}.offset_s", sign=True),
-                number(clock.get("drift_ppm"), "ppm", 1, file=SYNC, key=f"{key}.drift_ppm", sign=True),
-                number(clock.get("std_s"), "ms", 3, file=SYNC, key=f"{key}.std_s", scale=1000.0),
+                number(clock.get("offset_s"), "s", 4, file=used, key=f"{key}.offset_s", sign=True),
+                number(clock.get("drift_ppm"), "ppm", 1, file=used, key=f"{key}.drift_ppm", sign=True),
+                number(clock.get("std_s"), "ms", 3, file=used, key=f"{key}.std_s", scale=1000.0),
                 f'<span title="{text(clock.get("basis") or "")}">{text(clock.get("method", ""))}</span>',
-                number(clock.get("confidence"), "", 2, file=SYNC, key=f"{key}.confidence"),
+                number(clock.get("confidence"), "", 2, file=used, key=f"{key}.confidence"),
             ]
         )
     head = ("camera", "offset", "drift", "std. deviation", "cue", "confidence")
-    body = table(head, rows, source=SYNC, numeric=(1, 2, 3, 5))
+    body = table(head, rows, source=used, numeric=(1, 2, 3, 5))
     body += _pairs(run) + _loops(run) + _sync_curves(run) + _geometry(run)
     return section("sync", "Clocks", lead, body)
 
@@ -78,7 +79,7 @@ def _loops(run: RunFolder) -> str:
     largest = run.object(SYNC).get("loop_s")
     if largest is not None:
         shown = number(largest, "ms", 3, file=SYNC, key="loop_s", scale=1e3)
-        body += f"<p>Largest contradiction around a loop of cameras: {shown}.</p>"
+        body += f"<p>Largest miss of a pair of cameras from the clocks: {shown}.</p>"
     return f"<h3>Contradictions</h3>{body}" if body else ""
 
 

@@ -154,7 +154,8 @@ def _clock_rows(rig: BoardRig) -> list[HealthRow]:
                 warn=max(LATE_MS, 3e3 * float(std_s)),
                 low_is_bad=False,
                 remedy="The board's views fit only when the clocks are shifted by this: sync the joint clips (sound, "
-                "or true times in capture.timestamps), or rest the board and keep only the rests.",
+                "or true times in capture.timestamps; a table that was used is late by this), or rest the board and "
+                "keep only the rests.",
             )
         )
     rows.append(
@@ -307,5 +308,8 @@ def scale_rows(found: list[Scale], used: Scale) -> list[HealthRow]:
     if used.metric:
         std = "" if used.std is None else f", +- {100 * used.std:.2f} %"
         return [*rows, note("scale", f"metres: {used.source}{std}")]
-    remedy = "Lengths are not metres: let a board stand in the scene during the sweep (capture.board)."
+    remedy = (
+        "Lengths are not metres: let a board stand in the scene during the sweep (capture.board), or give "
+        "calibration.rig.known_distance_m, or calibration.rig.given_unit of a given calibration."
+    )
     return [*rows, note("scale", ARBITRARY.source, verdict="warn", remedy=remedy)]

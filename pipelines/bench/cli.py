@@ -37,7 +37,7 @@ OutOption = Annotated[
 DataOption = Annotated[
     Path | None, typer.Option(help="Folder of real captures with references, a folder each")
 ]
-OnlyOption = Annotated[str | None, typer.Option(help="Some of the parts, by name: boards,rigs")]
+OnlyOption = Annotated[str | None, typer.Option(help="Some of the parts, by name: boards,rigs; sound,motion")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
 
 

@@ -123,3 +123,15 @@ def test_motion_mask_sees_motion_but_neither_noise_nor_exposure():
     mask = motion_mask(pictures)
     assert mask[32:48, 30:70].mean() > 0.9
     assert mask[:22].mean() < 0.05 and mask[60:].mean() < 0.05
+
+
+def test_a_subject_that_fills_most_of_the_picture_is_still_what_moves():
+    rng = np.random.default_rng(0)
+    scene = rng.integers(60, 190, (90, 120)).astype(np.float64)
+    pictures = []
+    for _ in range(16):
+        picture = scene + rng.normal(0, 1.5, scene.shape)
+        picture[:, 40:] = rng.integers(40, 215, (90, 80))  # two thirds; the median pixel's range is over 100
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+    mask = motion_mask(pictures)
+    assert mask[:, 45:].mean() > 0.95 and mask[:, :35].mean() < 0.05

@@ -12,6 +12,11 @@ K = np.array([[500.0, 0, 310.5], [0, 480.0, 243.0], [0, 0, 1]])
 LENS = np.array([-0.3, 0.12, 0.002, -0.001, -0.02])
 
 
+def test_focal_lengths_are_positive():
+    with pytest.raises(ValueError, match="focal lengths -5, 1, expected more than 0"):
+        Camera(4, 4, np.diag([-5.0, 1.0, 1.0]), np.eye(3, 4))
+
+
 def pose(rotvec, centre) -> np.ndarray:
     R = cv2.Rodrigues(np.asarray(rotvec, dtype=np.float64))[0]
     return np.column_stack([R, -R @ np.asarray(centre, dtype=np.float64)])

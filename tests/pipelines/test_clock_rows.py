@@ -295,6 +295,26 @@ def test_d22_d23_geometry_against_the_clocks():
     assert str(row.value).startswith("cam2: ") and "not observable" in str(row.value)
 
 
+def test_clocks_by_geometry_say_how_unsure_they_are():
+    """Half a second of doubt is no clock; two frames are a warning, what is sharp is fine."""
+    none = {
+        n: Clock(0.0, 0.0, np.inf if i else 0.0, "none" if i else "reference", 0.0, "")
+        for i, n in enumerate(NAMES)
+    }
+    for std_s, verdict in ((0.2 / FPS, "ok"), (2.0 / FPS, "warn"), (0.5, "fail")):
+        found = check(cam1=(0.01, std_s))
+        rows = {row.check: row for row in check_rows(found, none, refined(none, found), CAMERAS)}
+        assert "clocks by geometry instead of nothing" in rows
+        row = rows["standard deviation of clocks by geometry, worst camera (cam1)"]
+        assert row.verdict == verdict and (verdict == "ok" or "clap" in row.remedy)
+
+
+def test_a_table_of_times_that_is_late_is_told_by_how_much():
+    table = {n: Clock(0.0, 0.0, 1e-3, "timestamps", 0.9, "") for n in NAMES}
+    row = check_rows(check(cam1=(-0.117, 1e-3)), table, table, CAMERAS)[0]
+    assert row.verdict == "warn" and "Add -0.117 s to its times in capture.timestamps" in row.remedy
+
+
 def test_d9_sound_travels():
     def rig(size_m: float) -> dict[str, Camera]:
         K = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1.0]])
