@@ -13,8 +13,21 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
     from devrf.capture.session import preflight
 
     session = capture_session(config, scene_dir)
-    problems = preflight(session) + _check_masks(config, scene_dir)
+    problems = preflight(session) + _check_masks(config, scene_dir) + _check_dictionary(config)
     return problems or _check_given(config, scene_dir, session)  # sizes are known where clips are whole
+
+
+def _check_dictionary(config: SceneConfig) -> list[str]:
+    board = None if config.capture is None else config.capture.board
+    if board is None or board.type == "chessboard":
+        return []
+    from devrf.calibration.boards.spec import dictionary
+
+    try:
+        dictionary(board.dictionary)
+    except DevrfError as error:
+        return [str(error)]
+    return []
 
 
 def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:

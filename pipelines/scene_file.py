@@ -340,8 +340,15 @@ def _check_together(config: SceneConfig, raw: dict, say: Any) -> None:
     _check_names(config, say)
     if config.kind == "cameras" and capture.cameras:
         rig = config.calibration.rig
-        has_board = capture.board is not None and bool(capture.board.joint_clips)
-        if rig.given is None and not has_board:
+        board_is_wrong = capture.board is None and isinstance(given, dict) and bool(given.get("board"))
+        joint = {} if capture.board is None else capture.board.joint_clips
+        without = [name for name in capture.all_cameras if name not in joint]
+        if rig.given is None and joint and without:
+            say(
+                "capture.board.joint_clips",
+                f"has no clip of {', '.join(without)}; expected one of every camera",
+            )
+        if rig.given is None and not joint and not board_is_wrong:
             say(
                 "capture.static",
                 "is missing, and without a sweep the cameras' poses come from a board that several see "

@@ -186,6 +186,22 @@ def test_misspelt_unknown_and_out_of_range_keys(devrf: Callable, tmp_path: Path,
     assert "scene.yaml: frobnicate: unknown key" in result.err
 
 
+def test_a_board_no_marker_of_which_exists(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    board = {"squares": [8, 6], "square_m": 0.06, "marker_m": 0.045, "dictionary": "DICT_4X4_77"}
+    result = devrf("run", scene(tmp_path, material, board=board))
+    assert result.code == 2 and not (tmp_path / "run" / "ingest").exists()
+    assert "no dictionary DICT_4X4_77; did you mean DICT_4X4_" in result.err
+
+
+def test_joint_clips_of_some_cameras_without_a_sweep(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    clip = str(material / "elsewhere.mp4")
+    board = {"squares": [8, 6], "square_m": 0.06, "marker_m": 0.045, "joint_clips": {"cam0": clip}}
+    path = scene(tmp_path, material, board=board, cameras={"cam0": clip, "cam1": clip}, static=None)
+    result = devrf("run", path)
+    assert result.code == 2
+    assert "capture.board.joint_clips: has no clip of cam1; expected one of every camera" in result.err
+
+
 def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, material: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     output = tmp_path / "file" / "run"

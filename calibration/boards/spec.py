@@ -1,5 +1,6 @@
 """What is printed on a calibration board, and where its corners are; a view of it in a picture."""
 
+import difflib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -95,7 +96,10 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
     number = getattr(cv2.aruco, name, None)
     if not name.startswith("DICT_") or not isinstance(number, int):
         known = sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_"))
-        raise InputError(f"capture.board.dictionary: {name} is unknown; OpenCV has {', '.join(known)}")
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
+        raise InputError(
+            f"capture.board.dictionary: OpenCV has no dictionary {name}; did you mean {', '.join(near)}?"
+        )
     return cv2.aruco.getPredefinedDictionary(number)
 
 

@@ -211,7 +211,7 @@ def test_a_wrong_description_is_refused(tmp_path):
     files = write(tmp_path, [draw(SPEC, board_pose(np.random.default_rng(1), SPEC))])
     with pytest.raises(HealthError, match="fit no 9x7 layout"):
         settle("clip", files, replace(SPEC, squares=(9, 7)))
-    with pytest.raises(InputError, match="DICT_9X9_7 is unknown"):
+    with pytest.raises(InputError, match="no dictionary DICT_9X9_7; did you mean DICT_"):
         settle("clip", files, replace(SPEC, dictionary="DICT_9X9_7"))
 
 
