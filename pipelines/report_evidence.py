@@ -17,7 +17,7 @@ POSES, RIG, METRICS = "static_poses/static_poses.json", "rig/rig.json", "evaluat
 HEALTH, HELD_OUT = "rig/health.json", "held-out lengths on the board"  # how the rig stage's rows begin
 SWEEP_NODE = "sweep"
 FEW, WEAK = 50, 200  # shared corners of a link: fewer do not tie cameras, fewer are weak (rig's health rows)
-FEW_POINTS, WEAK_POINTS = 30, 100  # the same of points shared with the sweep
+FEW_POINTS, WEAK_POINTS = 30, 100  # the same of shared points of the sweep
 STEEPEST_DEG = 60.0  # tilt at the rim of the rose
 FEW_VIEWS = "too few views to leave some out"
 
@@ -92,7 +92,8 @@ def _graph(run: RunFolder) -> str:
             continue
         words = " + ".join([f"{corners}"] * bool(corners) + [f"{points} pts"] * bool(points))
         if words:
-            links.append((a, b, words, _verdict(corners + points, FEW, WEAK)))
+            tied = {_verdict(corners, FEW, WEAK), _verdict(points, FEW_POINTS, WEAK_POINTS)}
+            links.append((a, b, words, next(v for v in ("ok", "warn", "fail") if v in tied)))
     if run.object(RIG).get("route", "sweep") == "sweep":
         for name, camera in cameras.items():
             if isinstance(camera.get("inliers"), int):
