@@ -100,10 +100,12 @@ def read_rig(path: Path) -> Rig:
     Raises:
         InputError: Not such a file; says which key is wrong.
     """
+    where = ""
     try:
         data = json.loads(path.read_text())
         cameras = {}
         for name, c in data["cameras"].items():
+            where = f"camera '{name}': "
             camera = Camera(
                 int(c["width"]),
                 int(c["height"]),
@@ -122,6 +124,7 @@ def read_rig(path: Path) -> Rig:
                 c.get("rms_px"),
                 c.get("details", {}),
             )
+        where = ""
         s = data.get("scale") or {}
         scale = Scale(
             bool(s.get("metric", False)),
@@ -134,6 +137,10 @@ def read_rig(path: Path) -> Rig:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{path}: not a rig.json ({error!r}); expected cameras with width, height, K, distortion and "
+            f"{path}: not a rig.json ({where}{_words(error)}); expected cameras with width, height, K, distortion and "
             "cam_from_world, as docs/formats.md says"
         ) from None
+
+
+def _words(error: Exception) -> str:
+    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
