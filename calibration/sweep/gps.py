@@ -8,6 +8,7 @@ fixes may be tens of metres off.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from math import ceil
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -80,8 +81,9 @@ def local_metres(
 
 def why_not(metres: Mapping[str, np.ndarray], std_m: Mapping[str, float], pictures: int) -> str:
     """Why these places cannot guide the sweep, in words; empty where they can."""
-    if len(metres) < max(FEWEST, SHARE * pictures):
-        return f"{len(metres)} of {pictures} pictures have a place, need {max(FEWEST, int(SHARE * pictures))}"
+    need = max(FEWEST, ceil(SHARE * pictures))
+    if len(metres) < need:
+        return f"{len(metres)} of {pictures} pictures have a place, need {need}"
     xy = np.array(list(metres.values()))[:, :2]
     extent_m = float(np.sqrt(((xy - np.median(xy, axis=0)) ** 2).sum(1).mean()))
     noise_m = float(np.median(list(std_m.values())))

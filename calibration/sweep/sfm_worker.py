@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from devrf.calibration.sweep.sfm_budget import Clock, Matching
 from devrf.calibration.sweep.agreement import disagreement_deg
 from devrf.calibration.sweep.pairs import Pair
+from devrf.calibration.sweep.sfm_budget import Clock, Matching
+from devrf.capture.formats.colmap import intrinsics
+from devrf.capture.formats.colmap_model import ModelCamera
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
 POLISH_TOLERANCE = 1e-8  # relative fall of the cost in one step; at 1e-6 focals still move by 0.01 px
@@ -32,15 +34,6 @@ FEWEST_INLIERS = 15  # of a verified pair (COLMAP's own bound)
 EXTRACT_PROBE = 4  # pictures whose time tells what the others will take
 EXTRACT_SHARE = 0.4  # of the time that is left; matching and mapping take about as long
 GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
-DISTORTION_OF = {  # our order k1, k2, p1, p2, k3 -> position in COLMAP's parameter vector
-    "SIMPLE_PINHOLE": {},
-    "PINHOLE": {},
-    "SIMPLE_RADIAL": {0: 3},
-    "RADIAL": {0: 3, 1: 4},
-    "OPENCV": {0: 4, 1: 5, 2: 6, 3: 7},
-    "FULL_OPENCV": {0: 4, 1: 5, 2: 6, 3: 7, 4: 8},
-    "OPENCV_FISHEYE": {0: 4, 1: 5, 2: 6, 3: 7},
-}
 
 
 def main(job_file: Path) -> None:
@@ -66,9 +59,8 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     skipped = _extract_in_time(database, job, names, clock)
     pairs = [pair for pair in job["pairs"] if not skipped.intersection(pair)]
     wanted = len(pairs) if len(pairs) < len(job["pairs"]) else job["wanted"]
-    matching = Matching(
-        pairs, wanted, _features_per_image(database), lambda some: _match(database, work, some), clock
-    )
+    features = _features_per_image(database)
+    matching = Matching(pairs, wanted, features, lambda some: _match(database, work, some), clock)
     _say(0.35, f"matching {wanted} pairs")
     matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
@@ -81,8 +73,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
         "skipped_pictures": sorted(skipped),
         "best_pair": _best_pair(database),
         "pairs": matching.report(),
-        "features_per_image": _features_per_image(database),
-        "held": sorted(held),
+        "features_per_image": features,
         "models": [],
     }
     if mapping.best is None:
@@ -427,9 +418,8 @@ def _best_pair(database: Path) -> dict[str, Any]:
     db = pycolmap.Database.open(str(database))
     names = {image.image_id: image.name for image in db.read_all_images()}
     pair_ids, inliers = db.read_two_view_geometry_num_inliers()
-    verified = int(sum(n >= 15 for n in inliers))
     best = int(np.argmax(inliers)) if len(inliers) else -1
-    out = {"inliers": 0, "names": [], "verified_pairs": verified, "angle_deg": None}
+    out = {"inliers": 0, "names": [], "angle_deg": None}
     if best >= 0:
         ids = _image_ids(pair_ids[best])
         angle = db.read_two_view_geometry(*ids).tri_angle
@@ -533,16 +523,15 @@ def _write_model(model: pycolmap.Reconstruction, database: Path, out: Path) -> d
 
 
 def _camera(camera: pycolmap.Camera) -> dict[str, Any]:
-    model = camera.model.name
-    distortion = [0.0] * 5
-    for ours, theirs in DISTORTION_OF[model].items():
-        distortion[ours] = float(camera.params[theirs])
+    model, width, height = camera.model.name, camera.width, camera.height
+    params = tuple(float(p) for p in camera.params)
+    K, distortion, _ = intrinsics(ModelCamera(model, width, height, params), "the sweep's model")
     return {
         "model": model,
-        "width": camera.width,
-        "height": camera.height,
-        "K": camera.calibration_matrix().tolist(),
-        "distortion": distortion,
+        "width": width,
+        "height": height,
+        "K": K.tolist(),
+        "distortion": distortion.tolist(),
     }
 
 
