@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from devrf.calibration.sweep.static_poses import SweepModel
-from devrf.calibration.truth import rotation_angle_deg, similarity
+from devrf.calibration.truth import Truth, compare_cameras
 from devrf.capture.frames import SWEEP
 from devrf.capture.ingest import write_frames
 from devrf.capture.pictures import list_pictures
@@ -42,17 +42,17 @@ def _fox(cases: Cases) -> list[Row]:
         Path(f["file_path"]).name: np.array(f["transform_matrix"]) @ OPENCV_FROM_OPENGL
         for f in truth["frames"]
     }
-    true = [reference[photos[int(Path(name).stem)]] for name in model.names]
-    rotation = np.array(rotations_deg([c.world_from_cam for c in model.cameras], true))
+    true = {n: reference[photos[int(Path(name).stem)]] for n, name in enumerate(model.names)}
+    errors = compare_cameras(Truth(true, {}, {}), dict(enumerate(model.cameras)), {}, np.zeros(3))
     focal = 100 * float(model.cameras[0].K[0, 0] / truth["fl_x"] - 1)
     return [
         *_registered("fox_static", model, 50),
         with_goal(
-            Row("sweeps/fox_static/rotation, median", float(np.median(rotation)), "deg", source=FOX),
+            Row("sweeps/fox_static/rotation, median", errors["pose_rotation_deg_median"], "deg", source=FOX),
             0.2,
             low_is_good=True,
         ),
-        Row("sweeps/fox_static/rotation, largest", float(rotation.max()), "deg", source=FOX),
+        Row("sweeps/fox_static/rotation, largest", errors["pose_rotation_deg"], "deg", source=FOX),
         with_goal(Row("sweeps/fox_static/focal, off by", abs(focal), "%", source=FOX), 2.0, low_is_good=True),
         *_cost("fox_static", model, seconds),
     ]
@@ -74,13 +74,6 @@ def _sceaux(cases: Cases) -> list[Row]:
         ),
         *_cost("sceaux_castle", model, seconds),
     ]
-
-
-def rotations_deg(ours: list[np.ndarray], true: list[np.ndarray]) -> list[float]:
-    """Angle of each recovered `world_from_cam` [4, 4] to the true one, after a similarity of the centres."""
-    true_from_ours = similarity(np.array([p[:3, 3] for p in ours]), np.array([p[:3, 3] for p in true]))
-    turn = true_from_ours[:3, :3] / np.cbrt(np.linalg.det(true_from_ours[:3, :3]))
-    return [rotation_angle_deg(turn @ a[:3, :3], b[:3, :3]) for a, b in zip(ours, true, strict=True)]
 
 
 def _recover(cases: Cases, folder: Path) -> tuple[SweepModel, list[str], float]:
