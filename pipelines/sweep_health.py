@@ -6,7 +6,7 @@ The measures come from `calibration`; here is how much is too much, and what a c
 from collections.abc import Sequence
 from typing import Any
 
-from devrf.calibration.boards.calibrate import BoardCalibration
+from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.checks import (
     field_of_view_deg,
     fold,
@@ -47,7 +47,7 @@ def sweep_rows(model: SweepModel) -> list[HealthRow]:
     ]
 
 
-def mask_rows(without: Sequence[str] | None) -> list[HealthRow]:
+def mask_rows(without: Sequence[str]) -> list[HealthRow]:
     """A row about pictures without a mask, where masks are given."""
     if not without:
         return []
@@ -55,12 +55,13 @@ def mask_rows(without: Sequence[str] | None) -> list[HealthRow]:
     return [note("masks", text, verdict="warn", remedy="What moves in them is matched: add their masks.")]
 
 
-def board_focal_row(model: SweepModel, board: BoardCalibration) -> HealthRow:
-    """Whether the sweep and the board agree on the lens."""
-    focal = next(iter(model.report["cameras"].values()))["K"][0][0]
+def board_focal_row(model: SweepModel, board: Intrinsics) -> HealthRow:
+    """Whether the sweep and the board agree on the lens; not measured where no picture of that lens is in the model."""
+    ids = [s["camera_id"] for s in model.report["start"] if s["source"] == "board"]
+    focals = [model.report["cameras"][str(n)]["K"][0][0] for n in ids if n is not None]
     return row(
         "focal length against the board",
-        100 * abs(focal / board.intrinsics.K[0, 0] - 1),
+        100 * abs(focals[0] / board.K[0, 0] - 1) if focals else None,
         "%",
         warn=EXIF_WARN,
         fail=EXIF_BAD,
@@ -305,7 +306,7 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
 
 def loop_rows(model: SweepModel) -> list[HealthRow]:
     """Whether pictures of the same place, taken far apart in time, share points."""
-    loop = open_loop(model) if len(model.names) > 2 else None
+    loop = open_loop(model)
     if loop is None:
         return []
     share, (a, b) = loop
@@ -373,22 +374,23 @@ def _gps(r: dict[str, Any]) -> list[HealthRow]:
 
 
 def _time(r: dict[str, Any]) -> list[HealthRow]:
-    rows = []
     pairs = r["pairs"]
     left_out = pairs["wanted"] - pairs["matched"]
     late = [a["name"] for a in r["attempts"] if a["out_of_time"]]
-    said = [f"{pairs['wanted']} pairs ≈ {pairs['wanted_s'] / 60:.1f} min on this CPU; {left_out} left out"]
-    said = said if left_out else []
+    said = []
+    if left_out:
+        minutes = pairs["wanted_s"] / 60
+        said.append(f"{pairs['wanted']} pairs ≈ {minutes:.1f} min on this CPU; {left_out} left out")
     if r["skipped_pictures"]:
         said.append(f"{len(r['skipped_pictures'])} pictures left out: {_some(r['skipped_pictures'])}")
     if late:
         said.append(f"mapping stopped: {', '.join(late)}")
     if r["stopped"]:
         said.append(f"the worker {r['stopped']}; its best model so far is used")
-    if said:
-        remedy = "Give more time (calibration.static_poses.time_minutes), or use fewer or smaller pictures."
-        rows.append(note("time for the sweep", "; ".join(said), verdict="warn", remedy=remedy))
-    return rows
+    if not said:
+        return []
+    remedy = "Give more time (calibration.static_poses.time_minutes), or use fewer or smaller pictures."
+    return [note("time for the sweep", "; ".join(said), verdict="warn", remedy=remedy)]
 
 
 def _some(names: Sequence[Any]) -> str:

@@ -40,7 +40,7 @@ def run(context: StageContext) -> None:
     context.health.extend(mask_rows(without_mask))
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
-        context.health.append(board_focal_row(model, board))
+        context.health.append(board_focal_row(model, board.intrinsics))
         context.health.extend(board_rows(SWEEP, board))
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.agreement import disagreement_deg
 from devrf.calibration.sweep.checks import picture_fits, two_zooms
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
@@ -18,7 +19,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
 from devrf.pipelines.health import HealthRow
-from devrf.pipelines.sweep_health import loop_rows, mask_rows, sweep_rows
+from devrf.pipelines.sweep_health import board_focal_row, loop_rows, mask_rows, sweep_rows
 
 FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
 
@@ -297,6 +298,28 @@ def test_focals_that_scatter_between_cameras_are_named(corner):
         start=[start | {"camera_id": 1, "label": "a"}, start | {"camera_id": 2, "label": "b"}],
     )
     assert "one camera at one zoom" in fired(faulty)["scatter of focal lengths between cameras"].remedy
+
+
+def test_a_board_is_compared_with_its_own_device(corner):
+    """Two devices: the board's is the second camera of the model; where none of its pictures is registered, nothing
+    can be said."""
+    one, start = corner.model.report["cameras"]["1"], corner.model.report["start"][0]
+    K = np.array(one["K"]) * [[1.25, 1, 1], [1, 1.25, 1], [1, 1, 1]]
+    width, height = SIZE
+    board = Intrinsics(width, height, K, np.zeros(5))
+
+    def judged(camera_id: int | None):
+        starts = [
+            start | {"camera_id": 1, "source": "guess"},
+            start | {"camera_id": camera_id, "source": "board"},
+        ]
+        return board_focal_row(
+            changed(corner.model, cameras={"1": one, "2": one | {"K": K.tolist()}}, start=starts), board
+        )
+
+    assert judged(2).value == 0 and judged(2).verdict == "ok"
+    assert judged(1).value == pytest.approx(20) and judged(1).verdict == "fail"  # 1 / 1.25 of the board's
+    assert judged(None).value is None and judged(None).verdict == "warn"
 
 
 def test_an_open_loop_is_named():
