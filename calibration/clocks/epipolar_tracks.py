@@ -68,6 +68,7 @@ class TrackFinder:
         self.pictures = pictures
         self.step_s = float(np.median(np.diff(pictures.time_s)))
         self._mask = _moving(pictures.grey)
+        self._described: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._found: dict[tuple[int, int], Tracks | None] = {}
 
     def near(self, time_s: float) -> int:
@@ -83,7 +84,9 @@ class TrackFinder:
 
     def _track(self, index: int, around: int) -> Tracks | None:
         grey, count = self.pictures.grey, len(self.pictures.grey)
-        start, descriptors = _describe(grey[index], self._mask)
+        if index not in self._described:
+            self._described[index] = _describe(grey[index], self._mask)
+        start, descriptors = self._described[index]
         if not len(start):
             return None
         path, whole = {index: start}, np.ones(len(start), dtype=bool)

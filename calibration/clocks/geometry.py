@@ -161,6 +161,7 @@ class _Work:
     def __init__(self, views: Mapping[str, TimedPictures]) -> None:
         self.finders = {name: TrackFinder(view) for name, view in views.items()}
         self.flows = {name: clip_flow(view) for name, view in views.items()}
+        self._speeds = {n: np.abs(flow.flow).mean(axis=(1, 2, 3)) for n, flow in self.flows.items()}
         self._from_s = max(float(v.time_s[0]) for v in views.values())
         self._to_s = min(float(v.time_s[-1]) for v in views.values())
 
@@ -208,9 +209,8 @@ class _Work:
         if grid[0] >= grid[-1]:
             return []
         moved = np.zeros(len(grid))
-        for flow in self.flows.values():
-            speed = np.abs(flow.flow).mean(axis=(1, 2, 3))
-            moved += np.interp(grid, flow.time_s, speed) / max(float(speed.max()), 1e-9)
+        for name, speed in self._speeds.items():
+            moved += np.interp(grid, self.flows[name].time_s, speed) / max(float(speed.max()), 1e-9)
         share = np.cumsum(np.maximum(moved - 0.5 * np.median(moved), 0.0))
         wanted = (np.arange(count) + 0.5) / count * share[-1]
         return [float(t) for t in np.unique(grid[np.searchsorted(share, wanted).clip(max=len(grid) - 1)])]
