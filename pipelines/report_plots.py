@@ -16,7 +16,8 @@ MARGIN = 26
 PLAN_MARGIN = 60  # room for names and ellipses
 MAX_DOTS = 500  # more only make the page heavy
 NICE = (1, 2, 5)
-WORD_AT = 0.37  # of a link: words in the middle of links that cross would cover each other
+WORD_AT = (0.37, 0.3, 0.44, 0.24, 0.56, 0.63, 0.7, 0.5, 0.76)  # of a link, where its words may stand
+LETTER, LINE = 6.4, 14.0  # width and height that a letter of these words takes
 
 
 def cell_grid(counts: Sequence[Sequence[float]], title: str) -> str:
@@ -131,13 +132,7 @@ def link_graph(nodes: Sequence[str], links: Sequence[tuple[str, str, str, str]],
     at = {name: (width / 2 + 190 * x, height / 2 - 140 * y) for name, (x, y) in spots.items()}
     linked = {name for link in links for name in link[:2]}
     parts, words = [], []
-    for a, b, said, verdict in links:
-        (x1, y1), (x2, y2) = at[a], at[b]
-        parts.append(
-            f'<line class="link {verdict}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
-        )
-        x, y = x1 + WORD_AT * (x2 - x1), y1 + WORD_AT * (y2 - y1)
-        words.append(f'<text class="linkword {verdict}" x="{x:.1f}" y="{y + 4:.1f}">{escape(said)}</text>')
+    taken: list[tuple[float, float, float, float]] = []
     for name, (x, y) in at.items():
         if name in linked or name != middle:
             kind = "node" if name in linked else "node alone"
@@ -146,6 +141,16 @@ def link_graph(nodes: Sequence[str], links: Sequence[tuple[str, str, str, str]],
                 f'<circle class="{kind}" cx="{x:.1f}" cy="{y:.1f}" r="6"/>'
                 f'<text class="nodeword" x="{x:.1f}" y="{y - above + 5:.1f}">{escape(name)}</text>'
             )
+            taken += [_box(x, y, "()"), _box(x, y - above, name)]  # a circle is as large as two letters
+    for a, b, said, verdict in links:
+        (x1, y1), (x2, y2) = at[a], at[b]
+        parts.append(
+            f'<line class="link {verdict}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
+        )
+        places = [(x1 + share * (x2 - x1), y1 + share * (y2 - y1)) for share in WORD_AT]
+        x, y = min(places, key=lambda place: sum(_covered(_box(*place, said), box) for box in taken))
+        taken.append(_box(x, y, said))
+        words.append(f'<text class="linkword {verdict}" x="{x:.1f}" y="{y + 4:.1f}">{escape(said)}</text>')
     said = "; ".join(f"{a} and {b}: {text}" for a, b, text, _ in links)
     return _figure([*parts, *words], width, height, "", f"Links between cameras. {said}", "graph")
 
@@ -200,6 +205,17 @@ def nice(value: float, up: bool = False) -> float:
         if up
         else max(s for s in steps if s <= value * (1 + 1e-9))
     )
+
+
+def _box(x: float, y: float, words: str) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom of words around a point."""
+    half = LETTER * len(words) / 2
+    return x - half, y - LINE / 2, x + half, y + LINE / 2
+
+
+def _covered(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:
+    """Area that two boxes share."""
+    return max(0.0, min(a[2], b[2]) - max(a[0], b[0])) * max(0.0, min(a[3], b[3]) - max(a[1], b[1]))
 
 
 def _placed(

@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -239,6 +240,20 @@ def test_empty_drawings_are_no_text() -> None:
     assert cloud(none, "t") == arrows(none, none, (1, 1), "t") == rose([], [], 1.0, "", "t") == ""
     assert cell_grid([], "t") == ellipses(none, np.zeros((0, 2, 2)), [], none, "m", "t") == ""
     assert "node alone" in link_graph(["a", "b"], [], "sweep")
+
+
+def test_words_of_crossing_links_do_not_cover_each_other() -> None:
+    """Four cameras and the sweep, each tied to each: two links cross in the middle, where the sweep stands."""
+    cameras = [f"cam{n}" for n in range(4)]
+    links = [(a, b, "12 + 340 pts", "ok") for a, b in combinations([*cameras, "sweep"], 2)]
+    places = numbers(r'class="linkword ok" x="([\d.]+)" y="([\d.]+)"', link_graph(cameras, links, "sweep"))
+    assert len(places) == len(links)
+    width, height = (
+        len(links[0][2]) * 6.0,
+        12.0,
+    )  # drawn 12 px high; digits are half as wide, other letters less
+    apart = np.abs(places[:, None] - places)[np.triu_indices(len(places), 1)]
+    assert (apart >= [width, height]).any(axis=1).all()
 
 
 @pytest.mark.parametrize(
