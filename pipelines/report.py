@@ -100,7 +100,8 @@ def verdict(run: RunFolder) -> str:
     )
     notes += "".join(_remedy(stage, row) for stage, row in [*bad, *doubtful])
     if missing:
-        notes += f"<li>Not finished: {text(', '.join(missing))} have not run.</li>"
+        have = "has" if len(missing) == 1 else "have"
+        notes += f"<li>Not finished: {text(', '.join(missing))} {have} not run.</li>"
         kind = "warn" if kind == "ok" else kind
     notes += "".join(
         f"<li><code>{text(f)}</code> cannot be read: {text(e)}</li>" for f, e in run.unreadable.items()
@@ -214,7 +215,7 @@ def _not_there(run: RunFolder, stage: str) -> str:
 def _remedy(stage: str, row: dict[str, Any]) -> str:
     value = row.get("value")
     shown = (
-        readable(float(value), 3)
+        readable(float(value), _decimals(value, 3))
         if isinstance(value, (int, float))
         else ("not measured" if value is None else value)
     )
@@ -226,11 +227,19 @@ def _health_value(stage: str, n: int, row: dict[str, Any]) -> str:
     value = row.get("value")
     if isinstance(value, str):
         return text(value)
-    return number(value, str(row.get("unit", "")), 3, file=f"{stage}/health.json", key=f"{n}.value")
+    unit, digits = str(row.get("unit", "")), _decimals(value, 3)
+    return number(value, unit, digits, file=f"{stage}/health.json", key=f"rows.{n}.value")
 
 
 def _bound(value: object, unit: object) -> str:
-    return f"{readable(float(value), 2)} {text(unit)}" if isinstance(value, (int, float)) else ""
+    if not isinstance(value, (int, float)):
+        return ""
+    return f"{readable(float(value), _decimals(value, 2))} {text(unit)}"
+
+
+def _decimals(value: object, most: int) -> int:
+    """No decimals for whole numbers: counts stand among measures in the health rows."""
+    return 0 if isinstance(value, (int, float)) and float(value).is_integer() else most
 
 
 def _chips(run: RunFolder, stage: str) -> str:

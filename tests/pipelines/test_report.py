@@ -338,8 +338,6 @@ def test_numbers_are_those_of_the_files(full_run):
 
 
 def _entry(value, key: str):
-    if isinstance(value, dict) and "rows" in value and key[0].isdigit():
-        value = value["rows"]
     while key:
         name = (
             next((k for k in value if key == k or key.startswith(f"{k}.")), None)
@@ -350,6 +348,22 @@ def _entry(value, key: str):
         value = value[head] if name is not None else value[int(head)]
         key = key[len(head) + 1 :]
     return value
+
+
+def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
+    counted = {"check": "views", "value": 147.0, "unit": "", "warn": 200.0, "fail": 0.25, "verdict": "warn"}
+    rows = [counted, counted | {"check": "error", "value": 0.5}]
+    _json(tmp_path / "rig/health.json", {"stage": "rig", "rows": rows})
+    _, page = _page(tmp_path)
+    assert "views: 147. " in page.text and "error: 0.500. " in page.text
+    assert "147.000" not in page.text and "200.00" not in page.text and "0.25" in page.text
+
+
+def test_what_has_not_run_is_said_of_one_stage_and_of_several(full_run, tmp_path):
+    run = shutil.copytree(full_run, tmp_path / "run")
+    for stage, said in (("flow", "flow has not run"), ("render", "flow, render have not run")):
+        shutil.rmtree(run / stage)
+        assert f"Not finished: {said}." in _page(run)[1].text
 
 
 def test_an_empty_run_folder_says_what_is_missing(tmp_path):
