@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from devrf.calibration.boards.calibrate import MIN_VIEWS, BoardCalibration, calibrate_intrinsics
+from devrf.calibration.boards.calibrate import MIN_VIEWS, BoardCalibration
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.board_route import BoardRig, rig_from_board
@@ -24,11 +24,12 @@ from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import FrameSet
+from devrf.pipelines.board_clips import BoardClips, files_of
 from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.joint_clips import JointViews, files_of, read_joint_views
+from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.rig_health import (
     bump_row,
     graph_rows,
@@ -68,6 +69,11 @@ class _Job:
         self.frames = FrameSet.read(self.ingest)
         self.moving = self.frames.moving
         self.spec = board_spec(context.config)
+        self.clips = (
+            None
+            if self.spec is None
+            else BoardClips(context.run_dir, self.frames, self.spec, lens_choice(context.config))
+        )
         self.settings = context.config.calibration.rig
         self.sweep_folder = context.run_dir / "static_poses"
         self.has_sweep = (self.sweep_folder / "static_poses.json").is_file()
@@ -225,70 +231,38 @@ class _Job:
         return found
 
     def _clip_calibrations(self, progress: Callable[[float, str], None]) -> dict[str, Intrinsics]:
-        """Intrinsics from each camera's own board clip, else from its joint clip."""
-        if self.spec is None:
+        """Intrinsics from each camera's own board clip, else from its joint clip where that shows enough."""
+        if self.clips is None:
             return {}
-        out: dict[str, Intrinsics] = {}
-        for n, (name, camera) in enumerate(self.moving.items()):
-            clip, required = self.frames.cameras.get(f"board_{name}"), True
-            if clip is None and name in self.frames.joint:
-                clip, required = self.frames.cameras[self.frames.joint[name]], False
-            if clip is None:
+        for n, name in enumerate(self.moving):
+            own, joint = self.clips.own(name), self.frames.joint.get(name)
+            entry = own or joint
+            if entry is None:
                 continue
             step = _part(progress, n / len(self.moving), 1 / len(self.moving))
-            views, spec = find_board(
-                f"{clip.source} of camera '{name}'",
-                files_of(self.context.run_dir, clip),
-                self.spec,
-                step,
-                required,
-            )
-            if not required and len(views) < MIN_VIEWS:
-                continue
-            size = (clip.width, clip.height)
-            if size != (camera.width, camera.height):
-                raise InputError(
-                    f"board clip {clip.source} is {size[0]}x{size[1]}, camera '{name}' films "
-                    f"{camera.width}x{camera.height}; film the board in the same mode as the scene"
-                )
-            self.boards[name] = calibrate_intrinsics(
-                name, views, spec, size, lens_choice(self.context.config)
-            )
-            out[name] = self.boards[name].intrinsics
-        return out
+            clip = self.clips.search(name, entry, progress=step, required=own is not None)
+            if own is not None or len(clip.views) >= MIN_VIEWS:
+                self.boards[name] = clip.calibration
+        return {name: board.intrinsics for name, board in self.boards.items()}
 
     def _board_rig(
         self, names: list[str], progress: Callable[[float, str], None]
     ) -> tuple[JointViews, BoardRig]:
         """Cameras from the joint clips, with clocks applied, and what they measure on views kept out of a fit."""
-        assert self.spec is not None
-        known = {} if self.given is None else self.given.intrinsics
+        assert self.clips is not None
+        known = {} if self.given is None else dict(self.given.intrinsics)
         for name in names:
-            if name not in known and f"board_{name}" in self.frames.cameras:
-                known = known | {name: self._own_calibration(name)}
-        run_dir, step = self.context.run_dir, _part(progress, 0.0, 0.7)
-        lens = lens_choice(self.context.config)
-        seen = read_joint_views(run_dir, self.frames, names, self.spec, known, step, lens)
+            own = self.clips.own(name)
+            if name not in known and own is not None:
+                self.boards[name] = self.clips.search(name, own).calibration
+                known[name] = self.boards[name].intrinsics
+        seen = read_joint_views(self.clips, names, known, _part(progress, 0.0, 0.7))
         self.boards = seen.own | self.boards
         found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, _part(progress, 0.7, 0.2))
         progress(0.9, "held-out lengths")
         check = cross_check(seen.views, seen.spec, seen.start, seen.known)
         self.rows += joint_rows(found, check)
         return seen, found
-
-    def _own_calibration(self, name: str) -> Intrinsics:
-        """From the camera's own board clip."""
-        assert self.spec is not None
-        if name not in self.boards:
-            clip = self.frames.cameras[f"board_{name}"]
-            views, spec = find_board(
-                f"{clip.source} of camera '{name}'", files_of(self.context.run_dir, clip), self.spec
-            )
-            size = (clip.width, clip.height)
-            self.boards[name] = calibrate_intrinsics(
-                name, views, spec, size, lens_choice(self.context.config)
-            )
-        return self.boards[name].intrinsics
 
     def _scales(self, model: SweepModel, centres: dict[str, np.ndarray]) -> list[Scale]:
         """Metres from the board in the sweep and from a known distance."""
@@ -311,10 +285,11 @@ class _Job:
         assert self.spec is not None
         files = [self.ingest / "frames" / name for name in model.names]
         step = max(1, len(files) // SWEEP_BOARD_TRIES)
-        tries, _ = find_board("the sweep", files[::step], self.spec, required=False)
-        if not tries:
+        views, spec = find_board("the sweep", files[::step], self.spec, required=False)
+        if not views:
             return None, ""
-        views, spec = find_board("the sweep", files, self.spec, required=False)
+        if step > 1:
+            views, spec = find_board("the sweep", files, self.spec, required=False)
         return scale_from_board(views, list(model.cameras), spec)
 
     def _given_into_sweep(self, rig: Rig) -> Rig:

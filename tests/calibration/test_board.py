@@ -88,6 +88,9 @@ def test_every_print_is_recognised(tmp_path, inverted, legacy, swapped):
         assert len(view.ids) >= 12
         assert np.median(np.linalg.norm(error, axis=1)) < 0.25  # what OpenCV's corner refinement reaches here
         assert np.abs(error.mean(0)).max() < 0.2  # no half pixel anywhere
+    again, same = find_board("clip", files, settled)  # told what was settled, it is settled alike
+    assert same == replace(settled, corrections=())
+    assert all(np.array_equal(a.xy, b.xy) for a, b in zip(again, views, strict=True))
 
 
 @pytest.mark.parametrize("key", ["legacy", "inverted"])

@@ -25,6 +25,7 @@ from devrf.capture.errors import CalibrationError, InputError
 from devrf.capture.frames import FrameSet
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.board_clips import BoardClips
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.cli_options import configured
 from devrf.pipelines.joint_clips import JointViews, read_joint_views
@@ -105,7 +106,7 @@ def _joint_views(cases: Cases, name: str, folder: Path) -> JointViews:
     if spec is None:
         raise InputError(f"{scene}: has no board")
     frames = FrameSet.read(run.run_dir / "ingest")
-    return read_joint_views(run.run_dir, frames, list(frames.moving), spec, {}, lambda part, text: None)
+    return read_joint_views(BoardClips(run.run_dir, frames, spec), list(frames.moving), {})
 
 
 def _write_times(table: Path, out: Path) -> None:

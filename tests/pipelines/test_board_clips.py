@@ -1,0 +1,101 @@
+"""Board clips are searched once, whoever asks for them, and refused where they are not in the camera's mode."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from devrf.calibration.boards.find import BoardSpec, BoardView
+from devrf.calibration.boards.simulated import SIZE, SPEC, board_views
+from devrf.capture.errors import HealthError, InputError
+from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.pipelines import board_clips
+from devrf.pipelines.board_clips import BoardClips
+from devrf.pipelines.joint_clips import read_joint_views
+from devrf.pipelines.stages import rig as rig_stage
+
+TOLD = replace(SPEC, legacy="auto", inverted="auto")
+SETTLED = replace(SPEC, legacy=False, inverted=False)
+VIEWS = 12
+
+
+def clip(role: str, source: str, size: tuple[int, int] = SIZE) -> CameraFrames:
+    frames = tuple(FrameRecord(n, n / 30, 1.0, True, f"{source}/{n}.png") for n in range(VIEWS))
+    return CameraFrames(role, source, *size, 30.0, False, False, None, 0, frames)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def frames() -> FrameSet:
+    """cam0 has a clip of its own and a joint one, cam1 a joint one only."""
+    cameras = {n: clip("camera", f"{n}.mp4") for n in ("cam0", "cam1")}
+    cameras |= {"board_cam0": clip("board", "own0.mp4")}
+    cameras |= {f"joint_{n}": clip("joint", f"joint_{n}.mp4") for n in ("cam0", "cam1")}
+    return FrameSet(cameras, {n: f"joint_{n}" for n in ("cam0", "cam1")})
+
+
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Clips in the order in which they are searched; each shows the board."""
+    names: list[str] = []
+
+    def find(
+        name: str, files: list[Path], spec: BoardSpec, progress: Callable, required: bool
+    ) -> tuple[list[BoardView], BoardSpec]:
+        names.append(files[0].parent.name)
+        return board_views(VIEWS, 0.1, seed=len(names)), SETTLED
+
+    monkeypatch.setattr(board_clips, "find_board", find)
+    return names
+
+
+def test_both_routes_together_search_each_clip_once(
+    frames: FrameSet, searched: list[str], tmp_path: Path
+) -> None:
+    job = object.__new__(rig_stage._Job)
+    job.frames, job.moving, job.boards = frames, frames.moving, {}
+    job.clips = BoardClips(tmp_path, frames, TOLD)
+    known = job._clip_calibrations(lambda fraction, message: None)
+    assert searched == ["own0.mp4", "joint_cam1.mp4"]
+    seen = read_joint_views(job.clips, ["cam0", "cam1"], {"cam0": known["cam0"]})
+    assert searched == ["own0.mp4", "joint_cam1.mp4", "joint_cam0.mp4"]
+    assert seen.own["cam1"] is job.boards["cam1"]  # nor is it fitted twice
+    assert seen.spec == SETTLED and [len(v) for v in seen.views.values()] == [VIEWS, VIEWS]
+
+
+def test_another_print_is_searched_again(frames: FrameSet, searched: list[str], tmp_path: Path) -> None:
+    """Where the clip before was settled otherwise; what only the description had wrong is no other print."""
+    clips = BoardClips(tmp_path, frames, TOLD)
+    first = clips.search("cam0", "joint_cam0")
+    corrected = replace(SETTLED, corrections=(("squares", "[8, 6]"),))
+    assert clips.search("cam0", "joint_cam0", corrected) is first and len(searched) == 1
+    assert clips.search("cam0", "joint_cam0", replace(SETTLED, legacy=True)) is not first
+    assert len(searched) == 2
+
+
+def test_a_clip_without_the_board_is_refused_once_it_is_needed(
+    frames: FrameSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def find(name: str, files: list[Path], spec: BoardSpec, progress: Callable, required: bool) -> tuple:
+        if required:
+            raise HealthError(f"board never seen in {name}")
+        return [], spec
+
+    monkeypatch.setattr(board_clips, "find_board", find)
+    clips = BoardClips(tmp_path, frames, TOLD)
+    assert clips.search("cam1", "joint_cam1", required=False).views == []
+    with pytest.raises(HealthError, match="never seen in joint_cam1.mp4 of camera 'cam1'"):
+        clips.search("cam1", "joint_cam1")
+
+
+@pytest.mark.parametrize("entry", ["board_cam0", "joint_cam0"])
+def test_a_clip_in_another_mode_is_refused_before_it_is_searched(
+    frames: FrameSet, searched: list[str], tmp_path: Path, entry: str
+) -> None:
+    small = replace(frames.cameras[entry], width=640, height=360)
+    other = replace(frames, cameras=frames.cameras | {entry: small})
+    with pytest.raises(
+        InputError, match="is 640x360, camera 'cam0' films 1280x720; film the board in the same"
+    ):
+        BoardClips(tmp_path, other, TOLD).search("cam0", entry)
+    assert searched == []
