@@ -12,22 +12,25 @@ from jaxtyping import Float, UInt8
 from devrf.calibration.boards.find import read_grey
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.geometry import GeometryCheck, check_clocks, refined
+from devrf.calibration.clocks.geometry import (
+    SHIFT_FRAMES,
+    SHIFT_SIGMAS,
+    GeometryCheck,
+    check_clocks,
+    refined,
+)
 from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
 from devrf.capture.progress import Progress
-from devrf.pipelines.clock_health import REFUSED_BELOW, confidence_row
-from devrf.pipelines.clocks import clock_dict
+from devrf.pipelines.clock_health import REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
+from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health import HealthRow, note, row
 
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
 MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower
 MIN_FRAMES = 12
-FRAMES_UNSURE, FRAMES_UNKNOWN = (
-    0.25,
-    3.0,
-)  # frames: of a clock by geometry; more is worth a warning, a refusal
+UNKNOWN_FRAMES = 3.0  # standard deviation of a clock by geometry that is worth a refusal
 WORDS = {"audio": "sound", "none": "nothing"}
 FAR_M = 3.0  # a rig wider than this hears one clap at clearly different times
 
@@ -92,14 +95,14 @@ def check_rows(
         before = ", ".join(sorted({WORDS.get(clocks[n].method, clocks[n].method) for n in replaced}))
         rows.append(note(f"clocks by geometry instead of {before}", text))
         vague = max(replaced, key=lambda n: used[n].std_s)
-        step_ms = 1e3 / (frames[vague].fps_mean or 30.0)
+        step_ms = frame_ms(frames[vague])
         rows.append(
             row(
                 f"standard deviation of clocks by geometry, worst camera ({vague})",
                 1e3 * used[vague].std_s,
                 "ms",
-                warn=FRAMES_UNSURE * step_ms,
-                fail=FRAMES_UNKNOWN * step_ms,
+                warn=UNSURE_FRAMES * step_ms,
+                fail=UNKNOWN_FRAMES * step_ms,
                 low_is_bad=False,
                 remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
             )
@@ -108,14 +111,13 @@ def check_rows(
     if kept:
         worst = max(kept, key=lambda n: abs(kept[n].offset_s))
         found = kept[worst]
-        step_ms = 1e3 / (frames[worst].fps_mean or 30.0)
         cue = clocks[worst].method
         rows.append(
             row(
                 f"clock against geometry, worst camera ({worst})",
                 1e3 * abs(found.offset_s),
                 "ms",
-                warn=max(0.25 * step_ms, 3e3 * found.std_s),
+                warn=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
                 low_is_bad=False,
                 remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
                 f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
@@ -178,9 +180,8 @@ def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
             "offset_s": p.offset_s,
             "std_s": p.std_s,
             "sharp": p.sharp,
-            "lags_s": [round(float(x), 6) for x in p.lags_s],
-            "values": [round(float(x), 5) for x in p.values],
         }
+        | curve_dict(p.lags_s, p.values)
         for p in check.pairs
     ]
     return {

@@ -1,9 +1,14 @@
 """Whether a clock is known at all: asked by stage `sync`, and once more by `scene`, where geometry may have helped."""
 
 from devrf.calibration.clocks.equations import Clock
+from devrf.capture.frames import CameraFrames
 from devrf.pipelines.health import HealthRow, row
 
 REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
+UNSURE_FRAMES = (
+    0.25  # standard deviation of a clock that is worth a warning: frames cannot be told apart surely
+)
+USUAL_FPS = 30.0  # of a camera whose rate is not known
 REMEDY = (
     "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough for all "
     "cameras; or let somebody jump; or give capture.timestamps; or, for cameras synchronised by hardware, set "
@@ -29,3 +34,8 @@ def confidence_row(name: str, clock: Clock, why: str, *, final: bool) -> HealthR
         fail=REFUSED_BELOW if final else None,
         remedy=f"The clock of {name} is not known: {why or clock.basis}. {later}{REMEDY}",
     )
+
+
+def frame_ms(camera: CameraFrames) -> float:
+    """Milliseconds from one picture to the next."""
+    return 1e3 / (camera.fps_mean or USUAL_FPS)

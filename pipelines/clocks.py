@@ -5,6 +5,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from devrf.calibration.clocks.equations import Clock
 
 
@@ -17,6 +20,14 @@ def clock_dict(clock: Clock) -> dict[str, Any]:
         "method": clock.method,
         "confidence": clock.confidence,
         "basis": clock.basis,
+    }
+
+
+def curve_dict(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> dict[str, list[float]]:
+    """How well two clips agree at each lag, as it is written to `curves.json` and `clock_check.json`."""
+    return {
+        "lags_s": [round(float(x), 6) for x in lags_s],
+        "values": [round(float(x), 5) for x in values],
     }
 
 

@@ -15,8 +15,8 @@ from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
-from devrf.pipelines.clock_health import confidence_row
-from devrf.pipelines.clocks import clock_dict
+from devrf.pipelines.clock_health import UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
+from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
@@ -101,9 +101,7 @@ def _curve_dict(curve: Curve) -> dict[str, Any]:
         "delay_s": curve.delay_s,
         "quality": curve.quality,
         "accepted": curve.accepted,
-        "lags_s": [round(float(x), 6) for x in curve.lags_s],
-        "values": [round(float(x), 5) for x in curve.values],
-    }
+    } | curve_dict(curve.lags_s, curve.values)
 
 
 def health(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthRow]:
@@ -130,16 +128,16 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
     rows = [note("cue", ", ".join(cues)), confidence_row(worst, others[worst], why, final=not moves)]
     vague = max(others, key=lambda name: others[name].std_s)
     if math.isfinite(others[vague].std_s):
-        fps = cameras[vague].fps_mean or 30.0
+        step_ms = frame_ms(cameras[vague])
         rows.append(
             row(
                 f"standard deviation, worst camera ({vague})",
                 1e3 * others[vague].std_s,
                 "ms",
-                warn=1e3 * 0.25 / fps,
+                warn=UNSURE_FRAMES * step_ms,
                 low_is_bad=False,
                 remedy="A quarter of a frame or more is unsure, and shifting whole frames would add up to "
-                f"{500 / fps:.0f} ms: give all cameras sound, and clap.",
+                f"{step_ms / 2:.0f} ms: give all cameras sound, and clap.",
             )
         )
     if result.loop_s is not None:
@@ -223,7 +221,7 @@ def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
 
 def _overlap(cameras: dict[str, CameraFrames], result: SyncResult) -> HealthRow:
     from_s, to_s = shared_span(cameras, result)
-    slowest = min((c.fps_mean or 30.0) for c in cameras.values())
+    slowest = min((c.fps_mean or USUAL_FPS) for c in cameras.values())
     spans = []
     for name, camera in cameras.items():
         t = result.cameras[name].true_time(used_times(camera))
