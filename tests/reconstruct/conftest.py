@@ -9,10 +9,18 @@ import pytest
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.train_canonical import RestModel, train_canonical
 
 RADIUS = 0.45
 TRAVEL = np.array([0.3, 0.0, 0.15])  # of the centre, from time 0 to time 1, box units
 WIDTH, HEIGHT, FOCAL = 48, 40, 60.0
+
+REST = CanonicalOptions(
+    resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
+    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
+    occupancy_every=20, hull_resolution=40,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -89,3 +97,9 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Ball:
         image_scale=1.0,
     )
     return Ball(scene, TRAVEL, RADIUS)
+
+
+@pytest.fixture(scope="session")
+def rest(ball: Ball) -> RestModel:
+    """The ball at rest, learned quickly; nobody changes it."""
+    return train_canonical(ball.scene, REST)

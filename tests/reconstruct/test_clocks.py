@@ -26,28 +26,18 @@ from devrf.reconstruct.clocks import (
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import changing_pixels
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
+from devrf.reconstruct.options import MotionOptions, preset
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.train_motion import train_motion
 
 TIMES = 9
 TRAVEL = np.array([0.45, 0.0, 0.25])  # 0.064 box units, 1.5 pixels, from one picture to the next
 GAP_S = 1 / (TIMES - 1)
-REST = CanonicalOptions(
-    resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
-    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
-    occupancy_every=20, hull_resolution=40,
-)  # fmt: skip
 MOTION = MotionOptions(
     levels=(3, 6), iterations=(4, 3), rays=256, importance=0.8, most_keys=4, learn_clocks=True
 )
-
-
-@pytest.fixture(scope="module")
-def rest(ball) -> RestModel:
-    return train_canonical(ball.scene, REST)
 
 
 @pytest.fixture(scope="module")

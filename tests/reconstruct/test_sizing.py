@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.reconstruct.conftest import REST
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import load_image
@@ -17,27 +18,17 @@ from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
 from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.ndc import CUBE, Ndc
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
+from devrf.reconstruct.options import MotionOptions, preset
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.sizing import fewer_voxels, levels_for, needed_resolution
 from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_motion import train_motion
 
-REST = CanonicalOptions(
-    resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
-    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
-    occupancy_every=20, hull_resolution=40,
-)  # fmt: skip
 MOTION = MotionOptions(
     levels=(4, 6, 8), iterations=(90, 30, 20), rays=400, resolution=40, importance=0.7, lr=6e-3,
     weight_threshold=1e-3, adapt=True,
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def rest(ball) -> RestModel:
-    return train_canonical(ball.scene, REST)
 
 
 def _clip(steps: np.ndarray, width: int = 48, name: str = "cam0") -> CameraFlow:
