@@ -23,6 +23,9 @@ def sync_section(run: RunFolder) -> str:
     rows = []
     for name, clock in cameras.items():
         key = f"cameras.{name}"
+        if clock.get("method") == "reference":  # its zeros are no measurements
+            rows.append([f"<strong>{text(name)}</strong>", "the reference", "", "", "its own", ""])
+            continue
         rows.append(
             [
                 f"<strong>{text(name)}</strong>",

@@ -38,7 +38,7 @@ def evidence_section(run: RunFolder) -> str:
 def _boards(run: RunFolder) -> str:
     """Per board calibration: its numbers, where corners were seen, how the board was tilted."""
     rows, drawn = [], []
-    for name, board, _, (file, key) in _board_calibrations(run):
+    for name, board, camera, (file, camera_key, key) in _board_calibrations(run):
         dropped = board.get("dropped")
         rows.append(
             [
@@ -56,6 +56,7 @@ def _boards(run: RunFolder) -> str:
                     why=FEW_VIEWS,
                 ),
                 number(at(board, "std.fx"), "px", 2, file=file, key=f"{key}.std.fx"),
+                number(_focal_px(camera), "px", 1, file=file, key=f"{camera_key}.K.0.0"),
             ]
         )
         drawn.append(cell_grid(_grid(board.get("cells")), f"{name}: corners seen"))
@@ -66,18 +67,20 @@ def _boards(run: RunFolder) -> str:
         return ""
     head = (
         "camera",
-        "lens",
+        "lens that the board shows",
         "views",
         "dropped",
         "error",
         "error on views left out",
         "std. dev., focal length",
+        "focal length in use",
     )
     return (
-        f"<h3>Boards</h3>{table(head, rows, numeric=(2, 3, 4, 5, 6))}"
+        f"<h3>Boards</h3>{table(head, rows, numeric=(2, 3, 4, 5, 6, 7))}"
         f'<div class="charts plots">{"".join(drawn)}</div>'
         '<p class="source">An empty corner leaves its distortion a guess; a board never tilted, or always the same '
-        "way, leaves the focal length unsure.</p>"
+        "way, leaves the focal length unsure. Everything but the last column is of the board alone; the lens in use "
+        "may have been adjusted since, together with the sweep or with other cameras.</p>"
     )
 
 
@@ -209,24 +212,26 @@ def _seed(run: RunFolder) -> str:
 
 def _board_calibrations(
     run: RunFolder,
-) -> Iterator[tuple[str, dict[str, Any], tuple[int, int], tuple[str, str]]]:
-    """(camera, what its board calibration left, picture size, (file, key)); the sweep's device first."""
-    board = run.object(POSES).get("board")
-    lens = next(iter(run.cameras(POSES).values()), {})
+) -> Iterator[tuple[str, dict[str, Any], dict[str, Any], tuple[str, str, str]]]:
+    """(name, what its board calibration left, the camera, (file, key of the camera, key of the calibration)); the
+    sweep's device first."""
+    board, cameras = run.object(POSES).get("board"), run.cameras(POSES)
     if isinstance(board, dict):
-        yield SWEEP_NODE, board, _size(lens), (POSES, "board")
+        ids = [str(s.get("camera_id")) for s in run.objects(POSES, "start") if s.get("source") == "board"]
+        known = next((n for n in ids if n in cameras), "")  # none of its pictures may be in the model
+        yield SWEEP_NODE, board, cameras.get(known, {}), (POSES, f"cameras.{known}", "board")
     for name, camera in run.cameras(RIG).items():
         board = at(camera, "details.board")
         if isinstance(board, dict):
-            yield name, board, _size(camera), (RIG, f"cameras.{name}.details.board")
+            yield name, board, camera, (RIG, f"cameras.{name}", f"cameras.{name}.details.board")
 
 
 def _residual_samples(run: RunFolder) -> Iterator[tuple[str, Float[np.ndarray, "n 4"], tuple[int, int], str]]:
     """(camera, rows x, y, dx, dy, picture size, of what)."""
-    for name, board, size, _ in _board_calibrations(run):
+    for name, board, camera, _ in _board_calibrations(run):
         sample = _table_of(board.get("residuals"), 4)
-        if sample is not None and min(size) > 0:
-            yield name, sample, size, "board corners"
+        if sample is not None and min(_size(camera)) > 0:
+            yield name, sample, _size(camera), "board corners"
     for name, camera in run.cameras(RIG).items():
         sample = _table_of(at(camera, "details.residuals"), 4)
         if sample is not None and min(_size(camera)) > 0:
@@ -277,6 +282,11 @@ def _size(camera: dict[str, Any]) -> tuple[int, int]:
     if not _numbers(camera, "width", "height"):
         return 0, 0
     return int(camera["width"]), int(camera["height"])
+
+
+def _focal_px(camera: dict[str, Any]) -> float | None:
+    K = _table_of(camera.get("K"), 3)
+    return None if K is None or len(K) != 3 else float(K[0, 0])
 
 
 def _row_of(value: object) -> list[float]:

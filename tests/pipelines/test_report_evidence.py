@@ -85,7 +85,9 @@ POSES = {
         {"name": "global", "registered": [48, 2], "mean_reprojection_px": 0.6, "seconds": 5.0},
     ],
     "compared": [{"name": "global", "against": "incremental", "apart_deg": {"a.jpg": 0.04, "b.jpg": 0.11}}],
-    "board": board(), "cameras": {"1": {"width": 640, "height": 480}},
+    "board": board(), "start": [{"camera_id": 1, "source": "EXIF"}, {"camera_id": 2, "source": "board"}],
+    "cameras": {"1": {"width": 64, "height": 48, "K": [[40.0, 0, 32], [0, 40, 24], [0, 0, 1]]},
+                "2": {"width": 640, "height": 480, "K": [[510.0, 0, 320], [0, 510, 240], [0, 0, 1]]}},
 }  # fmt: skip
 
 
@@ -121,6 +123,22 @@ def test_everything_that_was_measured_is_drawn(tmp_path: Path) -> None:
     assert "0.11° apart" in html and ">kept<" in html and "48, 2" in html
     assert "<b>1" not in html and "c&lt;b&gt;1" in html
     assert "Seed of every random draw" in html
+
+
+def test_boards_stand_beside_the_lens_in_use(tmp_path: Path) -> None:
+    """The sweep's is the camera that began with the board, of two devices; it may not be in the model."""
+    html = evidence_section(run_folder(tmp_path, rig=rig(), poses=POSES))
+    assert 'data-key="cameras.2.K.0.0" data-value="510.0"' in html
+    assert 'data-key="cameras.cam0.K.0.0" data-value="500.0"' in html
+    lost = {**POSES, "start": [{"camera_id": 1, "source": "EXIF"}, {"camera_id": None, "source": "board"}]}
+    html = evidence_section(run_folder(tmp_path / "lost", poses=lost))
+    assert "<h3>Boards</h3>" in html and "K.0.0" not in html
+
+
+def test_the_reference_clock_is_said_to_be_it(tmp_path: Path) -> None:
+    html = sync_section(run_folder(tmp_path, sync=SYNC))
+    assert "the reference" in html and "cameras.cam0.offset_s" not in html
+    assert 'data-key="cameras.c&lt;b&gt;1.offset_s"' in html
 
 
 def test_millimetres_are_those_of_the_rig_stage(tmp_path: Path) -> None:
