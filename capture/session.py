@@ -102,7 +102,9 @@ def preflight(session: CaptureSession) -> list[str]:
             attempt(lambda path=path: probe_video(path), f"capture.board.joint_clips.{name}")
     if session.timestamps is not None:
         table = session.timestamps
-        attempt(lambda: read_timestamps(table, session.cameras), "capture.timestamps")
+        times: dict[str, FrameTimes] = {}
+        attempt(lambda: times.update(read_timestamps(table, session.cameras)), "capture.timestamps")
+        problems += _outside_range(times, session.range_s)
     problems += _same_file_twice(session.cameras)
     return problems
 
@@ -209,6 +211,19 @@ def _check_folder(path: Path) -> list[Path]:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise InputError(broken[0] + more)
     return pictures
+
+
+def _outside_range(times: Mapping[str, FrameTimes], range_s: tuple[float, float] | None) -> list[str]:
+    """Cameras of which a table of true times leaves nothing in the range."""
+    if range_s is None:
+        return []
+    from_s, to_s = range_s
+    return [
+        f"capture.range_s: [{from_s:g}, {to_s:g}]: camera {name} has no frame in it, its times in "
+        f"capture.timestamps go from {t.time_s[0]:.2f} to {t.time_s[-1]:.2f} s; change the range"
+        for name, t in times.items()
+        if not ((t.time_s >= from_s) & (t.time_s <= to_s)).any()
+    ]
 
 
 def _same_file_twice(cameras: Mapping[str, Path]) -> list[str]:

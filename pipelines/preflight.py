@@ -14,7 +14,8 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
 
     session = capture_session(config, scene_dir)
     problems = preflight(session) + _check_masks(config, scene_dir) + _check_dictionary(config)
-    return problems or _check_given(config, scene_dir, session)  # sizes are known where clips are whole
+    # sizes and tracks are known where clips are whole
+    return problems or _check_sound(config, session) + _check_given(config, scene_dir, session)
 
 
 def _check_dictionary(config: SceneConfig) -> list[str]:
@@ -28,6 +29,28 @@ def _check_dictionary(config: SceneConfig) -> list[str]:
     except DevrfError as error:
         return [str(error)]
     return []
+
+
+def _check_sound(config: SceneConfig, session: CaptureSession) -> list[str]:
+    """Clips without a sound track that are to be synchronised by sound."""
+    if config.calibration.sync.method != "audio":
+        return []
+    from devrf.capture.video import probe_video
+
+    separate = {n: p for n, p in session.joint_clips.items() if not session.shares_joint_clip(n)}
+    silent = [
+        f"{name} ({path})"
+        for clips in (session.cameras, separate)
+        if len(clips) > 1  # one clip alone has nothing to be synchronised with
+        for name, path in clips.items()
+        if not probe_video(path).has_audio
+    ]
+    if not silent:
+        return []
+    return [
+        f"calibration.sync.method: audio, but there is no sound track in the clip of {', '.join(silent)}; set it to "
+        "auto, flash or motion, or give capture.timestamps"
+    ]
 
 
 def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -237,9 +237,26 @@ def test_clips_without_sound_fall_back_to_motion(devrf: Callable, tmp_path: Path
     result = devrf("run", path, "--until", "sync", "--allow-unhealthy")
     assert result.code in (0, 3), result.said
     assert "sound" in result.said
-    asked = devrf("run", path, "--until", "sync", "--set", "calibration.sync.method=audio")
-    assert asked.code in (1, 3), asked.said
-    assert "cam0" in asked.said and "sound" in asked.said
+
+
+def test_clips_without_sound_that_are_to_be_heard(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    path = scene(tmp_path, material, cameras=cameras(material, "silent_cam1.mp4"))
+    result = devrf("run", path, "--set", "calibration.sync.method=audio")
+    assert result.code == 2 and not (tmp_path / "run" / "ingest").exists(), result.said
+    assert (
+        "there is no sound track in the clip of cam1 (" in result.err
+        and "silent_cam1.mp4); set" in result.err
+    )
+
+
+def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    rows = [f"{name},{n},{40 + n / 10}" for name in ("cam0", "cam1") for n in range(CLIP_FRAMES)]
+    (tmp_path / "times.csv").write_text("\n".join(["camera,frame_index,time_s", *rows]))
+    path = scene(tmp_path, material, timestamps=str(tmp_path / "times.csv"), range_s=[0, 1])
+    result = devrf("run", path)
+    assert result.code == 2 and not (tmp_path / "run" / "ingest").exists(), result.said
+    assert "capture.range_s: [0, 1]: camera cam1 has no frame in it" in result.err
+    assert "go from 40.00 to 41.10 s" in result.err
 
 
 def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, material: Path) -> None:

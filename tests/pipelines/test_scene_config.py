@@ -141,6 +141,11 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
             "board: {squares: [8, 6], square_m: 2, marker_m: 1, clips: {cam1: cam1.mp4}}}",
             "capture.board.clips.cam1: no camera has this name, did you mean cam0?",
         ),
+        (
+            "{cameras: {a: cam0.mp4}, board: {squares: [8, 6], square_m: 2, marker_m: 1, clips: {static: cam1.mp4}, "
+            "joint_clips: {a: cam0.mp4}}}",
+            "capture.board.clips.static: is of the sweep's camera; give capture.static, or remove it",
+        ),
         ("{}", "capture: names no material"),
         ("null", "capture: is missing"),
     ],
