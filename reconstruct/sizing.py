@@ -1,4 +1,4 @@
-"""How much model a scene needs, found from its pictures; each decision comes with its reason (design.md 4)."""
+"""How much model a scene needs, found from its pictures; each decision comes with its reason."""
 
 import math
 from collections.abc import Sequence

@@ -84,8 +84,9 @@ def read_grey(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 def never_seen(name: str, count: int, spec: BoardSpec) -> str:
     """A message."""
+    what = "squares (inner corners, not fields)" if spec.type == "chessboard" else "squares and dictionary"
     return (
-        f"board never seen in {name}: 0 of {count} frames show a {spec.words}; check squares and dictionary "
+        f"board never seen in {name}: 0 of {count} frames show a {spec.words}; check {what} "
         "of capture.board, and film the board larger than a quarter of the picture, sharp and without glare"
     )
 

@@ -1,6 +1,6 @@
 """What a bundle adjustment is given: cameras, what they see, and what is known of both.
 
-Symbols as in `bundle.py`: C cameras, G devices (intrinsics shared by cameras), B bodies, V views, M
+Symbols, as in `adjust.py`: C cameras, G devices (intrinsics shared by cameras), B bodies, V views, M
 observations.
 """
 

@@ -208,6 +208,8 @@ def test_a_board_that_is_never_seen_is_refused(tmp_path):
     ):
         find_board("clip7", files, SPEC)
     assert find_board("clip7", files, SPEC, required=False)[0] == []
+    with pytest.raises(HealthError, match=r"check squares \(inner corners, not fields\) of capture.board"):
+        find_board("clip7", files, BoardSpec("chessboard", (7, 4), 0.04))
 
 
 def test_a_wrong_description_is_refused(tmp_path):
