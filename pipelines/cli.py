@@ -51,6 +51,27 @@ STAGE_HELP = f"one of {', '.join(stage_names())}"
 
 
 @app.command()
+def init(
+    folder: Annotated[Path, typer.Argument(help="Folder with the raw files")],
+    name: Annotated[str | None, typer.Option(help="Name of the scene; default: the folder's")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a scene.yaml that is there")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Look at a folder of raw files and write a commented scene.yaml."""
+    talk = talk_of(quiet)
+    from devrf.pipelines import init_command
+
+    try:
+        init_command.init(talk, folder, name, force)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    except OSError as error:
+        talk.error(f"{folder}: cannot be written ({error.strerror or error}); copy it to a disk that can")
+        raise typer.Exit(FAILED) from None
+
+
+@app.command()
 def run(
     scene: SceneArgument,
     preset: PresetOption = None,

@@ -65,6 +65,8 @@ class BoardConfig(_Section):
     """Side of a marker, metres (not of a chessboard)."""
     separation_m: float | None = Field(default=None, gt=0, le=10)
     """Gap between two markers of an ArUco grid, metres."""
+    metric: bool = True
+    """Whether these lengths were measured; false: only their proportions are true, and the scale stays arbitrary."""
     dictionary: str = "DICT_5X5_100"
     """OpenCV's name of the marker dictionary (not of a chessboard)."""
     inverted: AutoBool = "auto"

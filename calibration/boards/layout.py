@@ -43,7 +43,7 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
     for squares in (spec.squares, spec.squares[::-1]):
         for legacy in _tries(spec.legacy) if spec.type == "charuco" else (False,):
             layout = replace(spec, squares=squares, inverted=inverted, legacy=legacy)
-            fits.append((_layout_error(layout, seen), len(fits), layout))
+            fits.append((layout_error(layout, seen), len(fits), layout))
     error, _, best = min(fits)
     if error > FIT_SQUARES:
         raise HealthError(
@@ -101,7 +101,7 @@ def spread(files: Sequence[Path]) -> Iterable[Path]:
                 yield files[i]
 
 
-_Markers = tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 4 2"]]
+Markers = tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 4 2"]]
 
 
 def _tries(told: object) -> tuple[bool, bool]:
@@ -109,13 +109,13 @@ def _tries(told: object) -> tuple[bool, bool]:
     return (True, False) if told is True else (False, True)
 
 
-def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[_Markers]]:
+def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[Markers]]:
     """Whether the print is inverted, and the markers of the first pictures that show some."""
     finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
     columns, rows = spec.squares
     count = columns * rows if spec.type == "aruco_grid" else columns * rows // 2 + 1
     polarities = _tries(spec.inverted)
-    seen: dict[bool, list[_Markers]] = {p: [] for p in polarities}
+    seen: dict[bool, list[Markers]] = {p: [] for p in polarities}
     for file in spread(files):
         grey = read_grey(file)
         for polarity in polarities:
@@ -133,7 +133,7 @@ def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[_M
     return best, seen[best]
 
 
-def _layout_error(layout: BoardSpec, seen: list[_Markers]) -> float:
+def layout_error(layout: BoardSpec, seen: list[Markers]) -> float:
     """Median over pictures of how far the markers lie from a homography of the layout, in squares."""
     place = marker_places(layout)
     errors = []

@@ -49,7 +49,7 @@ def find_bump(files: Sequence[Path], times_s: Sequence[float]) -> Bump | None:
     chosen = np.unique(np.linspace(0, len(files) - 1, PICTURES).round().astype(int)) if files else []
     if len(chosen) < 2 * SIDE:
         return None
-    first = _normalised(read_grey(files[chosen[0]]))
+    first = normalised(read_grey(files[chosen[0]]))
     height, width = first.shape
     frame = np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64)
     start = cv2.goodFeaturesToTrack(first, FEATURES, 0.01, 8)
@@ -57,7 +57,7 @@ def find_bump(files: Sequence[Path], times_s: Sequence[float]) -> Bump | None:
         return None
     corners, counts, times = [np.zeros((4, 2))], [], [times_s[chosen[0]]]
     for n in chosen[1:]:
-        found = _background_motion(first, _normalised(read_grey(files[n])), np.asarray(start, np.float32))
+        found = background_motion(first, normalised(read_grey(files[n])), np.asarray(start, np.float32))
         if found is not None:
             matrix, count = found
             corners.append(frame @ matrix[:, :2].T + matrix[:, 2] - frame)
@@ -69,7 +69,7 @@ def find_bump(files: Sequence[Path], times_s: Sequence[float]) -> Bump | None:
     return Bump(moved_px, float((times[split - 1] + times[split]) / 2), int(np.median(counts)))
 
 
-def _background_motion(
+def background_motion(
     first: UInt8[np.ndarray, "h w"], other: UInt8[np.ndarray, "h w"], start: Float[np.ndarray, "n 1 2"]
 ) -> tuple[Float[np.ndarray, "2 3"], int] | None:
     """Similarity [2, 3] from the first picture to another, and how many features agree on it."""
@@ -103,7 +103,7 @@ def _spread(corners: Float[np.ndarray, "pictures 4 2"]) -> float:
     return float(np.abs(corners - np.median(corners, axis=0)).sum())
 
 
-def _normalised(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+def normalised(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
     """Mean 128 and standard deviation 48, so that exposure that drifts does not move corners."""
     mean, std = float(grey.mean()), float(grey.std())
     return np.clip((grey - mean) * (48 / max(std, 1.0)) + 128, 0, 255).astype(np.uint8)

@@ -113,6 +113,12 @@ class _Job:
         assert self.given is not None and self.given.rig is not None
         return self._given_into_sweep(self.given.rig) if self.has_sweep else self.given.rig
 
+    @property
+    def board_is_measured(self) -> bool:
+        """Whether there is a board whose squares have a known size."""
+        board = None if self.context.config.capture is None else self.context.config.capture.board
+        return board is not None and board.metric
+
     @cached_property
     def given(self) -> Given | None:
         """What `calibration.rig.given` names, at the sizes of the clips."""
@@ -159,8 +165,10 @@ class _Job:
             cameras[name] = rig_camera(
                 found.solution, c, seen.start[name], source, support, _clock(found, name)
             )
-        self.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
-        rig = Rig(cameras, self.scales[0], "board", camera_graph(problem, index))
+        if self.board_is_measured:
+            self.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
+        scale = self.scales[0] if self.scales else ARBITRARY
+        rig = Rig(cameras, scale, "board", camera_graph(problem, index))
         self.rows += graph_rows(rig.graph, rig)
         return rig
 
@@ -190,7 +198,8 @@ class _Job:
             return None
         self.rows.append(note("rig", "sweep and board adjusted together"))
         source = f"board seen at once by {', '.join(names)}"
-        self.scales.append(Scale(True, source, 1 / unit, joint.unit_std))
+        if self.board_is_measured:
+            self.scales.append(Scale(True, source, 1 / unit, joint.unit_std))
         out = {}
         for name, c in cameras.items():
             own = np.flatnonzero(joint.problem.obs_camera == swept.index[name])
@@ -260,14 +269,15 @@ class _Job:
         self.boards = seen.own | self.boards
         found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, _part(progress, 0.7, 0.2))
         progress(0.9, "held-out lengths")
-        check = cross_check(seen.views, seen.spec, seen.start, seen.known)
+        measured = self.board_is_measured  # without a measured square there are no millimetres to check
+        check = cross_check(seen.views, seen.spec, seen.start, seen.known) if measured else None
         self.rows += joint_rows(found, check)
         return seen, found
 
     def _scales(self, model: SweepModel, centres: dict[str, np.ndarray]) -> list[Scale]:
         """Metres from the board in the sweep and from a known distance."""
         found: list[Scale] = []
-        if self.spec is not None:
+        if self.board_is_measured:
             scale, text = self._scale_from_sweep_board(model)
             if scale is not None:
                 found.append(scale)
