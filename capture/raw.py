@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.srgb import srgb_from_linear
 
 RAW_SUFFIXES = frozenset(
     ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .k25 .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf "
     ".raw .rw2 .rwl .sr2 .srf .srw .x3f".split()
 )
-SRGB_LINEAR_END = 0.0031308  # below it the sRGB curve is a straight line
 
 
 @dataclass(frozen=True)
@@ -79,18 +79,6 @@ def develop(path: Path, white_balance: tuple[float, float, float, float] | None 
     values = linear.astype(np.float32) / np.float32(65535)
     rgb = np.round(255 * srgb_from_linear(values)).astype(np.uint8)
     return Development(rgb, balance, float((linear == 65535).any(axis=-1).mean()))
-
-
-def srgb_from_linear(linear: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """The sRGB curve (IEC 61966-2-1), values in [0, 1]."""
-    curve = 1.055 * np.power(np.maximum(linear, SRGB_LINEAR_END), 1 / 2.4) - 0.055
-    return np.where(linear <= SRGB_LINEAR_END, 12.92 * linear, curve).astype(linear.dtype)
-
-
-def linear_from_srgb(values: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """Inverse of `srgb_from_linear`."""
-    curve = np.power((np.maximum(values, 0) + 0.055) / 1.055, 2.4)
-    return np.where(values <= 12.92 * SRGB_LINEAR_END, values / 12.92, curve).astype(values.dtype)
 
 
 def _daylight(multipliers: list[float]) -> tuple[float, float, float, float]:

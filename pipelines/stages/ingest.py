@@ -9,8 +9,8 @@ from devrf.capture.audio import Sound
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp
 from devrf.capture.ingest import write_frames, write_sounds
-from devrf.capture.raw import linear_from_srgb
 from devrf.capture.session import CaptureSession
+from devrf.capture.srgb import linear_from_srgb
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health import HealthRow, note, row
 from devrf.pipelines.stage import StageContext

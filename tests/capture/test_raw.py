@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from devrf.capture.errors import InputError
-from devrf.capture.raw import develop, is_raw, linear_from_srgb, srgb_from_linear
+from devrf.capture.raw import develop, is_raw
+from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
 
 
 def test_srgb_curve():

@@ -1,0 +1,142 @@
+"""The light of a fixed camera's clip over time: exposure, white balance and lamps, measured on what stands still.
+
+Every frame is averaged to a grid of cells in linear light and compared with the first frame, cell by cell. Where most
+cells of a picture tell the same ratio, that is the camera or the lamps; cells that tell another are what moves. Stops
+are log2 of light; the sRGB curve (IEC 61966-2-1) is taken as the one the pictures were coded with. All is gathered in
+one pass, about a hundred bytes a frame.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.srgb import LINEAR_OF_LEVEL
+
+CELLS = (
+    24,
+    32,
+)  # rows, columns: a cell averages the noise of many pixels; a moving hand leaves most cells alone
+BANDS = 12  # bands of rows: lamps at 100 Hz give a sensor that reads out in 16 ms between one and two waves
+SMALL_SIDE_PX = 160  # pictures are brought to this size first, then to linear light, then to cells
+DARK, BRIGHT = 0.01, 0.75  # linear light of cells that are compared: above the noise, well below white
+NEAR_WHITE = 0.95  # cells that have grown brighter than this no longer tell how much
+AT_WHITE = 253  # levels of 255; compression leaves clipped pixels within two levels of white
+AGREE_STOPS = (
+    0.15  # cells agree within this: lamps differ by 10 % between rows, cells of something else by more ...
+)
+AGREE_SHARE = 0.1  # ... and this share of the change: a camera's curve is not exactly sRGB
+FEWEST_CELLS = 20  # a median of fewer says nothing
+FEWEST_AGREEING = 0.5  # of the cells: a subject that fills the picture hides the light
+
+
+@dataclass(frozen=True)
+class LightCourse:
+    """How the light of a clip changes.
+
+    Attributes:
+        index: Numbers of the frames [n].
+        time_s: Their times [n], seconds.
+        stops: Light of R, G, B against the first frame [n, 3], log2; NaN where what moves hides it.
+        bands: The same of the grey picture by bands of rows in the order the sensor reads them [n, bands].
+        clipped: Share of the picture with a channel at white [n].
+    """
+
+    index: Int[np.ndarray, " n"]
+    time_s: Float[np.ndarray, " n"]
+    stops: Float[np.ndarray, "n 3"]
+    bands: Float[np.ndarray, "n bands"]
+    clipped: Float[np.ndarray, " n"]
+
+    def write(self, path: Path) -> None:
+        """Write a table [n, 6 + bands]: frame, seconds, stops of R, G, B, clipped share, stops of the bands."""
+        np.save(path, np.column_stack([self.index, self.time_s, self.stops, self.clipped, self.bands]))
+
+    @staticmethod
+    def read(path: Path) -> "LightCourse":
+        """Read what `write` wrote.
+
+        Raises:
+            CaptureError: If it is missing or something else.
+        """
+        try:
+            table = np.load(path)
+            if table.ndim != 2 or table.shape[1] != 6 + BANDS:
+                raise ValueError(f"a table {table.shape}, expected {6 + BANDS} columns")
+        except (OSError, ValueError) as error:
+            raise CaptureError(f"{path}: cannot be read ({error}); run again with --from ingest") from None
+        return LightCourse(
+            table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 6:], table[:, 5]
+        )
+
+
+class LightMeter:
+    """Gathers a `LightCourse`, frame by frame."""
+
+    def __init__(self, rotation_deg: int = 0) -> None:
+        """Args: rotation_deg: By how much pictures were turned counter-clockwise to be upright (VideoInfo)."""
+        self._turns = -(rotation_deg // 90)
+        self._first: Float[np.ndarray, "rows columns 3"] | None = None
+        self._rows: list[np.ndarray] = []
+
+    def add(self, index: int, time_s: float, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Measure one frame; any size will do, small ones are faster."""
+        small = _small(rgb)
+        clipped = float((small >= AT_WHITE).any(axis=-1).mean())
+        stored = np.ascontiguousarray(np.rot90(LINEAR_OF_LEVEL[small], self._turns))
+        cells = cv2.resize(stored, CELLS[::-1], interpolation=cv2.INTER_AREA)
+        if self._first is None and _comparable(cells).sum() >= FEWEST_CELLS:
+            self._first = cells
+        stops, bands = np.full(3, np.nan), np.full(BANDS, np.nan)
+        if self._first is not None:
+            stops, bands = _against(self._first, cells)
+        self._rows.append(np.concatenate([[index, time_s], stops, [clipped], bands]))
+
+    def course(self) -> LightCourse:
+        """What was measured."""
+        table = np.array(self._rows).reshape(-1, 6 + BANDS)
+        return LightCourse(
+            table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 6:], table[:, 5]
+        )
+
+
+def _small(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "small_h small_w 3"]:
+    scale = SMALL_SIDE_PX / max(rgb.shape[:2])
+    if scale >= 1:
+        return rgb
+    size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
+    return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+
+
+def _comparable(cells: Float[np.ndarray, "rows columns 3"]) -> Bool[np.ndarray, "rows columns"]:
+    return (cells.min(axis=-1) > DARK) & (cells.max(axis=-1) < BRIGHT)
+
+
+def _against(
+    first: Float[np.ndarray, "rows columns 3"], cells: Float[np.ndarray, "rows columns 3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, " bands"]]:
+    """Stops of R, G, B over the picture and of grey by bands, by the cells that agree with most."""
+    nothing = np.full(3, np.nan), np.full(BANDS, np.nan)
+    usable = _comparable(first) & (cells.max(axis=-1) < NEAR_WHITE)
+    if usable.sum() < FEWEST_CELLS:
+        return nothing
+    ratio = np.log2(np.maximum(cells, 1e-6) / np.maximum(first, 1e-6)).astype(np.float64)
+    grey = ratio.mean(axis=-1)
+    middle = float(np.median(grey[usable]))
+    agrees = usable & (np.abs(grey - middle) <= AGREE_STOPS + AGREE_SHARE * abs(middle))
+    if agrees.sum() < max(FEWEST_CELLS, FEWEST_AGREEING * usable.sum()):
+        return nothing
+    bands = np.array([_median(grey[rows][agrees[rows]]) for rows in _bands()])
+    return np.median(ratio[agrees], axis=0), bands
+
+
+def _bands() -> list[slice]:
+    step = CELLS[0] // BANDS
+    return [slice(step * k, step * (k + 1)) for k in range(BANDS)]
+
+
+def _median(values: np.ndarray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")

@@ -1,0 +1,68 @@
+"""The mean picture of a white sheet, from which light fall-off towards the corners is found.
+
+Any source will do: a clip, a folder of photos or one photo. The mean is taken in linear light (sRGB curve), at a small
+size: the fall-off is smooth. The sheet may move; what it shows besides white averages out.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.light import AT_WHITE
+from devrf.capture.picture_files import PICTURE_SUFFIXES
+from devrf.capture.pictures import list_pictures, read_picture
+from devrf.capture.raw import is_raw
+from devrf.capture.srgb import LINEAR_OF_LEVEL
+from devrf.capture.video import VideoReader
+
+SIDE_PX = 64  # a cell averages some 900 pixels of a 1080p picture
+CLIPPED_SHARE = 0.01  # of the sheet's pixels: more hides its middle
+DARKEST = 0.02  # linear light of the sheet: below it black level and noise bend the map
+
+
+def mean_white(path: Path) -> Float[np.ndarray, "rows columns 3"]:
+    """Mean picture of a white sheet, linear light [rows, columns, 3], longer side 64.
+
+    Raises:
+        InputError: If the file cannot be opened.
+        CaptureError: If it is damaged, at white or too dark.
+    """
+    total, clipped, count = None, 0.0, 0
+    for rgb in _pictures(path):
+        linear = LINEAR_OF_LEVEL[rgb[:, :, :3]]
+        scale = SIDE_PX / max(rgb.shape[:2])
+        size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
+        small = cv2.resize(linear, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+        if total is not None and small.shape != total.shape:
+            raise CaptureError(f"{path}: pictures of several sizes; expected those of one camera in one mode")
+        total = small if total is None else total + small
+        clipped += float((rgb >= AT_WHITE).any(axis=-1).mean())
+        count += 1
+    if total is None:
+        raise CaptureError(f"{path}: no picture of the white sheet; film it again")
+    mean, share = total / count, clipped / count
+    if share > CLIPPED_SHARE:
+        raise CaptureError(
+            f"{path}: {100 * share:.0f} % of the white sheet is clipped, expected at most "
+            f"{100 * CLIPPED_SHARE:.0f} %; film it again at half the exposure"
+        )
+    if float(np.median(mean)) < DARKEST:
+        raise CaptureError(
+            f"{path}: the white sheet has {100 * float(np.median(mean)):.1f} % of the full light, expected at "
+            f"least {100 * DARKEST:.0f} %; film it again with more light"
+        )
+    return mean
+
+
+def _pictures(path: Path) -> Iterator[UInt8[np.ndarray, "h w c"]]:
+    if path.is_dir():
+        yield from (read_picture(picture) for picture in list_pictures(path))
+    elif path.suffix.lower() in PICTURE_SUFFIXES or is_raw(path):
+        yield read_picture(path)
+    else:
+        with VideoReader(path) as reader:
+            yield from (frame.rgb for frame in reader)
