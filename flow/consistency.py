@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from scipy.ndimage import uniform_filter
 
 from devrf.capture.resize import shrink
+from devrf.flow.estimator import FlowEstimator
 
 RELATIVE = 0.5  # share of the two flows' lengths the round trip may miss by (DynamicNeRF, alpha_1)
 ABSOLUTE_PX = 0.5  # plus this much (DynamicNeRF, alpha_2)
@@ -27,25 +28,35 @@ def warp(
 ) -> Float32[np.ndarray, "height width *channels"]:
     """Fetch `image` where `flow` leads: out(x) = image(x + flow(x)), bilinear; the border is repeated."""
     height, width = flow.shape[:2]
-    at = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1) + flow
-    span = np.array([max(width - 1, 1), max(height - 1, 1)])
-    grid = torch.from_numpy((2 * at / span - 1).astype(np.float32))[None]
+    at = np.empty_like(flow)
+    at[..., 0] = (np.arange(width, dtype=np.float32) + flow[..., 0]) * (2 / max(width - 1, 1)) - 1
+    at[..., 1] = (np.arange(height, dtype=np.float32)[:, None] + flow[..., 1]) * (2 / max(height - 1, 1)) - 1
+    grid = torch.from_numpy(at)[None]
     source = torch.from_numpy(np.ascontiguousarray(image.reshape(height, width, -1).transpose(2, 0, 1)))[None]
     out = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=True)
     return out[0].permute(1, 2, 0).reshape(image.shape).numpy()
 
 
+def both_ways(
+    estimator: FlowEstimator,
+    image0: UInt8[np.ndarray, "height width 3"],
+    image1: UInt8[np.ndarray, "height width 3"],
+) -> tuple[
+    Float32[np.ndarray, "height width 2"],
+    Float32[np.ndarray, "height width"],
+    Bool[np.ndarray, "height width"],
+]:
+    """Flow from image0 to image1 with its validity, by the flow back: flow, miss of the round trip, valid."""
+    flow, back = estimator.estimate(image0, image1), estimator.estimate(image1, image0)
+    return flow, *round_trip(flow, back)
+
+
 def round_trip(
     flow: Float32[np.ndarray, "height width 2"], back: Float32[np.ndarray, "height width 2"]
-) -> Float32[np.ndarray, "height width"]:
-    """How far [height, width], pixels, following `flow` and then `back` ends from where it began."""
-    return np.linalg.norm(flow + warp(back, flow), axis=-1)
+) -> tuple[Float32[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
+    """How far following `flow` and then `back` ends from where it began, pixels, and where the flow is valid.
 
-
-def consistent(
-    flow: Float32[np.ndarray, "height width 2"], back: Float32[np.ndarray, "height width 2"]
-) -> Bool[np.ndarray, "height width"]:
-    """Valid where |f + b'| < 0.5 (|f| + |b'|) + 0.5 px and x + f lies inside the picture.
+    Valid is where |f + b'| < 0.5 (|f| + |b'|) + 0.5 px and x + f lies inside the picture.
 
     Args:
         flow: f, from this picture to the other [height, width, 2], pixels.
@@ -53,12 +64,20 @@ def consistent(
     """
     height, width = flow.shape[:2]
     returned = warp(back, flow)
-    missed = np.linalg.norm(flow + returned, axis=-1)
-    lengths = np.linalg.norm(flow, axis=-1) + np.linalg.norm(returned, axis=-1)
-    x = np.arange(width) + flow[..., 0]
-    y = np.arange(height)[:, None] + flow[..., 1]
+    missed = _length(flow + returned)
+    x = np.arange(width, dtype=np.float32) + flow[..., 0]
+    y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1]
     inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
-    return inside & (missed < RELATIVE * lengths + ABSOLUTE_PX)
+    return missed, inside & (missed < RELATIVE * (_length(flow) + _length(returned)) + ABSOLUTE_PX)
+
+
+def _length(vectors: Float32[np.ndarray, "height width 2"]) -> Float32[np.ndarray, "height width"]:
+    return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def luma(image: UInt8[np.ndarray, "height width 3"]) -> Float32[np.ndarray, "height width"]:
+    """Grey levels, 0 to 255."""
+    return image.astype(np.float32) @ np.array(LUMA, np.float32)
 
 
 def supported(image: UInt8[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
@@ -66,32 +85,33 @@ def supported(image: UInt8[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "h
 
     On a plain backdrop a flow method spreads what it found at the subject, consistently and wrongly.
     """
-    grey = image.astype(np.float32) @ np.array(LUMA, np.float32)
+    grey = luma(image)
     mean, square = (uniform_filter(x, SUPPORT_WINDOW, mode="mirror") for x in (grey, grey * grey))
     return square - mean * mean > SUPPORT_LEVELS**2
 
 
 def resize_flow(
     flow: Float32[np.ndarray, "height width 2"],
-    valid: Bool[np.ndarray, "height width"],
+    weight: Float32[np.ndarray, "height width"],
     width: int,
     height: int,
-) -> tuple[Float32[np.ndarray, "out_height out_width 2"], Bool[np.ndarray, "out_height out_width"]]:
+) -> tuple[Float32[np.ndarray, "out_height out_width 2"], Float32[np.ndarray, "out_height out_width"]]:
     """Reduce a flow to another picture size; vectors are scaled by the ratio of each side on its own.
 
-    Each new pixel is the mean of the valid vectors it covers, so that wrong vectors do not bleed into
-    right ones; where none is valid it is the mean of all.
+    Each new pixel is the weighted mean of the vectors it covers, so that wrong vectors (of weight 0) do not bleed
+    into right ones, and has the mean weight of the right ones; where no weight is, it is the mean of all.
     """
     size = (width, height)
     ratio = np.array([width / flow.shape[1], height / flow.shape[0]], dtype=np.float32)
     if (flow.shape[1], flow.shape[0]) == size:
-        return flow.copy(), valid.copy()
-    weight = valid.astype(np.float32)
-    share = _resized(weight, width, height)
+        return flow.copy(), weight.copy()
+    share = _resized((weight > 0).astype(np.float32), width, height)
+    weights = _resized(weight, width, height)
     total = _resized(flow * weight[..., None], width, height)
     plain = _resized(flow, width, height)
-    mean = np.where(share[..., None] > 0, total / np.maximum(share, 1e-6)[..., None], plain)
-    return mean * ratio, share >= RESIZED_VALID_SHARE
+    mean = np.where(weights[..., None] > 0, total / np.maximum(weights, 1e-6)[..., None], plain)
+    mean_weight = np.where(share >= RESIZED_VALID_SHARE, weights / np.maximum(share, 1e-6), np.float32(0))
+    return mean * ratio, mean_weight.astype(np.float32)
 
 
 def _resized(
@@ -103,25 +123,6 @@ def _resized(
     volume = torch.from_numpy(np.ascontiguousarray(x.reshape(*x.shape[:2], -1).transpose(2, 0, 1)))[None]
     out = F.interpolate(volume, (height, width), mode="bilinear", align_corners=False)
     return out[0].permute(1, 2, 0).reshape(height, width, *x.shape[2:]).numpy()
-
-
-def warp_residuals(
-    previous: UInt8[np.ndarray, "height width 3"],
-    current: UInt8[np.ndarray, "height width 3"],
-    flow_bwd: Float32[np.ndarray, "height width 2"],
-    where: Bool[np.ndarray, "height width"],
-) -> tuple[float, float]:
-    """Does the flow lead to the previous picture? Mean absolute differences, grey levels, over `where`.
-
-    Returns:
-        (warped, still): current against the previous picture warped by the flow, and against it as it is.
-        A flow with its direction or its sign swapped makes the first larger than the second.
-    """
-    if not where.any():
-        return 0.0, 0.0
-    before, now = previous.astype(np.float32), current.astype(np.float32)
-    warped = np.abs(now - warp(before, flow_bwd))[where].mean()
-    return float(warped), float(np.abs(now - before)[where].mean())
 
 
 def endpoint_error(

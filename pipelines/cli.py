@@ -312,6 +312,8 @@ def _check(job: Run, device: str) -> int:
             check_folder(job.run_dir, "output:")
         if to_do & {"ingest", "scene"}:
             _check_raw_files(job)
+        if "flow" in to_do:
+            _check_flow(job)
     except InputError as error:
         job.talk.error(str(error))
         return BAD_INPUT
@@ -327,6 +329,16 @@ def _check_raw_files(job: Run) -> None:
     problems = check(job.config, job.scene_dir)
     if problems:
         raise InputError("\n".join(problems))
+
+
+def _check_flow(job: Run) -> None:
+    """Weights and methods of others are tried before anything starts; DIS has nothing to be wrong."""
+    flow = job.config.flow
+    if flow.method != "dis":
+        from devrf.flow.estimator import create_estimator
+
+        weights = job.config.path(job.scene_dir, flow.weights) if flow.weights else None
+        create_estimator(flow.method, weights, preset=flow.preset)
 
 
 def _only(

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
+from devrf.flow.estimator import Preset, mistake
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
@@ -233,24 +234,18 @@ class CalibrationConfig(_Section):
 class FlowConfig(_Section):
     """Optical flow of the moving clips."""
 
-    method: Literal["dis", "raft"] = "dis"
-    """Estimator."""
+    method: str = "dis"
+    """Estimator: dis, raft, or one that an installed package adds."""
+    preset: Preset | None = None
+    """Of dis; default: medium."""
     weights: str | None = None
     """Weights of a learned estimator."""
 
-    @field_validator("method")
-    @classmethod
-    def _built(cls, method: str) -> str:
-        if method == "raft":
-            raise ValueError("raft is not built yet; use dis")
-        return method
-
-    @field_validator("weights")
-    @classmethod
-    def _no_weights_yet(cls, weights: str | None) -> str | None:
-        if weights is not None:
-            raise ValueError("weights belong to raft, which is not built yet; dis needs none")
-        return weights
+    @model_validator(mode="after")
+    def _usable(self) -> "FlowConfig":
+        if wrong := mistake(self.method, self.weights, self.preset):
+            raise ValueError(wrong)
+        return self
 
 
 class ReconstructConfig(_Section):

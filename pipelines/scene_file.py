@@ -443,6 +443,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
     if config.evaluate.lpips_weights != "download":
         paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
     paths["evaluate.truth"] = config.evaluate.truth
+    paths["flow.weights"] = config.flow.weights
     return {key: path for key, path in paths.items() if path is not None}
 
 

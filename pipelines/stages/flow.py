@@ -1,7 +1,14 @@
-"""Stage `flow`: backward optical flow of every training camera's clip, and whether it can be trusted."""
+"""Stage `flow`: backward optical flow of every training camera's clip, and whether it can be trusted.
 
+Pairs are written to `.flow` in the run folder as they are found, and become the stage's when all are there: a run that
+was stopped finds only those that are missing.
+"""
+
+import hashlib
 import json
-from dataclasses import asdict
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,24 +17,31 @@ from jaxtyping import UInt8
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.flow.clip import FlowChecks, clip_flow
+from devrf.flow.checks import FlowChecks
+from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.estimator import FlowEstimator, create_estimator
-from devrf.flow.given import METHOD, given_clip_flow
-from devrf.flow.store import write_flow
-from devrf.pipelines.health import HealthRow, note, row
+from devrf.flow.given import METHOD, given
+from devrf.flow.pair import estimated
+from devrf.pipelines.code_version import code_version
+from devrf.pipelines.flow_health import health
+from devrf.pipelines.health import note
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stamp import STAMP
+
+UNFINISHED = ".flow"  # in the run folder
+MADE_OF = "made_of"  # in it: what its pairs belong to
 
 
 def run(context: StageContext) -> None:
-    """Write `<camera>.npz` per training camera, and `flow.json` with what the flow says about itself."""
+    """Write `<camera>/<index>.npz` of every pair, and `flow.json` with what the flow says about itself."""
     scene = read_scene(context.run_dir / "scene")
     clips = training_clips(scene)
-    given = bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
-    estimator = None if given else _estimator(context)
+    brought = bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
+    estimator = None if brought else _estimator(context)
+    unfinished = _unfinished(context)
     checks: dict[str, FlowChecks] = {}
     for n, (camera, frames) in enumerate(clips.items()):
         small = frames[0].camera.scaled(scene.image_scale)
-        index, size = [frame.index for frame in frames], (small.width, small.height)
 
         def load(k: int, frames: list[PosedFrame] = frames) -> UInt8[np.ndarray, "h w 3"]:
             return load_image(frames[k], 1.0, scene.background)
@@ -35,30 +49,67 @@ def run(context: StageContext) -> None:
         def progress(share: float, text: str, n: int = n) -> None:
             context.progress((n + share) / len(clips), text)
 
-        if estimator is None:
-            paths = [frame.flow for frame in frames]
-            flow, checks[camera] = given_clip_flow(
-                camera, index, load, lambda k, paths=paths: _read(paths[k]), size, progress
-            )
-        else:
-            times = [_time(frame) for frame in frames]
-            flow, checks[camera] = clip_flow(camera, index, times, load, size, estimator, progress)
-        write_flow(context.out, flow)
+        gap = gaps_of(camera, [_time(frame) for frame in frames])
+        paths = [frame.flow for frame in frames]
+        found = clip_flow(
+            camera,
+            [frame.index for frame in frames],
+            gap if estimator is not None else np.zeros_like(gap),
+            load,
+            (small.width, small.height),
+            given(lambda k, paths=paths: _read(paths[k])) if estimator is None else estimated(estimator),
+            unfinished,
+            estimator is None or estimator.parallel,
+            progress,
+        )
+        checks[camera] = found if _stands_still(frames) else replace(found, shake_px=None)
+    for camera in clips:
+        (unfinished / camera).rename(context.out / camera)
+    shutil.rmtree(unfinished)
     method = METHOD if estimator is None else estimator.name
-    _write_json(
-        context.out / "flow.json",
-        {"method": method, "cameras": {camera: asdict(check) for camera, check in checks.items()}},
+    text = json.dumps(
+        {"method": method, "cameras": {name: asdict(check) for name, check in checks.items()}}, indent=1
     )
-    if given:
+    (context.out / "flow.json").write_text(text + "\n")
+    if brought:
         context.health.append(note("flow", "given with the data set"))
-    context.health.extend(health(checks, given))
+        if first := [name for name, frames in clips.items() if frames[0].flow is not None]:
+            context.health.append(
+                note("flow of a first frame", f"{', '.join(first)}: ignored, nothing comes before")
+            )
+    context.health.extend(health(checks, brought))
+
+
+def _unfinished(context: StageContext) -> Path:
+    """The folder of pairs found so far; emptied where they belong to something else."""
+    weights = context.config.flow.weights
+    digest = hashlib.sha256(context.config.flow.model_dump_json().encode())
+    digest.update(code_version(__name__).encode())
+    digest.update((context.run_dir / "scene" / STAMP).read_bytes() if _made(context) else b"")
+    if weights is not None:
+        digest.update(context.config.path(context.scene_dir, weights).read_bytes())
+    folder = context.run_dir / UNFINISHED
+    mark = folder / MADE_OF
+    if not (mark.is_file() and mark.read_text() == digest.hexdigest()):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        mark.write_text(digest.hexdigest())
+    return folder
+
+
+def _made(context: StageContext) -> bool:
+    return (context.run_dir / "scene" / STAMP).is_file()
 
 
 def _estimator(context: StageContext) -> FlowEstimator:
-    weights = context.config.flow.weights
-    return create_estimator(
-        context.config.flow.method, context.config.path(context.scene_dir, weights) if weights else None
-    )
+    flow = context.config.flow
+    weights = context.config.path(context.scene_dir, flow.weights) if flow.weights else None
+    return create_estimator(flow.method, weights, context.device, flow.preset)
+
+
+def _stands_still(frames: Sequence[PosedFrame]) -> bool:
+    first = frames[0].camera.cam_from_world
+    return all(np.array_equal(frame.camera.cam_from_world, first) for frame in frames)
 
 
 def _read(path: Path | None) -> Flow:
@@ -75,85 +126,5 @@ def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
     return {camera: sorted(frames, key=_time) for camera, frames in clips.items()}
 
 
-def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow]:
-    """Rows for the worst camera of each check (docs: capture, hand-off to training).
-
-    Given flow need not be consistent with a way back that nobody knows; its mask may leave out the backdrop.
-    """
-    if not checks:
-        return [note("flow", "no training camera sees the scene move: no flow")]
-    rows = [] if given else [_consistent(checks)]
-    moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
-    if not moving:
-        return [*rows, note("motion", "nothing moves by more than half a pixel between frames")]
-    camera = min(moving, key=lambda name: moving[name].moving_valid or 0.0)
-    rows.append(
-        row(
-            f"consistent share of what moves, worst camera ({camera})",
-            moving[camera].moving_valid,
-            "",
-            warn=0.5,
-            remedy="The motion is too fast, blurred or without texture: raise the frame rate or give the "
-            "subject more texture.",
-        )
-    )
-    camera = max(moving, key=lambda name: moving[name].warp_ratio or 0.0)
-    rows.append(
-        row(
-            f"what warping leaves of the difference between frames, worst camera ({camera})",
-            moving[camera].warp_ratio,
-            "",
-            warn=0.8,
-            fail=1.05,
-            low_is_bad=False,
-            remedy="Following the flow does not lead to the previous frame: frames are out of order, or the "
-            "light flickers; lock the exposure.",
-        )
-    )
-    camera = max(moving, key=lambda name: moving[name].large)
-    rows.append(
-        row(
-            f"share of moving pixels beyond 1/8 of the width, worst camera ({camera})",
-            moving[camera].large,
-            "",
-            warn=0.05,
-            low_is_bad=False,
-            remedy="The subject moves too far between frames for this flow: raise the frame rate."
-            if not given
-            else "The subject moves far between the data set's times: more times would help the motion.",
-        )
-    )
-    gaps = {name: check.gaps for name, check in checks.items() if check.gaps}
-    if gaps:
-        total = sum(check.gaps + check.pairs for check in checks.values())
-        text = ", ".join(f"{name}: {count}" for name, count in gaps.items())
-        rows.append(
-            note(
-                "gaps in the clips",
-                f"{text} (of {total} pairs); no flow across them",
-                verdict="warn",
-                remedy="Frames were dropped while filming: use faster cards, or a lower resolution.",
-            )
-        )
-    return rows
-
-
-def _consistent(checks: dict[str, FlowChecks]) -> HealthRow:
-    camera = min(checks, key=lambda name: checks[name].valid or 0.0)
-    return row(
-        f"consistent share of what can be followed, worst camera ({camera})",
-        checks[camera].valid,
-        "",
-        warn=0.7,
-        fail=0.3,
-        remedy="Most of the flow contradicts itself: film with a higher frame rate, a shorter shutter "
-        "and more light; check that frames are in order.",
-    )
-
-
 def _time(frame: PosedFrame) -> float:
     return float(frame.time_s if frame.time_s is not None else frame.time or 0.0)
-
-
-def _write_json(path: Path, value: dict) -> None:
-    path.write_text(json.dumps(value, indent=1) + "\n")

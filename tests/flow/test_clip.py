@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 
 from devrf.capture.errors import FlowError
-from devrf.flow.clip import clip_flow
+from devrf.flow.checks import FlowChecks
+from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.dis import DisFlow
+from devrf.flow.estimator import FlowEstimator
+from devrf.flow.given import given
+from devrf.flow.pair import Find, estimated
+from devrf.flow.store import BEST, CameraFlow, pair_path, read_flows
 
 STEP = (5.0, -2.0)  # motion of the square per frame: right and up
 
@@ -15,6 +20,7 @@ class Swapped:
     """A method that mixes up its two pictures."""
 
     name = "swapped"
+    parallel = False
 
     def estimate(self, image0, image1):
         return DisFlow().estimate(image1, image0)
@@ -37,8 +43,30 @@ def clip() -> list[np.ndarray]:
     return pictures
 
 
-def test_flow_is_backward_and_in_pixels_of_the_stored_size(clip):
-    flow, checks = clip_flow("cam0", [3, 4, 6], [0.0, 1.0, 2.0], clip.__getitem__, (80, 40), DisFlow())
+@pytest.fixture
+def run(tmp_path):
+    """`run(pictures)`: flow and checks of a clip, through the entry point and from disk."""
+
+    def run(
+        pictures,
+        index=None,
+        time=None,
+        size=(160, 120),
+        estimator: FlowEstimator | None = None,
+        find: Find | None = None,
+    ) -> tuple[CameraFlow, FlowChecks]:
+        count = len(pictures)
+        gap = gaps_of("cam0", np.arange(float(count)) if time is None else time)
+        method = find or estimated(estimator or DisFlow())
+        index = range(count) if index is None else index
+        checks = clip_flow("cam0", index, gap, pictures.__getitem__, size, method, tmp_path, parallel=True)
+        return read_flows(tmp_path)["cam0"], checks
+
+    return run
+
+
+def test_flow_is_backward_and_in_pixels_of_the_stored_size(clip, run):
+    flow, checks = run(clip[:3], index=[3, 4, 6], size=(80, 40))
     assert flow.index.tolist() == [4, 6] and flow.flow.shape == (2, 40, 80, 2)
     inside = flow.flow[1, 15:26, 22:38].astype(np.float32).reshape(-1, 2)  # well inside the square, reduced
     # backward: the content came from the left and from below; x is halved, y is a third
@@ -48,39 +76,138 @@ def test_flow_is_backward_and_in_pixels_of_the_stored_size(clip):
     assert checks.pairs == 2 and checks.gaps == 0
 
 
-def test_checks_of_a_good_clip(clip):
-    _, checks = clip_flow("cam0", range(6), np.arange(6.0), clip.__getitem__, (160, 120), DisFlow())
+def test_checks_of_a_good_clip(clip, run):
+    _, checks = run(clip)
     assert checks.valid is not None and checks.valid > 0.9 and checks.large == 0
     assert checks.moving == pytest.approx(60 * 60 / (120 * 160), rel=0.3)
     assert checks.warp_ratio is not None and checks.warp_ratio < 0.2
     assert checks.round_trip_px is not None and checks.round_trip_px < 0.2
+    assert checks.unsure < 0.1 and checks.better_as is None and checks.brightness_step == 0
+    assert checks.shake_px is not None and checks.shake_px < 0.1
 
 
-def test_swapped_direction_is_seen_by_warping(clip):
-    _, checks = clip_flow("cam0", range(6), np.arange(6.0), clip.__getitem__, (160, 120), Swapped())
+def test_swapped_direction_is_named_by_warping(clip, run):
+    _, checks = run(clip, estimator=Swapped())
     assert checks.warp_ratio is not None and checks.warp_ratio > 0.9
+    assert checks.better_as == "forward"
 
 
-def test_nothing_valid_across_a_gap(clip):
-    time = [0.0, 0.1, 0.2, 0.41, 0.5, 0.6]
-    flow, checks = clip_flow("cam0", range(6), time, clip.__getitem__, (160, 120), DisFlow())
+@pytest.fixture
+def uneven() -> list[np.ndarray]:
+    """Pictures [120, 160, 3] that slide by another step each time."""
+    rng = np.random.default_rng(1)
+    wide = cv2.resize(rng.integers(20, 235, (24, 64, 3)).astype(np.uint8), (320, 120))
+    return [wide[:, x : x + 160] for x in (0, 2, 8, 9, 16, 20, 30, 33)]
+
+
+@pytest.mark.parametrize(
+    ("shift", "scale", "named"), [(0, 1, None), (1, 1, "next"), (-1, 1, "before"), (0, 2, "full size")]
+)
+def test_given_flow_is_told_by_warping(uneven, run, shift, scale, named):
+    places = [0, 2, 8, 9, 16, 20, 30, 33]
+    size = (120 // scale, 160 // scale)
+
+    def read(n: int) -> tuple[np.ndarray, np.ndarray]:
+        k = min(max(n + shift, 1), len(places) - 1)
+        flow = np.zeros((*size, 2), np.float32)
+        flow[..., 0] = places[k] - places[k - 1]  # what is at x was right of it; not scaled with the size
+        mask = np.zeros(size, bool)
+        mask[:, : size[1] - 12] = True
+        return flow, mask
+
+    _, checks = run(uneven, find=given(read))
+    assert checks.better_as == named
+
+
+def test_nothing_valid_across_a_gap(clip, run):
+    flow, checks = run(clip, time=[0.0, 0.1, 0.2, 0.41, 0.5, 0.6])
     assert checks.gaps == 1 and checks.pairs == 4
     assert flow.index[2] == 3 and not flow.valid[2].any() and not flow.flow[2].any()
     assert flow.valid[[0, 1, 3, 4]].any(axis=(1, 2)).all()
 
 
-def test_nothing_moves_is_not_an_error(clip):
-    _, checks = clip_flow("cam0", [0, 1], [0.0, 1.0], lambda n: clip[0], (160, 120), DisFlow())
+def test_nothing_moves_is_not_an_error(clip, run):
+    _, checks = run([clip[0]] * 2)
     assert checks.moving == 0 and checks.warp_ratio is None and checks.valid == 1 == checks.supported
 
 
 @pytest.mark.parametrize("time", [[0.0], [0.0, 0.0], [1.0, 0.5]])
-def test_times_must_rise(clip, time):
+def test_times_must_rise(time):
     with pytest.raises(FlowError, match="cam0.*rising"):
-        clip_flow("cam0", range(len(time)), time, clip.__getitem__, (160, 120), DisFlow())
+        gaps_of("cam0", time)
 
 
-def test_size_change_is_named(clip):
-    pictures = [clip[0], clip[1][:100]]
-    with pytest.raises(FlowError, match="frame 8 is 160x100"):
-        clip_flow("cam0", [7, 8], [0.0, 1.0], pictures.__getitem__, (160, 120), DisFlow())
+def test_size_change_is_named(clip, run):
+    with pytest.raises(FlowError, match=r"cam0.*frames 8 and 7.*\[100, 160, 3\].*\[120, 160, 3\]"):
+        run([clip[0], clip[1][:100]], index=[7, 8])
+
+
+def test_16_bit_pictures_are_refused(clip, run):
+    with pytest.raises(FlowError, match="uint16, expected.*8 bits"):
+        run([picture.astype(np.uint16) * 257 for picture in clip[:2]])
+
+
+def test_brightness_step_is_measured(clip, run):
+    darker = [picture if n < 3 else (0.9 * picture).astype(np.uint8) for n, picture in enumerate(clip)]
+    _, checks = run(darker)
+    # 10 %; rounding down to whole levels takes up to one of about 127 more
+    assert checks.brightness_step == pytest.approx(0.10, abs=0.01)
+
+
+def test_a_shaking_camera_is_told_from_a_moving_subject(clip, run):
+    shaken = []
+    for n, picture in enumerate(clip):
+        matrix = np.array([[1, 0, 0.4 * (n % 2)], [0, 1, 0]], np.float64)
+        shaken.append(cv2.warpAffine(picture, matrix, (160, 120), borderMode=cv2.BORDER_REPLICATE))
+    _, checks = run(shaken)
+    assert checks.shake_px == pytest.approx(0.4, abs=0.1)  # DIS is good to 0.1 px on such pictures
+
+
+def test_plain_cloth_is_not_sure_of_its_flow(run):
+    rng = np.random.default_rng(2)
+    wall = cv2.resize(rng.integers(20, 235, (24, 32, 3)).astype(np.uint8), (160, 120))
+    ripples = cv2.resize(rng.integers(118, 122, (5, 5, 3)).astype(np.uint8), (90, 90))
+    pictures = []
+    for n in range(4):
+        picture = wall.copy()
+        picture[15:105, 10 + 4 * n : 100 + 4 * n] = ripples
+        pictures.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    flow, checks = run(pictures)
+    assert checks.unsure > 0.4
+    assert flow.confidence is not None
+    # inside the cloth, away from its edges, next to inside the wall
+    assert np.median(flow.confidence[:, 40:80, 45:80]) < 0.5 * np.median(flow.confidence[:, :, 135:])
+    assert np.median(flow.confidence[:, :, 135:]) >= 0.7 * BEST
+
+
+def test_a_stopped_clip_finds_only_what_is_missing(clip, tmp_path):
+    asked: list[int] = []
+
+    def find(n, current, previous):
+        asked.append(n)
+        return estimated(DisFlow())(n, current, previous)
+
+    def make() -> FlowChecks:
+        gap = np.zeros(5, bool)
+        return clip_flow("cam0", range(6), gap, clip.__getitem__, (160, 120), find, tmp_path, parallel=False)
+
+    first = make()
+    whole = {n: pair_path(tmp_path, "cam0", n).read_bytes() for n in range(1, 6)}
+    pair_path(tmp_path, "cam0", 2).unlink()
+    pair_path(tmp_path, "cam0", 4).write_bytes(whole[4][:100])  # cut off
+    asked.clear()
+    assert make() == first
+    assert asked == [2, 4]
+    assert {n: pair_path(tmp_path, "cam0", n).read_bytes() for n in range(1, 6)} == whole
+
+
+def test_many_threads_find_the_same(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr("devrf.flow.clip._cores", lambda: 4)
+    out = {}
+    for parallel in (False, True):
+        folder = tmp_path / str(parallel)
+        gap = np.zeros(5, bool)
+        find = estimated(DisFlow())
+        clip_flow("cam0", range(6), gap, clip.__getitem__, (160, 120), find, folder, parallel)
+        out[parallel] = [pair_path(folder, "cam0", n).read_bytes() for n in range(1, 6)]
+    assert out[False] == out[True]

@@ -13,6 +13,7 @@ from devrf.capture.formats import read_scene, write_scene
 from devrf.capture.formats.flow_files import write_flow_file
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.flow.dis import DisFlow
 from devrf.flow.store import read_flows
 from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import StageContext
@@ -66,6 +67,7 @@ def test_training_cameras_only_backward_and_scaled(context: StageContext):
     np.testing.assert_allclose(np.median(inner, axis=(0, 1, 2)), [-STEP / 2, 0], atol=0.05)
     checks = json.loads((Path(context.out) / "flow.json").read_text())
     assert checks["method"] == "dis" and checks["cameras"]["cam0"]["pairs"] == 4
+    assert not (context.run_dir / ".flow").exists()
 
 
 def test_the_gap_is_found_and_told(context: StageContext):
@@ -76,7 +78,9 @@ def test_the_gap_is_found_and_told(context: StageContext):
     by_check = {row.check: row for row in context.health}
     gaps = by_check["gaps in the clips"]
     assert gaps.verdict == "warn" and "cam1: 1" in str(gaps.value)
-    assert all(row.verdict == "ok" for row in context.health if row is not gaps)
+    slides = next(row for row in context.health if row.check.startswith("movement of the whole picture"))
+    assert slides.value == pytest.approx(STEP, abs=0.1)  # the cameras are fixed and all they see moves
+    assert all(row.verdict == "ok" for row in context.health if row not in (gaps, slides))
 
 
 def given(context: StageContext, scale: float = 1.0) -> None:
@@ -127,3 +131,78 @@ def test_mixed_up_frames_fail_the_checks(context: StageContext):
     failed = [row for row in context.health if row.verdict != "ok" and "cam0" in row.check]
     assert any("can be followed" in row.check for row in failed)
     assert any("warping" in row.check for row in failed) and all(row.remedy for row in failed)
+
+
+def test_flow_of_a_first_frame_is_ignored_and_said(context: StageContext):
+    given(context)
+    scene = read_scene(context.run_dir / "scene")
+    first = [replace(f, flow=scene.dynamic[0].flow) if f.index == 10 else f for f in scene.dynamic]
+    write_scene(context.run_dir / "scene", replace(scene, dynamic=tuple(first)))
+    flow.run(context)
+    assert read_flows(context.out)["cam0"].index.tolist() == [11, 12, 13, 14]
+    by_check = {row.check: row for row in context.health}
+    assert by_check["flow of a first frame"].value == "cam1, cam0: ignored, nothing comes before"
+
+
+class Counted(DisFlow):
+    """DIS that is interrupted after some pairs (each is asked for two ways)."""
+
+    parallel = False
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self.most, self.asked = most, 0
+
+    def estimate(self, image0, image1):
+        if self.asked == self.most:
+            raise KeyboardInterrupt
+        self.asked += 1
+        return super().estimate(image0, image1)
+
+
+def test_a_run_that_was_stopped_finds_only_missing_pairs(context: StageContext, monkeypatch):
+    def use(estimator: Counted) -> Counted:
+        monkeypatch.setattr(flow, "_estimator", lambda context: estimator)
+        return estimator
+
+    use(Counted(2 * 5))  # cam1 comes first in the file: its two pairs and a gap, then three of cam0's four
+    with pytest.raises(KeyboardInterrupt):
+        flow.run(context)
+    assert len(list((context.run_dir / ".flow").rglob("*.npz"))) == 6
+    assert not list(context.out.iterdir())
+    rest = use(Counted(1000))
+    flow.run(context)
+    assert rest.asked == 2 * 1
+    assert {name: len(clip.index) for name, clip in read_flows(context.out).items()} == {"cam0": 4, "cam1": 3}
+
+
+def test_pairs_of_another_method_are_not_taken_over(context: StageContext, monkeypatch):
+    monkeypatch.setattr(flow, "_estimator", lambda context: Counted(2 * 3))
+    with pytest.raises(KeyboardInterrupt):
+        flow.run(context)
+    config = context.config.model_copy(
+        update={"flow": context.config.flow.model_copy(update={"preset": "fast"})}
+    )
+    fresh = Counted(1000)
+    monkeypatch.setattr(flow, "_estimator", lambda context: fresh)
+    flow.run(replace(context, config=config))
+    assert fresh.asked == 2 * 6  # all pairs of both cameras but the gap
+
+
+def test_no_pair_crosses_from_one_camera_to_another(context: StageContext, monkeypatch):
+    """Frames of both cameras are of one time each; every pair must be of one camera's pictures."""
+    scene = read_scene(context.run_dir / "scene")
+    shade = {"cam0": 60, "cam1": 200, "witness": 0}
+    for frame in scene.dynamic:
+        cv2.imwrite(str(frame.path), np.full((80, 128, 3), shade[frame.camera_name] + frame.index, np.uint8))
+    seen = []
+
+    class Watched(Counted):
+        def estimate(self, image0, image1):
+            seen.append((int(image0[0, 0, 0]), int(image1[0, 0, 0])))
+            return super().estimate(image0, image1)
+
+    monkeypatch.setattr(flow, "_estimator", lambda context: Watched(1000))
+    flow.run(context)
+    forth = seen[::2]  # the other half asks back
+    assert forth == [(200 + n, 199 + n) for n in (11, 12)] + [(60 + n, 59 + n) for n in (11, 12, 13, 14)]

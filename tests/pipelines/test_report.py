@@ -18,7 +18,7 @@ from pydantic import BaseModel
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.flow.store import CameraFlow, write_flow
+from devrf.flow.store import BEST, pair_path, write_pair
 from devrf.pipelines.report import SECTIONS, build_report
 from devrf.pipelines.report_charts import Series, line_chart, ticks
 from devrf.pipelines.report_pictures import flow_picture
@@ -165,11 +165,11 @@ def full_run(tmp_path_factory) -> Path:
             for n in range(4)
         ]
         _json(run / stage / "metrics.json", {"seconds": 100.5, "iterations": 4, "curve": rows})
-    flow = np.zeros((3, HEIGHT, WIDTH, 2), np.float16)
+    flow = np.zeros((3, HEIGHT, WIDTH, 2), np.float32)
     flow[1, 5:20, 5:20] = (3.0, -1.0)
     valid = np.ones((3, HEIGHT, WIDTH), bool)
-    (run / "flow").mkdir()
-    write_flow(run / "flow", CameraFlow("cam0", np.arange(1, 4, dtype=np.int32), flow, valid))
+    for n in range(3):
+        write_pair(pair_path(run / "flow", "cam0", n + 1), flow[n], BEST * valid[n].astype(np.uint8), {})
     _json(
         run / "flow/flow.json",
         {"method": "dis", "cameras": {"cam0": {"pairs": 3, "gaps": 0, "supported": 0.9, "valid": 0.81,

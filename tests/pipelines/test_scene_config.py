@@ -80,7 +80,15 @@ def test_kinds_of_capture(folder: Path, text: str, kind: str) -> None:
             "reconstruct: {seed: true}",
             "reconstruct.seed: True; expected a whole number from 0 below 2147483648",
         ),
-        ("flow: {method: raft}", "flow.method: raft is not built yet; use dis"),
+        ("flow: {method: raft}", "flow: weights is missing; method raft needs"),
+        ("flow: {method: farneback}", "flow: method 'farneback' is not known, expected dis, raft"),
+        ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' are of no use; method dis needs none"),
+        (
+            "flow: {method: raft, weights: static.mp4, preset: fast}",
+            "flow: preset 'fast' is of no use; only method dis has presets",
+        ),
+        ("flow: {preset: slow}", "flow.preset: 'slow'; expected ultrafast, fast, medium"),
+        ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': no such file or folder"),
         (
             "calibration: {sync: {method: sound}}",
             "calibration.sync.method: 'sound'; expected auto, audio, motion, flash, timestamps, none",
@@ -177,7 +185,7 @@ flow: {method: raft}
         "scene.yaml: capture.test_cameras: 'cam9' is not in cameras, did you mean cam1?",
         "scene.yaml: reconstruct.resolutoin: unknown key",
         "scene.yaml: reconstruct.rays: 3",
-        "scene.yaml: flow.method: raft",
+        "scene.yaml: flow: weights is missing",
         "--set evaluate.holdout: unknown key, did you mean holdout_every?",
         "--set nonsense: expected key=value",
     ):

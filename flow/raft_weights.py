@@ -1,0 +1,108 @@
+"""Weights of RAFT from a file: the authors' checkpoints, or torchvision's state dicts. Nothing missing, nothing left.
+
+Files are read as data only (`weights_only`): no code of theirs is run. Which network they belong to is told by the
+width of the first convolution.
+"""
+
+import pickle
+import re
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from devrf.capture.errors import InputError
+from devrf.flow.raft_network import LARGE, SMALL, Raft
+
+LISTED = 4  # names in a message
+SIZES = {sizes.stem: sizes for sizes in (SMALL, LARGE)}
+
+TORCHVISION = (
+    (r"^feature_encoder\.", "fnet."),
+    (r"^context_encoder\.", "cnet."),
+    (r"^(.net)\.conv\.", r"\1.conv2."),
+    (r"\.convnormrelu\.0\.", ".conv1."),
+    (r"\.convnormrelu\.1\.", ".norm1."),
+    (r"\.convnormrelu(\d)\.0\.", r".conv\1."),
+    (r"\.convnormrelu(\d)\.1\.", r".norm\1."),
+    (r"\.motion_encoder\.conv(c)orr(\d)\.0\.", r".encoder.conv\1\2."),
+    (r"\.motion_encoder\.conv(f)low(\d)\.0\.", r".encoder.conv\1\2."),
+    (r"\.motion_encoder\.conv\.0\.", ".encoder.conv."),
+    (r"^mask_predictor\.convrelu\.0\.", "update_block.mask.0."),
+    (r"^mask_predictor\.conv\.", "update_block.mask.2."),
+)
+"""torchvision's names, and those of the authors; the recurrent unit's depend on the network's size."""
+
+
+def load_raft(path: Path) -> Raft:
+    """The network of a file of weights, ready to be used.
+
+    Raises:
+        InputError: No such file, not a file of weights, not of RAFT, or names or shapes that do not all fit.
+    """
+    named = _names_of_authors(_read(path))
+    stem = named.get("fnet.conv1.weight")
+    sizes = SIZES.get(len(stem)) if stem is not None else None
+    if sizes is None:
+        raise InputError(
+            f"flow.weights: {path}: no RAFT: fnet.conv1.weight is "
+            f"{'absent' if stem is None else list(stem.shape)}, expected {SMALL.stem} (small) or {LARGE.stem} "
+            f"(large) filters; the file has {_listed(named)}"
+        )
+    network = Raft(sizes)
+    _check(path, named, network.state_dict(), "small" if sizes == SMALL else "large")
+    network.load_state_dict(named, strict=True)
+    return network.eval().requires_grad_(False)
+
+
+def _read(path: Path) -> dict[str, Tensor]:
+    if not path.is_file():
+        raise InputError(f"flow.weights: {path}: no such file; expected a checkpoint of RAFT (.pth)")
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"flow.weights: {path}: not a file of plain weights ({reason}); expected a state dict of RAFT, get it again"
+        ) from error
+    if not isinstance(found, dict) or not all(isinstance(value, Tensor) for value in found.values()):
+        raise InputError(f"flow.weights: {path}: holds no state dict; expected names with tensors")
+    return found
+
+
+def _names_of_authors(weights: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Without the prefix of data parallel training, torchvision's names translated, doubles taken out."""
+    plain = {name.removeprefix("module."): value for name, value in weights.items()}
+    unit = r".gru.conv\2\1" if any(".convgru2." in name for name in plain) else r".gru.conv\2"
+    out = {}
+    for name, value in plain.items():
+        for pattern, new in TORCHVISION:
+            name = re.sub(pattern, new, name)
+        name = re.sub(r"\.recurrent_block\.convgru(\d)\.conv(.)", unit, name)
+        # The authors register the norm of a shortcut twice.
+        twin = re.sub(r"\.norm3\.", ".downsample.1.", name) if name.startswith("cnet.layer") else name
+        if twin == name or twin not in plain or not torch.equal(plain[twin], value):
+            out[name] = value
+    return out
+
+
+def _check(path: Path, named: dict[str, Tensor], expected: dict[str, Tensor], size: str) -> None:
+    missing, surplus = expected.keys() - named.keys(), named.keys() - expected.keys()
+    shapes = [
+        f"{name} {list(named[name].shape)} for {list(expected[name].shape)}"
+        for name in sorted(expected.keys() & named.keys())
+        if named[name].shape != expected[name].shape
+    ]
+    wrong = [f"missing {_listed(missing)}"] if missing else []
+    wrong += [f"surplus {_listed(surplus)}"] if surplus else []
+    wrong += [f"of another shape {_listed(shapes)}"] if shapes else []
+    if wrong:
+        raise InputError(
+            f"flow.weights: {path}: not all weights of RAFT ({size}) and nothing else: {'; '.join(wrong)}; use the "
+            "authors' or torchvision's file as published"
+        )
+
+
+def _listed(names) -> str:
+    shown = sorted(names)
+    return ", ".join(shown[:LISTED]) + (f" and {len(shown) - LISTED} more" if len(shown) > LISTED else "")
