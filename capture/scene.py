@@ -16,6 +16,7 @@ from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
+from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.resize import shrink
 
@@ -38,6 +39,7 @@ class PosedFrame:
         time: `time_s` mapped to [0, 1]; None for the sweep.
         split: Pictures of split `test` are never trained on.
         flow: Backward flow that a data set brings with the picture (`capture.formats.flow_files`), or None.
+        look: What brings its colours to the reference camera's when it is loaded; None: nothing.
     """
 
     path: Path
@@ -48,6 +50,7 @@ class PosedFrame:
     time: float | None
     split: Split
     flow: Path | None = None
+    look: Look | None = None
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,7 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
 
     Colours are weighted by alpha while resizing, so that hidden colours do not bleed into edges.
     """
-    image = read_pixels(frame.path)
+    image = read_corrected(frame)
     height, width = image.shape[:2]
     if (width, height) != (frame.camera.width, frame.camera.height):
         raise CaptureError(
@@ -191,6 +194,14 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
         image = np.clip(shrink(premultiplied, *size).round(), 0, 255).astype(np.uint8)
     elif size != (width, height):
         image = shrink(image, *size)
+    return image
+
+
+def read_corrected(frame: PosedFrame) -> UInt8[np.ndarray, "h w c"]:
+    """The frame's picture at full size, its look applied: RGB, or RGBA where the file has transparency."""
+    image = read_pixels(frame.path)
+    if frame.look is not None:
+        image[..., :3] = frame.look.apply(image[..., :3])
     return image
 
 

@@ -1,8 +1,8 @@
 """A calibrated scene written as a data set: into a new folder, which is renamed when it is whole.
 
 nerfstudio and COLMAP keep every camera's lens, and get the pictures as they are. The others have one focal
-length: their pictures are undistorted to a common pinhole camera. An earlier export of the same format is
-replaced; any other folder that holds something is left alone.
+length: their pictures are undistorted to a common pinhole camera. Looks are applied in all formats. An earlier export
+of the same format is replaced; any other folder that holds something is left alone.
 """
 
 import shutil
@@ -20,9 +20,9 @@ from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats.files import safe_name
 from devrf.capture.formats.flow_files import Flow
 from devrf.capture.formats.readme import readme
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.scene import PosedFrame, Scene, plain_colour
+from devrf.capture.scene import PosedFrame, Scene, plain_colour, read_corrected
 from devrf.capture.writable import check_folder
 
 if TYPE_CHECKING:
@@ -113,15 +113,19 @@ def check_target(folder: Path, dataset_format: str) -> None:
 
 
 def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[PosedFrame, ...]:
-    """The frames with their pictures copied to `part/<camera>/<number>`, bit by bit."""
+    """The frames with their pictures copied to `part/<camera>/<number>`, bit by bit; looks are applied."""
     out = []
     for n, (frame, stem) in enumerate(zip(frames, stems(frames), strict=True)):
-        path = export.folder / part / f"{stem}{frame.path.suffix.lower()}"
+        as_it_is = frame.look is None
+        path = export.folder / part / f"{stem}{frame.path.suffix.lower() if as_it_is else '.png'}"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not frame.path.is_file():
             raise CaptureError(f"{frame.path}: picture not found; run the scene again with --force scene")
-        shutil.copyfile(frame.path, path)
-        out.append(replace(frame, path=path, flow=None))
+        if as_it_is:
+            shutil.copyfile(frame.path, path)
+        else:
+            write_png(path, read_corrected(frame))
+        out.append(replace(frame, path=path, flow=None, look=None))
         export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
     return tuple(out)
 
@@ -182,14 +186,14 @@ class Pinholes:
     def write(self, frame: PosedFrame, path: Path, alpha: bool = True) -> PosedFrame:
         """Write a frame's picture as PNG; the frame as it is in the data set."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        undistorter, rgba = self._of(frame.camera), _with_alpha(read_pixels(frame.path))
+        undistorter, rgba = self._of(frame.camera), _with_alpha(read_corrected(frame))
         if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
             raise CaptureError(
                 f"{frame.path}: picture has another size than its calibration; run again with --force scene"
             )
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])
-        return replace(frame, path=path, camera=self.camera(frame), flow=None)
+        return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None)
 
     def flow(self, frame: PosedFrame) -> Flow | None:
         """A frame's backward flow at the size of the written picture."""

@@ -1,4 +1,7 @@
-"""nerfstudio's transforms.json with the keys that we add: `camera`, `frame_index`, `time_s`, `split`, `flow_path`."""
+"""nerfstudio's transforms.json with the keys that we add: `camera`, `frame_index`, `time_s`, `split`, `flow_path`.
+
+A picture's look is `colour_matrix`, `colour_gains` and `flat_field_path`.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ from devrf.capture.formats.files import (
     write_json,
 )
 from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_entry, opengl_pose
+from devrf.capture.look import EVEN, SAME, Look, as_gains, as_matrix
 from devrf.capture.scene import PosedFrame, Split
 
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV_FISHEYE")
@@ -43,6 +47,10 @@ def frame_entry(frame: PosedFrame, base: Path) -> dict[str, Any]:
         "time": frame.time,
         "split": frame.split,
     }
+    if frame.look is not None:
+        entry |= {"colour_matrix": frame.look.matrix, "colour_gains": frame.look.gains}
+        if frame.look.flat is not None:
+            entry["flat_field_path"] = relative_to(frame.look.flat, base)
     return entry if frame.flow is None else {**entry, "flow_path": relative_to(frame.flow, base)}
 
 
@@ -76,6 +84,7 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 time=time,
                 split=_split(entry, meta, where),
                 flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
+                look=_look(entry, path.parent, where),
             )
         )
     if grey and notes is not None:
@@ -97,6 +106,24 @@ def _check_model(model: object, path: Path) -> None:
             f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE; "
             "undistort the pictures"
         )
+
+
+def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
+    """The look of an entry; None where it names none."""
+    matrix, gains, flat = (entry.get(k) for k in ("colour_matrix", "colour_gains", "flat_field_path"))
+    if matrix is None and gains is None and flat is None:
+        return None
+    try:
+        return Look(
+            SAME if matrix is None else as_matrix(np.array(matrix, np.float64).reshape(3, 3)),
+            EVEN if gains is None else as_gains(np.array(gains, np.float64).reshape(3)),
+            None if flat is None else (base / flat).resolve(),
+        )
+    except (TypeError, ValueError) as error:
+        raise CaptureError(
+            f"{where}: its look cannot be used ({error}); expected colour_matrix with 3 rows of 3 numbers and "
+            "colour_gains with 3 numbers above 0, or no such keys"
+        ) from None
 
 
 def _number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None:

@@ -1,0 +1,122 @@
+"""The look of a picture: what brings its colours to those of the reference camera, in linear light.
+
+    linear_out = matrix · (gains * linear_in / flat),   linear_in = the sRGB curve undone
+
+`gains` are this picture's own (steady light), `flat` is the lens's fall-off towards the corners, `matrix` the camera's.
+Pictures on disk keep their colours: a look is applied when a picture is loaded, and leaving it away takes it back. A
+value that is clipped in the source says "at least so bright"; after the correction it still stands for its clip level
+and nothing more. Values that leave [0, 1] are clipped.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.srgb import LINEAR_OF_LEVEL, srgb_from_linear
+
+Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+Gains = tuple[float, float, float]
+
+SAME: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+EVEN: Gains = (1.0, 1.0, 1.0)
+STEPS = 65535  # of linear light on the way back to 8 bits: a step is 0.05 levels where the curve is steepest
+LEVEL_OF_LINEAR: UInt8[np.ndarray, " 65536"] = np.round(
+    255 * srgb_from_linear(np.arange(STEPS + 1) / STEPS)
+).astype(np.uint8)
+ROWS = 64  # corrected at once: a strip of a 1080p picture stays in the processor's cache
+
+
+@dataclass(frozen=True)
+class Look:
+    """The correction of one picture.
+
+    Attributes:
+        matrix: Of the camera; rows are R, G, B of the reference.
+        gains: Of this picture: R, G, B.
+        flat: Relative light over the picture: .npy with values in (0, 1] at the centres of equal cells; or None.
+    """
+
+    matrix: Matrix = SAME
+    gains: Gains = EVEN
+    flat: Path | None = None
+
+    def __post_init__(self) -> None:
+        numbers = np.array([*self.matrix, self.gains])
+        if not np.isfinite(numbers).all() or not min(self.gains) > 0:
+            raise ValueError(
+                f"look {self.matrix}, gains {self.gains}: expected finite numbers, gains above 0"
+            )
+        if not abs(np.linalg.det(numbers[:3])) > 1e-6:
+            raise ValueError(f"look {self.matrix} loses colours: its determinant is 0")
+
+    @property
+    def changes(self) -> bool:
+        """Whether it does anything."""
+        return self != Look()
+
+    def inverse(self) -> "Look":
+        """The look that takes this one back. It has no flat field, so it is for looks without one.
+
+        matrix · gains = (matrix · diag(gains)): its inverse is a matrix alone.
+        """
+        if self.flat is not None:
+            raise ValueError("a look with a flat field is taken back by leaving it away")
+        return Look(as_matrix(np.linalg.inv(np.array(self.matrix) * np.array(self.gains))))
+
+    def apply(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture as the reference camera would show it, sRGB."""
+        matrix = np.array(self.matrix, np.float64)
+        light = None if self.flat is None else _light(self.flat, *rgb.shape[:2])
+        if light is None and np.array_equal(matrix, np.diag(np.diag(matrix))):
+            factors = np.diag(matrix) * self.gains
+            tables = [_levels(np.float32(f) * LINEAR_OF_LEVEL) for f in factors]
+            return np.stack([table[rgb[..., c]] for c, table in enumerate(tables)], axis=-1)
+        mixing = (matrix * self.gains).astype(np.float32).T
+        out = np.empty_like(rgb)
+        for top in range(0, len(rgb), ROWS):
+            strip = LINEAR_OF_LEVEL[rgb[top : top + ROWS]]
+            if light is not None:
+                strip /= light[top : top + ROWS, :, None]
+            out[top : top + ROWS] = _levels(strip @ mixing)
+        return out
+
+
+def as_matrix(values: Float[np.ndarray, "3 3"]) -> Matrix:
+    """An array as the plain numbers that a look holds."""
+    return tuple(tuple(float(v) for v in row) for row in values)  # pyright: ignore[reportReturnType]: 3 x 3
+
+
+def as_gains(values: Float[np.ndarray, "3"]) -> Gains:
+    """An array as the plain numbers that a look holds."""
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
+def _levels(linear: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
+    """Linear light as 8-bit sRGB."""
+    steps = np.clip(linear, 0, 1) * np.float32(STEPS) + np.float32(0.5)
+    return LEVEL_OF_LINEAR[steps.astype(np.uint16)]
+
+
+@lru_cache(maxsize=16)  # one per camera
+def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height width"]:
+    """A flat field at the size of a picture: bilinear between the centres of its cells, even outside them.
+
+    Raises:
+        CaptureError: The file is not such a map.
+    """
+    try:
+        cells = np.load(flat, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{flat}: not a flat field ({error}); run again with --force colour") from None
+    if cells.ndim != 2 or not min(cells.shape) > 1 or not np.all((cells > 0) & (cells <= 1)):
+        raise CaptureError(f"{flat}: expected a map with values in (0, 1]; run again with --force colour")
+    for axis, size in ((0, height), (1, width)):
+        at = np.clip((np.arange(size) + 0.5) / size * cells.shape[axis] - 0.5, 0, cells.shape[axis] - 1)
+        low = np.minimum(at.astype(int), cells.shape[axis] - 2)
+        share = (at - low).reshape((-1, 1) if axis == 0 else (1, -1))
+        cells = (1 - share) * cells.take(low, axis) + share * cells.take(low + 1, axis)
+    return cells.astype(np.float32)

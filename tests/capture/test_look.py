@@ -1,0 +1,126 @@
+"""Looks: closed form, way back, clipping, flat field, and through files and exports."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.datasets import write_dataset
+from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.formats.transforms import read_transforms, write_transforms
+from devrf.capture.look import Look, as_matrix
+from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
+
+MIXED = as_matrix(np.array([[0.9, 0.06, -0.02], [0.03, 0.8, 0.05], [0.0, -0.04, 1.1]]))
+
+
+def picture(height: int = 40, width: int = 70) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3)).astype(np.uint8)
+
+
+def frame(path, look: Look | None, height: int = 40, width: int = 70) -> PosedFrame:
+    K = np.array([[50.0, 0, width / 2], [0, 50.0, height / 2], [0, 0, 1]])
+    camera = Camera(width, height, K, np.eye(4)[:3])
+    return PosedFrame(path, camera, "cam0", 0, 0.0, 0.0, "train", look=look)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("matrix", [Look().matrix, as_matrix(np.diag([1.2, 1.0, 0.7])), MIXED])
+def test_a_look_is_its_formula(tmp_path, matrix, flat):
+    rgb, gains = picture(), (1.1, 0.9, 1.0)
+    cells = np.linspace(0.5, 1, 6).reshape(2, 3)
+    np.save(tmp_path / "flat.npy", cells)
+    out = Look(matrix, gains, tmp_path / "flat.npy" if flat else None).apply(rgb)
+    light = 1.0
+    if flat:  # cells' centres are at 1/4 and 3/4 of the height, 1/6, 1/2 and 5/6 of the width
+        y, x = (np.arange(40) + 0.5) / 40, (np.arange(70) + 0.5) / 70
+        rows = [np.interp(x, [1 / 6, 1 / 2, 5 / 6], row) for row in cells]
+        light = np.array([[np.interp(v, [0.25, 0.75], column) for column in np.array(rows).T] for v in y])[
+            ..., None
+        ]
+    linear = (linear_from_srgb(rgb / 255) / light * gains) @ np.array(matrix).T
+    expected = 255 * srgb_from_linear(np.clip(linear, 0, 1))
+    # half a level of rounding, and the way back goes in steps of at most 0.05 levels
+    np.testing.assert_allclose(out, expected, atol=0.5 + 0.05)
+
+
+def test_the_inverse_takes_it_back(tmp_path):
+    rgb = 90 + picture() // 3  # nothing is clipped on the way: 90 to 175
+    look = Look(MIXED, (1.1, 0.9, 1.0))
+    back = look.inverse().apply(look.apply(rgb))
+    # half a level at each rounding; the first goes through the inverse, whose rows add up to at most 1.4, and
+    # through the curve's slope, which differs by at most 1.4 between a level and its corrected one
+    np.testing.assert_allclose(back, rgb.astype(float), atol=0.55 + 0.55 * 1.4 * 1.4)
+    with pytest.raises(ValueError, match="flat field"):
+        Look(flat=tmp_path / "flat.npy").inverse()
+
+
+def test_what_is_clipped_stays_at_its_clip_level():
+    white = np.full((1, 1, 3), 255, np.uint8)
+    assert (Look(gains=(2.0, 2.0, 2.0)).apply(white) == 255).all()
+    half = Look(gains=(0.5, 0.5, 0.5)).apply(white)
+    assert (half == round(255 * 0.735357)).all()  # the sRGB curve at 0.5
+
+
+@pytest.mark.parametrize(
+    "bad", [{"gains": (1.0, 0.0, 1.0)}, {"gains": (1.0, np.nan, 1.0)}, {"matrix": as_matrix(np.ones((3, 3)))}]
+)
+def test_a_look_that_loses_colours_is_refused(bad):
+    with pytest.raises(ValueError, match="look"):
+        Look(**bad)
+
+
+def test_loading_applies_the_look_and_leaves_alpha_alone(tmp_path):
+    rgba = np.concatenate([picture(), np.full((40, 70, 1), 128, np.uint8)], axis=2)
+    write_png(tmp_path / "a.png", rgba)
+    look = Look(gains=(0.5, 0.5, 0.5))
+    loaded = load_image(frame(tmp_path / "a.png", look), 1.0, "black")
+    expected = np.round(look.apply(rgba[..., :3]).astype(np.float32) * (np.float32(128) / 255))
+    np.testing.assert_allclose(loaded, expected, atol=1)
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.png"), rgba)  # the file is as it was
+
+
+def test_transforms_carry_looks(tmp_path):
+    write_png(tmp_path / "a.png", picture())
+    np.save(tmp_path / "flat.npy", np.ones((2, 2)))
+    looks = (None, Look(MIXED), Look(gains=(1.0, 2.0, 0.5), flat=tmp_path / "flat.npy"))
+    write_transforms(tmp_path / "t" / "transforms.json", tuple(frame(tmp_path / "a.png", k) for k in looks))
+    assert tuple(f.look for f in read_transforms(tmp_path / "t" / "transforms.json")) == looks
+
+
+def test_a_damaged_look_is_named(tmp_path):
+    write_png(tmp_path / "a.png", picture())
+    path = tmp_path / "transforms.json"
+    write_transforms(path, (frame(tmp_path / "a.png", Look(MIXED)),))
+    meta = read_json(path)
+    meta["frames"][0]["colour_matrix"] = [[1, 0], [0, 1]]
+    write_json(path, meta)
+    with pytest.raises(CaptureError, match=r"frames\[0\].*look.*colour_matrix"):
+        read_transforms(path)
+
+
+def test_a_damaged_flat_field_is_named(tmp_path):
+    np.save(tmp_path / "flat.npy", np.zeros((2, 2)))
+    with pytest.raises(CaptureError, match=r"flat.npy.*--force colour"):
+        Look(flat=tmp_path / "flat.npy").apply(picture())
+
+
+@pytest.mark.parametrize("dataset_format", ["nerfstudio", "colmap", "llff"])
+def test_exports_hold_corrected_pictures(tmp_path, dataset_format):
+    write_png(tmp_path / "a.png", picture())
+    look = Look(MIXED)
+    still = replace(frame(tmp_path / "a.png", look), camera_name="static", time=None, time_s=None)
+    second = replace(still, index=1, look=None)
+    scene = Scene(
+        (still, second), (), np.eye(4), np.array([[-1.0] * 3, [1.0] * 3]), 0.1, 2.0, "inward", "shell", 0.0, 1.0, None,
+        1.0,
+    )  # fmt: skip
+    write_dataset(dataset_format, scene, tmp_path / "out")
+    files = sorted(p for p in (tmp_path / "out").rglob("*.png") if "images_" not in str(p.parent))
+    assert len(files) == 2
+    np.testing.assert_array_equal(read_pixels(files[0])[..., :3], look.apply(picture()))
+    np.testing.assert_array_equal(read_pixels(files[1])[..., :3], picture())
