@@ -20,20 +20,22 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from devrf.calibration.sweep.agreement import disagreement_deg
 from devrf.calibration.sweep.pairs import Pair
 from devrf.calibration.sweep.sfm_budget import Clock, Matching
-from devrf.capture.formats.colmap import intrinsics
-from devrf.capture.formats.colmap_model import ModelCamera
+from devrf.calibration.sweep.sfm_mapping import Mapping
+from devrf.calibration.sweep.sfm_output import (
+    best_pair,
+    features,
+    features_per_image,
+    write_model,
+    write_two_views,
+)
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
 POLISH_TOLERANCE = 1e-8  # relative fall of the cost in one step; at 1e-6 focals still move by 0.01 px
 POLISH_ITERATIONS = 200  # 20 to 40 are usual
-MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
-FEWEST_INLIERS = 15  # of a verified pair (COLMAP's own bound)
 EXTRACT_PROBE = 4  # pictures whose time tells what the others will take
 EXTRACT_SHARE = 0.4  # of the time that is left; matching and mapping take about as long
-GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
 
 
 def main(job_file: Path) -> None:
@@ -59,34 +61,44 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     skipped = _extract_in_time(database, job, names, clock)
     pairs = [pair for pair in job["pairs"] if not skipped.intersection(pair)]
     wanted = len(pairs) if len(pairs) < len(job["pairs"]) else job["wanted"]
-    features = _features_per_image(database)
-    matching = Matching(pairs, wanted, features, lambda some: _match(database, work, some), clock)
+    with pycolmap.Database.open(str(database)) as db:
+        counts = features_per_image(db)
+    matching = Matching(pairs, wanted, counts, lambda some: _match(database, work, some), clock)
     _say(0.35, f"matching {wanted} pairs")
     matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
-    mapping = _Mapping(database, work, job, names, held, clock)
+
+    def attempt(
+        folder: Path, rung: dict[str, Any], seed: int, left_s: float
+    ) -> list[pycolmap.Reconstruction]:
+        return _attempt(database, folder, job, rung, held, seed, left_s, len(names))
+
+    mapping = Mapping(attempt, work, len(names), clock, _say)
     mapping.climb(job["ladder"])
     if mapping.registered < len(names) - len(skipped) and matching.go_on():
         mapping.climb(job["ladder"][:1])
+    with pycolmap.Database.open(str(database)) as db:
+        pair = best_pair(db, _images_of)
     out: dict[str, Any] = {
         "given": len(names),
         "skipped_pictures": sorted(skipped),
-        "best_pair": _best_pair(database),
+        "best_pair": pair,
         "pairs": matching.report(),
-        "features_per_image": features,
+        "features_per_image": counts,
         "models": [],
     }
     if mapping.best is None:
-        _write_two_views(database, Path(job["out"]))
+        with pycolmap.Database.open(str(database)) as db:
+            write_two_views(db, _images_of, _kind, Path(job["out"]))
         return out | mapping.report()
     other = mapping.other_mapper(job["compare"], job["ladder"])
     if other is not None:
         # global mapping has no limit of its own: leave what there is
-        _leave(job, out | _publish(mapping, database, job, adjust=False))
+        _leave(job, out | _publish(mapping, database, job, None))
         mapping.compare(other, seed=0)
     if job["check_seed"] and mapping.seconds < clock.left_s():
         mapping.compare(mapping.rung, seed=1)
-    return out | _publish(mapping, database, job)
+    return out | _publish(mapping, database, job, held)
 
 
 def _extract_in_time(database: Path, job: dict[str, Any], names: list[str], clock: Clock) -> set[str]:
@@ -102,120 +114,37 @@ def _extract_in_time(database: Path, job: dict[str, Any], names: list[str], cloc
     return set(rest) - set(kept)
 
 
-class _Mapping:
-    """Models of the sweep by several mappers; the best so far is the one with the most pictures, then with the
-    lowest error."""
+def _publish(mapping: Mapping, database: Path, job: dict[str, Any], held: set[int] | None) -> dict[str, Any]:
+    """Adjust the best model, but for the intrinsics of held cameras, write it, and say what there is to say of it.
 
-    def __init__(
-        self,
-        database: Path,
-        work: Path,
-        job: dict[str, Any],
-        names: list[str],
-        held: set[int],
-        clock: Clock,
-    ) -> None:
-        self.database, self.work, self.job, self.names = database, work, job, names
-        self.held, self.clock = held, clock
-        self.best: pycolmap.Reconstruction | None = None
-        self.models: list[pycolmap.Reconstruction] = []  # of the best attempt, largest first
-        self.name: str | None = None
-        self.rung: dict[str, Any] = {}
-        self.attempts: list[dict[str, Any]] = []
-        self.compared: list[dict[str, Any]] = []
-
-    @property
-    def registered(self) -> int:
-        """Pictures of the best model."""
-        return 0 if self.best is None else self.best.num_reg_images()
-
-    @property
-    def seconds(self) -> float:
-        """What the slowest attempt took."""
-        return max((attempt["seconds"] for attempt in self.attempts), default=0.0)
-
-    def climb(self, ladder: list[dict[str, Any]]) -> None:
-        """Try one rung after the other until one registers its share of the pictures, or time is up."""
-        for rung in ladder:
-            if self.best is not None and self.clock.left_s() <= 0:
-                break
-            self._try(rung, seed=0)
-            if self.registered >= rung["accept"] * len(self.names):
-                break
-
-    def other_mapper(self, rule: str, ladder: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """The rung of the mapper that was not tried, where it should be and there is time for it.
-
-        Args:
-            rule: `always`, or `weak`: only where pictures are missing from the best model.
-            ladder: All rungs.
-        """
-        tried = {attempt["mapper"] for attempt in self.attempts}
-        wanted = rule == "always" or self.registered < len(self.names)
-        if not wanted or GLOBAL_COST * self.seconds >= self.clock.left_s():
-            return None
-        return next((rung for rung in ladder if rung["mapper"] not in tried), None)
-
-    def compare(self, rung: dict[str, Any], seed: int) -> None:
-        """Map once more and note how far the poses differ; with the same seed the better model is kept."""
-        self._try(rung, seed, against=True)
-
-    def report(self) -> dict[str, Any]:
-        """For `static_poses.json`."""
-        return {"mapper": self.name, "attempts": self.attempts, "compared": self.compared}
-
-    def _try(self, rung: dict[str, Any], seed: int, against: bool = False) -> None:
-        name = rung["name"] + (f" with seed {seed}" if seed else "")
-        _say(0.7, f"mapping ({name})")
-        start, left = time.monotonic(), self.clock.left_s()
-        folder = self.work / f"attempt{len(self.attempts)}"
-        folder.mkdir()
-        models = _attempt(self.database, folder, self.job, rung, self.held, seed, left, len(self.names))
-        models = [m for m in models if m.num_points3D() >= MIN_POINTS]
-        models.sort(key=_worth, reverse=True)
-        self.attempts.append(
-            {
-                "name": name,
-                "mapper": rung["mapper"],
-                "registered": [m.num_reg_images() for m in models],
-                "mean_reprojection_px": models[0].compute_mean_reprojection_error() if models else None,
-                "seconds": time.monotonic() - start,
-                "out_of_time": time.monotonic() - start >= left,
-            }
-        )
-        if not models:
-            return
-        if against and self.best is not None:
-            apart = disagreement_deg(_poses(self.best), _poses(models[0]))
-            self.compared.append({"name": name, "against": self.name, "apart_deg": apart})
-        if not seed and (self.best is None or _worth(models[0]) > _worth(self.best)):
-            self.best, self.models, self.name, self.rung = models[0], models, name, rung
-
-
-def _worth(model: pycolmap.Reconstruction) -> tuple[int, float]:
-    """A small model can look perfect: pictures count first, the error only among equals."""
-    return model.num_reg_images(), -model.compute_mean_reprojection_error()
-
-
-def _poses(model: pycolmap.Reconstruction) -> dict[str, np.ndarray]:
-    return {i.name: i.cam_from_world().matrix() for i in model.images.values() if i.has_pose}
-
-
-def _publish(mapping: _Mapping, database: Path, job: dict[str, Any], adjust: bool = True) -> dict[str, Any]:
-    """Adjust the best model, write it, and say what there is to say of it."""
+    Args:
+        held: None leaves it as it is.
+    """
     assert mapping.best is not None
     adjusted = None
-    if adjust:
+    if held is not None:
         _say(0.98, "bundle adjustment")
-        adjusted = _polish(mapping.best, job, mapping.held)
-    out = Path(job["out"])
-    _write_two_views(database, out)
+        adjusted = _polish(mapping.best, job, held)
+    with pycolmap.Database.open(str(database)) as db:
+        write_two_views(db, _images_of, _kind, Path(job["out"]))
+        written = write_model(mapping.best, db, Path(job["out"]))
     return {
         **mapping.report(),
         "models": [sorted(i.name for i in m.images.values() if i.has_pose) for m in mapping.models],
         "adjustment": adjusted,
-        **_write_model(mapping.best, database, out),
+        **written,
     }
+
+
+def _images_of(pair: Any) -> tuple[int, int]:
+    """The images of a pair, as one number or two."""
+    first, second = pair if isinstance(pair, (tuple, list)) else pycolmap.pair_id_to_image_pair(pair)
+    return int(first), int(second)
+
+
+def _kind(config: int) -> str:
+    """COLMAP's name of what a pair fits."""
+    return pycolmap.TwoViewGeometryConfiguration(config).name
 
 
 def _leave(job: dict[str, Any], result: dict[str, Any]) -> None:
@@ -233,11 +162,10 @@ def extract_only(job: dict[str, Any]) -> dict[str, Any]:
     names = job["names"]
     pycolmap.import_images(str(database), job["image_path"], pycolmap.CameraMode.PER_IMAGE, names)
     _extract(database, job, names)
-    db = pycolmap.Database.open(str(database))
-    for image in db.read_all_images():
-        xy, descriptors = _features(db, image.image_id)
-        np.savez(Path(job["out"]) / f"{Path(image.name).stem}.npz", xy=xy, descriptors=descriptors)
-    db.close()
+    with pycolmap.Database.open(str(database)) as db:
+        for image in db.read_all_images():
+            xy, descriptors = features(db, image.image_id)
+            np.savez(Path(job["out"]) / f"{Path(image.name).stem}.npz", xy=xy, descriptors=descriptors)
     return {"names": names}
 
 
@@ -276,12 +204,12 @@ def _write_places(database: Path, places: dict[str, dict[str, Any]]) -> None:
 
 
 def _extract(database: Path, job: dict[str, Any], names: list[str]) -> None:
-    features = job["features"]
+    wanted = job["features"]
     options = pycolmap.FeatureExtractionOptions()
-    options.max_image_size = features["max_image_size"]
-    options.sift.max_num_features = features["max_num_features"]
-    options.sift.first_octave = features["first_octave"]
-    options.sift.peak_threshold = features["peak_threshold"]
+    options.max_image_size = wanted["max_image_size"]
+    options.sift.max_num_features = wanted["max_num_features"]
+    options.sift.first_octave = wanted["first_octave"]
+    options.sift.peak_threshold = wanted["peak_threshold"]
     reader = pycolmap.ImageReaderOptions()
     if job.get("mask_path"):
         reader.mask_path = job["mask_path"]
@@ -411,128 +339,6 @@ def _adjust(
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     summary = pycolmap.create_default_bundle_adjuster(options, config, model).solve()
     return summary.termination_type == pycolmap.BundleAdjustmentTerminationType.CONVERGENCE
-
-
-def _best_pair(database: Path) -> dict[str, Any]:
-    """The pair with the most verified matches: what a failed start is measured by."""
-    db = pycolmap.Database.open(str(database))
-    names = {image.image_id: image.name for image in db.read_all_images()}
-    pair_ids, inliers = db.read_two_view_geometry_num_inliers()
-    best = int(np.argmax(inliers)) if len(inliers) else -1
-    out = {"inliers": 0, "names": [], "angle_deg": None}
-    if best >= 0:
-        ids = _image_ids(pair_ids[best])
-        angle = db.read_two_view_geometry(*ids).tri_angle
-        out["inliers"] = int(inliers[best])
-        out["names"] = [names[i] for i in ids]
-        out["angle_deg"] = float(np.degrees(angle)) if angle is not None and angle > 0 else None
-    db.close()
-    return out
-
-
-def _image_ids(pair: Any) -> tuple[int, int]:
-    if isinstance(pair, (tuple, list)):
-        return int(pair[0]), int(pair[1])
-    first, second = pycolmap.pair_id_to_image_pair(pair)
-    return int(first), int(second)
-
-
-def _features_per_image(database: Path) -> dict[str, int]:
-    db = pycolmap.Database.open(str(database))
-    out = {i.name: db.num_keypoints_for_image(i.image_id) for i in db.read_all_images()}
-    db.close()
-    return out
-
-
-def _features(db: pycolmap.Database, image_id: int) -> tuple[np.ndarray, np.ndarray]:
-    xy = np.asarray(db.read_keypoints(image_id))[:, :2].astype(np.float32)
-    descriptors = db.read_descriptors(image_id)
-    return xy, np.asarray(getattr(descriptors, "data", descriptors), dtype=np.uint8).reshape(len(xy), 128)
-
-
-def _write_two_views(database: Path, out: Path) -> None:
-    """`two_views.npz`: what is known of every verified pair; see `two_views.TwoViews`."""
-    db = pycolmap.Database.open(str(database))
-    images = sorted(db.read_all_images(), key=lambda i: i.name)
-    row_of = {image.image_id: n for n, image in enumerate(images)}
-    keypoints = {i.image_id: np.asarray(db.read_keypoints(i.image_id))[:, :2] for i in images}
-    pair_ids, geometries = db.read_two_view_geometries()
-    pairs, kinds, match_pair, match_xy, match_inlier = [], [], [], [], []
-    for pair_id, geometry in zip(pair_ids, geometries, strict=True):
-        a, b = _image_ids(pair_id)
-        agreeing = np.asarray(geometry.inlier_matches).reshape(-1, 2)
-        if len(agreeing) < FEWEST_INLIERS:
-            continue
-        matches = np.asarray(db.read_matches(a, b)).reshape(-1, 2)
-        pairs.append((row_of[a], row_of[b]))
-        kinds.append(pycolmap.TwoViewGeometryConfiguration(geometry.config).name)
-        match_pair.append(np.full(len(matches), len(pairs) - 1))
-        match_xy.append(np.stack([keypoints[a][matches[:, 0]], keypoints[b][matches[:, 1]]], axis=1))
-        match_inlier.append(np.isin(matches @ (1 << 32, 1), agreeing @ (1 << 32, 1)))
-    db.close()
-    np.savez(
-        out / "two_views.npz",
-        names=np.array([i.name for i in images]),
-        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
-        kinds=np.array(kinds, dtype=np.str_),
-        match_pair=np.concatenate([*match_pair, np.zeros(0, np.int64)]).astype(np.int64),
-        match_xy=np.concatenate([*match_xy, np.zeros((0, 2, 2))]).astype(np.float64),
-        match_inlier=np.concatenate([*match_inlier, np.zeros(0, bool)]).astype(bool),
-    )
-
-
-def _write_model(model: pycolmap.Reconstruction, database: Path, out: Path) -> dict[str, Any]:
-    """The COLMAP files, `points.npz` (points, observations, descriptors), and poses for the caller."""
-    folder = out / "colmap"
-    folder.mkdir(parents=True, exist_ok=True)
-    model.update_point_3d_errors()
-    model.write(str(folder))
-    number = {point_id: n for n, point_id in enumerate(sorted(model.points3D))}
-    db = pycolmap.Database.open(str(database))
-    images = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
-    point, view, xy, descriptors = [], [], [], []
-    for n, image in enumerate(images):
-        _, all_descriptors = _features(db, image.image_id)
-        indices = list(image.get_observation_point2D_idxs())
-        point += [number[image.point2D(i).point3D_id] for i in indices]
-        view += [n] * len(indices)
-        xy.append(np.array([image.point2D(i).xy for i in indices], dtype=np.float64).reshape(-1, 2))
-        descriptors.append(all_descriptors[indices])
-    db.close()
-    points = [model.points3D[i] for i in sorted(model.points3D)]
-    np.savez(
-        out / "points.npz",
-        xyz=np.array([p.xyz for p in points]).reshape(-1, 3),
-        rgb=np.array([p.color for p in points], dtype=np.uint8).reshape(-1, 3),
-        error_px=np.array([p.error for p in points]),
-        obs_point=np.array(point, dtype=np.int64),
-        obs_image=np.array(view, dtype=np.int64),
-        obs_xy=np.concatenate(xy),
-        obs_descriptor=np.concatenate(descriptors),
-    )
-    return {
-        "mean_reprojection_px": model.compute_mean_reprojection_error(),
-        "mean_track_length": model.compute_mean_track_length(),
-        "points": len(points),
-        "frames": {
-            i.name: {"camera_from_world": i.cam_from_world().matrix().tolist(), "camera_id": i.camera_id}
-            for i in images
-        },
-        "cameras": {str(k): _camera(c) for k, c in model.cameras.items()},
-    }
-
-
-def _camera(camera: pycolmap.Camera) -> dict[str, Any]:
-    model, width, height = camera.model.name, camera.width, camera.height
-    params = tuple(float(p) for p in camera.params)
-    K, distortion, _ = intrinsics(ModelCamera(model, width, height, params), "the sweep's model")
-    return {
-        "model": model,
-        "width": width,
-        "height": height,
-        "K": K.tolist(),
-        "distortion": distortion.tolist(),
-    }
 
 
 def _say(fraction: float, message: str) -> None:

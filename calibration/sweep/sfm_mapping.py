@@ -1,0 +1,114 @@
+"""Which model of a sweep is kept: mappers tried one after the other within a time budget, and compared.
+
+Part of the worker's process; models are pycolmap's, which only `sfm_worker` imports.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.calibration.sweep.agreement import disagreement_deg
+from devrf.calibration.sweep.sfm_budget import Clock
+from devrf.capture.progress import Progress
+
+MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
+GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
+
+Reconstruction = Any  # pycolmap's
+# folder, rung of the ladder, seed, seconds left -> models
+Attempt = Callable[[Path, dict[str, Any], int, float], list[Reconstruction]]
+
+
+class Mapping:
+    """Models of the sweep by several mappers; the best so far is the one with the most pictures, then with the
+    lowest error."""
+
+    def __init__(self, attempt: Attempt, work: Path, pictures: int, clock: Clock, progress: Progress) -> None:
+        """`attempt` maps once, into a folder below `work`; `pictures` are all there are."""
+        self.attempt, self.work, self.pictures, self.clock = attempt, work, pictures, clock
+        self.progress = progress
+        self.best: Reconstruction | None = None
+        self.models: list[Reconstruction] = []  # of the best attempt, largest first
+        self.name: str | None = None
+        self.rung: dict[str, Any] = {}
+        self.attempts: list[dict[str, Any]] = []
+        self.compared: list[dict[str, Any]] = []
+
+    @property
+    def registered(self) -> int:
+        """Pictures of the best model."""
+        return 0 if self.best is None else self.best.num_reg_images()
+
+    @property
+    def seconds(self) -> float:
+        """What the slowest attempt took."""
+        return max((attempt["seconds"] for attempt in self.attempts), default=0.0)
+
+    def climb(self, ladder: list[dict[str, Any]]) -> None:
+        """Try one rung after the other until one registers its share of the pictures, or time is up."""
+        for rung in ladder:
+            if self.best is not None and self.clock.left_s() <= 0:
+                break
+            self._try(rung, seed=0)
+            if self.registered >= rung["accept"] * self.pictures:
+                break
+
+    def other_mapper(self, rule: str, ladder: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """The rung of the mapper that was not tried, where it should be and there is time for it.
+
+        Args:
+            rule: `always`, or `weak`: only where pictures are missing from the best model.
+            ladder: All rungs.
+        """
+        tried = {attempt["mapper"] for attempt in self.attempts}
+        wanted = rule == "always" or self.registered < self.pictures
+        if not wanted or GLOBAL_COST * self.seconds >= self.clock.left_s():
+            return None
+        return next((rung for rung in ladder if rung["mapper"] not in tried), None)
+
+    def compare(self, rung: dict[str, Any], seed: int) -> None:
+        """Map once more and note how far the poses differ; with the same seed the better model is kept."""
+        self._try(rung, seed, against=True)
+
+    def report(self) -> dict[str, Any]:
+        """For `static_poses.json`."""
+        return {"mapper": self.name, "attempts": self.attempts, "compared": self.compared}
+
+    def _try(self, rung: dict[str, Any], seed: int, against: bool = False) -> None:
+        name = rung["name"] + (f" with seed {seed}" if seed else "")
+        self.progress(0.7, f"mapping ({name})")
+        start, left = time.monotonic(), self.clock.left_s()
+        folder = self.work / f"attempt{len(self.attempts)}"
+        folder.mkdir()
+        models = self.attempt(folder, rung, seed, left)
+        models = [m for m in models if m.num_points3D() >= MIN_POINTS]
+        models.sort(key=_worth, reverse=True)
+        self.attempts.append(
+            {
+                "name": name,
+                "mapper": rung["mapper"],
+                "registered": [m.num_reg_images() for m in models],
+                "mean_reprojection_px": models[0].compute_mean_reprojection_error() if models else None,
+                "seconds": time.monotonic() - start,
+                "out_of_time": time.monotonic() - start >= left,
+            }
+        )
+        if not models:
+            return
+        if against and self.best is not None:
+            apart = disagreement_deg(_poses(self.best), _poses(models[0]))
+            self.compared.append({"name": name, "against": self.name, "apart_deg": apart})
+        if not seed and (self.best is None or _worth(models[0]) > _worth(self.best)):
+            self.best, self.models, self.name, self.rung = models[0], models, name, rung
+
+
+def _worth(model: Reconstruction) -> tuple[int, float]:
+    """A small model can look perfect: pictures count first, the error only among equals."""
+    return model.num_reg_images(), -model.compute_mean_reprojection_error()
+
+
+def _poses(model: Reconstruction) -> dict[str, np.ndarray]:
+    return {i.name: i.cam_from_world().matrix() for i in model.images.values() if i.has_pose}
