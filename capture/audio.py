@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.signal import resample_poly
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.video import open_media, origin_s
+from devrf.capture.media import open_media, origin_s
 
 RATE_HZ = 48_000  # what nearly all cameras record; 21 microseconds a sample
 SILENCE_RMS = 1e-4  # -80 dB: below any real microphone's noise

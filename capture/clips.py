@@ -1,7 +1,8 @@
-"""From one raw clip or folder of photos to frames on disk, in a single pass that holds two pictures at most.
+"""From one raw clip or folder of photos to frames on disk, in a single pass that holds a few pictures at most.
 
 Along the way each frame is measured: sharpness, brightness, how much differs from the frame before (the motion
 energy by which silent cameras are put on one clock), and how bright each band of rows is (flashes of light).
+Pictures are written beside the decoding (`picture_writer.py`); what is measured needs luma only.
 """
 
 from dataclasses import dataclass, replace
@@ -12,31 +13,43 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.clip_faults import (
+    LOOK_EVERY_S,
+    Levels,
+    Repeats,
+    Tripod,
+    bit_rate_fault,
+    places,
+    repeats_fault,
+)
 from devrf.capture.errors import CaptureError
 from devrf.capture.exif import Exif
 from devrf.capture.frames import (
-    LISTED,
+    SHARPNESS_SIDE_PX,
     CameraFrames,
+    Fault,
     FrameRecord,
     Role,
     grey_small,
     sharpest_per_window,
     sharpness,
+    shrunk,
     timing,
     window_of,
 )
+from devrf.capture.packets import scan_packets
+from devrf.capture.picture_writer import SUFFIX, PictureWriter
 from devrf.capture.pictures import copy_upright, list_pictures, probe_picture, read_picture, write_picture
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.raw import Development, develop, is_raw
 from devrf.capture.session import FrameTimes
-from devrf.capture.video import VideoReader, count_packets
+from devrf.capture.video import VideoFrame, VideoInfo, VideoReader
 
 MOTION_SIDE_PX = 160  # averages sensor noise away; a moving hand still covers several pixels
 ROW_BANDS = 24  # a flash is placed to a twenty-fourth of the readout, about a millisecond
 FEWEST_OF_A_SIZE = 5  # photos of a sweep; fewer leave their focal length to chance
-DUPLICATE_LEVEL = 0.1  # mean absolute difference, levels of 255: below it two frames are the same picture
 BRIGHTNESS_DRIFT = 0.06  # of a fixed camera's pixels, sRGB (about 13 % of the light): automatic exposure
-JPEG_QUALITY = 95  # board clips: corners are found within 0.02 px of the PNG's
+FIXED: tuple[Role, ...] = ("camera", "test", "joint")  # roles of cameras on a tripod
 
 
 @dataclass(frozen=True)
@@ -47,13 +60,13 @@ class Keep:
         most: At most this many, spread over the clip; None: all.
         choose: The sharpest of each window, or every n-th (so that cameras keep common moments).
         range_s: Only frames whose time lies in (from, to); None: all.
-        suffix: Kind of file.
+        only_range: Measure nothing outside `range_s` either: the reader jumps to its start and stops at its end.
     """
 
     most: int | None = None
     choose: Literal["sharpest", "every"] = "sharpest"
     range_s: tuple[float, float] | None = None
-    suffix: Literal[".png", ".jpg"] = ".png"
+    only_range: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,7 +94,7 @@ def extract_clip(
     times: FrameTimes | None = None,
     progress: Progress = no_progress,
 ) -> Extract:
-    """Decode a video and write the frames to keep as `out/frames/<name>/<index>.<suffix>`.
+    """Decode a video and write the frames to keep as `out/frames/<name>/<index>.jpg`.
 
     Args:
         path: The clip.
@@ -95,97 +108,197 @@ def extract_clip(
         InputError: If the file cannot be opened as a video.
         CaptureError: If no frame can be used.
     """
-    folder = out / "frames" / name
-    folder.mkdir(parents=True, exist_ok=True)
-    count = max(1, count_packets(path))
+    (out / "frames" / name).mkdir(parents=True, exist_ok=True)
+    packets = scan_packets(path)
+    count = max(1, packets.count)
     true_time = None if times is None else dict(zip(times.index.tolist(), times.time_s.tolist(), strict=True))
-    records: list[FrameRecord] = []
-    levels: list[float] = []
-    changes: list[float] = []  # median over the pixels, so a subject that covers less than half has no say
-    motion: list[tuple[float, float]] = []
-    brightness: list[np.ndarray] = []
-    duplicates: list[int] = []
-    backwards: list[int] = []
-    untimed = 0
-    best: tuple[int, FrameRecord, UInt8[np.ndarray, "h w 3"]] | None = None  # of the current window
-    first_small, last_grey, last_small, last_s = None, None, None, None
+    # A table of true times says nothing of file times, so only by decoding is its range found.
+    span = keep.range_s if keep.only_range and true_time is None else None
+    seen = _Seen(role)
+    records: dict[int, FrameRecord] = {}
+    unused = _Unused()
+    best: tuple[int, FrameRecord, VideoFrame] | None = None  # of the current window
 
-    def write_best() -> None:
-        if best is not None:
-            _, record, rgb = best
-            file = f"frames/{name}/{record.index:06d}{keep.suffix}"
-            write_picture(out / file, rgb, JPEG_QUALITY)
-            records[record.index] = replace(record, used=True, file=file)
+    with VideoReader(path, None if span is None else span[0]) as reader, PictureWriter() as writer:
 
-    with VideoReader(path) as reader:
+        def write_best() -> None:
+            if best is not None:
+                _, record, frame = best
+                file = f"frames/{name}/{record.index:06d}{SUFFIX}"
+                writer.put(out / file, frame)
+                records[record.index] = replace(record, used=True, file=file)
+
         for frame in reader:
+            if span is not None and frame.time_s > span[1]:
+                break
             time_s = frame.time_s if true_time is None else true_time.get(frame.index)
-            grey = grey_small(frame.rgb)
-            small = grey_small(grey[:, :, None].repeat(3, axis=2), MOTION_SIDE_PX)
-            levels.append(float(np.median(small)))
-            first_small = small if first_small is None else first_small
-            changes.append(float(np.median(small.astype(np.int16) - first_small)))
-            record = FrameRecord(frame.index, time_s, sharpness(grey), False, None)
-            records.append(record)
             progress(min(1.0, frame.index / count), f"{name}: {frame.index + 1} of {count} frames")
-            if time_s is None:
-                untimed += 1
+            if unused.picture(frame, time_s, reader.info):
+                records[frame.index] = FrameRecord(frame.index, time_s, 0.0, False, None)
                 continue
-            if last_s is not None and time_s <= last_s:
-                backwards.append(frame.index)
+            grey = frame.stored_grey(SHARPNESS_SIDE_PX)
+            record = FrameRecord(frame.index, time_s, sharpness(grey), False, None)
+            records[frame.index] = record
+            if unused.time(frame.index, time_s) or time_s is None:
                 continue
-            if last_small is not None and last_grey is not None and last_s is not None:
-                if float(cv2.absdiff(grey, last_grey).mean()) < DUPLICATE_LEVEL:
-                    duplicates.append(frame.index)
-                motion.append(((time_s + last_s) / 2, float(cv2.absdiff(small, last_small).mean())))
-            brightness.append(np.concatenate([[time_s], _row_bands(grey, reader.info.rotation_deg)]))
-            last_grey, last_small, last_s = grey, small, time_s
+            seen.add(frame, time_s, grey)
             if keep.range_s is not None and not keep.range_s[0] <= time_s <= keep.range_s[1]:
                 continue
             window = frame.index if keep.most is None else window_of(frame.index, count, keep.most)
             if best is None or window != best[0]:
                 write_best()
-                best = (window, record, frame.rgb)
+                best = (window, record, frame)
             elif keep.choose == "sharpest" and record.sharpness > best[1].sharpness:
-                best = (window, record, frame.rgb)
+                best = (window, record, frame)
         write_best()
-    timed = np.array(
-        [r.time_s for i, r in enumerate(records) if r.time_s is not None and i not in set(backwards)]
-    )
-    if not any(record.used for record in records):
-        raise CaptureError(_nothing_used(path, keep, timed))
-    info, seen = reader.info, timing(timed)
-    notes = [*info.notes, *seen.notes]
-    if reader.ended_early:
-        notes.append(f"{reader.ended_early}; what is there is used")
-    if duplicates:
-        notes.append(f"{len(duplicates)} frames repeat the one before: {_places(duplicates)}")
-    if backwards:
-        notes.append(f"{len(backwards)} timestamps do not increase, frames {_places(backwards)}; not used")
-    if untimed:
-        notes.append(f"{untimed} of {len(records)} frames have no row in the table of times; not used")
-    if true_time is not None and max(true_time) >= len(records):
-        notes.append(f"the table of times names frame {max(true_time)}, the clip has {len(records)}")
-    drift = (max(changes) - min(changes)) / max(1.0, float(np.median(levels)))
+    repeated = seen.repeats.frames()
+    for index in repeated:
+        file = records[index].file
+        if file is not None:
+            (out / file).unlink()
+            records[index] = replace(records[index], used=False, file=None)
+    timed = np.array(seen.times_s)
+    if not any(record.used for record in records.values()):
+        raise CaptureError(_nothing_used(path, keep, timed, reader.info))
+    info, told = reader.info, timing(timed)
+    notes = [*info.notes, *told.notes, *unused.notes(len(records))]
+    if true_time is not None and max(true_time) >= count:
+        notes.append(f"the table of times names frame {max(true_time)}, the clip has {count}")
+    drift = (max(seen.changes) - min(seen.changes)) / max(1.0, float(np.median(seen.levels)))
     if role in ("camera", "test") and drift > BRIGHTNESS_DRIFT:
         notes.append(f"brightness changes by {100 * drift:.0f} % (automatic exposure?); lock the exposure")
+    faults = [*unused.faults(), *seen.faults(), *bit_rate_fault(info, packets.count, packets.size_bytes)]
+    if repeated:
+        faults.append(repeats_fault(repeated, len(records)))
     frames = CameraFrames(
         role=role,
         source=source,
         width=info.width,
         height=info.height,
-        fps_mean=seen.fps_mean,
-        variable_rate=seen.variable_rate,
+        fps_mean=told.fps_mean,
+        variable_rate=told.variable_rate,
         has_audio=False,
         exif_focal_px=None,
         rotation_deg=info.rotation_deg,
-        frames=tuple(records),
-        level=float(np.median(levels)),
-        missing_frames=seen.missing_frames,
+        frames=tuple(records[index] for index in sorted(records)),
+        level=float(np.median(seen.levels)),
+        missing_frames=told.missing_frames,
         ended_early=reader.ended_early,
+        announced_frames=info.announced_frames,
         notes=tuple(notes),
+        faults=tuple(faults),
     )
-    return Extract(frames, np.array(motion).reshape(-1, 2), np.array(brightness).reshape(-1, 1 + ROW_BANDS))
+    return Extract(
+        frames,
+        np.array(seen.motion).reshape(-1, 2),
+        np.array(seen.brightness).reshape(-1, 1 + ROW_BANDS),
+    )
+
+
+class _Seen:
+    """What the frames that have a time show, one after the other."""
+
+    def __init__(self, role: Role) -> None:
+        self.times_s: list[float] = []
+        self.levels: list[float] = []
+        self.changes: list[float] = []  # median over the pixels, so a subject below half has no say
+        self.motion: list[tuple[float, float]] = []
+        self.brightness: list[np.ndarray] = []
+        self.repeats = Repeats()
+        self._range = Levels()
+        self._tripod = Tripod() if role in FIXED else None
+        self._first_small: UInt8[np.ndarray, "h w"] | None = None
+        self._last: tuple[UInt8[np.ndarray, "h w"], UInt8[np.ndarray, "h2 w2"]] | None = None
+        self._look_at_s = -np.inf
+
+    def add(self, frame: VideoFrame, time_s: float, grey: UInt8[np.ndarray, "h w"]) -> None:
+        small = shrunk(grey, MOTION_SIDE_PX)
+        self._first_small = small if self._first_small is None else self._first_small
+        self.levels.append(float(np.median(small)))
+        self.changes.append(float(np.median(small.astype(np.int16) - self._first_small)))
+        if self._last is not None:
+            last_grey, last_small = self._last
+            self.repeats.add(frame.index, float(cv2.mean(cv2.absdiff(grey, last_grey))[0]))
+            difference = float(cv2.mean(cv2.absdiff(small, last_small))[0])
+            self.motion.append(((time_s + self.times_s[-1]) / 2, difference))
+        self.brightness.append(np.concatenate([[time_s], _row_bands(grey)]))
+        self.times_s.append(time_s)
+        self._last = (grey, small)
+        if time_s >= self._look_at_s:
+            self._look_at_s = time_s + LOOK_EVERY_S
+            self._range.add(frame.picture)
+            if self._tripod is not None:
+                self._tripod.add(frame, time_s)
+
+    def faults(self) -> list[Fault]:
+        return [*self._range.faults(), *(self._tripod.faults() if self._tripod else ())]
+
+
+class _Unused:
+    """Frames that cannot be used: damaged, of another size, without a time, or not after the one before."""
+
+    def __init__(self) -> None:
+        self._damaged: list[tuple[int, float]] = []
+        self._resized: list[tuple[int, float, tuple[int, int]]] = []
+        self._size = (0, 0)
+        self._backwards: list[int] = []
+        self._untimed = 0
+        self._last_s = -np.inf
+
+    def picture(self, frame: VideoFrame, time_s: float | None, info: VideoInfo) -> bool:
+        """Whether this frame's picture cannot be used."""
+        self._size = (info.width, info.height)
+        place = (frame.index, frame.time_s if time_s is None else time_s)
+        if frame.size != self._size:
+            self._resized.append((*place, frame.size))
+        elif frame.damaged:
+            self._damaged.append(place)
+        else:
+            return False
+        return True
+
+    def time(self, index: int, time_s: float | None) -> bool:
+        """Whether this frame's time cannot be used."""
+        if time_s is None:
+            self._untimed += 1
+        elif time_s <= self._last_s:
+            self._backwards.append(index)
+        else:
+            self._last_s = time_s
+            return False
+        return True
+
+    def notes(self, count: int) -> list[str]:
+        notes = []
+        if self._backwards:
+            back = self._backwards
+            notes.append(f"{len(back)} timestamps do not increase, frames {places(back)}; not used")
+        if self._untimed:
+            notes.append(f"{self._untimed} of {count} frames have no row in the table of times; not used")
+        return notes
+
+    def faults(self) -> list[Fault]:
+        found = []
+        if self._damaged:
+            index, time_s = self._damaged[0]
+            found.append(
+                Fault(
+                    "damaged frames",
+                    f"{len(self._damaged)} frames are damaged, the first is {index} at {time_s:.2f} s; not used",
+                    "Copy the clip from the camera again; use a faster or newer card.",
+                )
+            )
+        if self._resized:
+            index, time_s, (width, height) = self._resized[0]
+            found.append(
+                Fault(
+                    "size of the pictures",
+                    f"{len(self._resized)} frames from {index} at {time_s:.2f} s on are {width}x{height}, the first "
+                    f"ones {self._size[0]}x{self._size[1]}; not used",
+                    "Keep one camera in one mode for a whole clip; cut the clip where its size changes.",
+                )
+            )
+        return found
 
 
 def extract_folder(
@@ -275,26 +388,24 @@ def extract_folder(
     )
 
 
-def _row_bands(grey: UInt8[np.ndarray, "h w"], rotation_deg: int) -> Float[np.ndarray, " bands"]:
-    """Mean level of bands of rows as the sensor reads them: before the picture was turned upright."""
-    stored = np.ascontiguousarray(np.rot90(grey, -(rotation_deg // 90)).astype(np.float32))
-    return cv2.resize(stored, (1, ROW_BANDS), interpolation=cv2.INTER_AREA)[:, 0].astype(np.float64)
+def _row_bands(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, " bands"]:
+    """Mean level of bands of rows, in the order the sensor reads them."""
+    rows = cv2.reduce(grey, 1, cv2.REDUCE_AVG, dtype=cv2.CV_32F)
+    return cv2.resize(rows, (1, ROW_BANDS), interpolation=cv2.INTER_AREA)[:, 0].astype(np.float64)
 
 
 def _sizes(counts: dict[tuple[int, int], int], which: set[tuple[int, int]]) -> str:
     return ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.items() if (w, h) in which)
 
 
-def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"]) -> str:
-    if not len(time_s):
-        return f"{path}: none of its frames has a time; correct capture.timestamps"
+def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"], info: VideoInfo) -> str:
     if keep.range_s is None:
-        return f"{path}: no frame can be used; record the clip again"
-    return (
-        f"{path}: no frame between {keep.range_s[0]:.2f} and {keep.range_s[1]:.2f} s (it goes from "
-        f"{time_s[0]:.2f} to {time_s[-1]:.2f} s); change capture.range_s"
-    )
-
-
-def _places(indices: list[int]) -> str:
-    return ", ".join(map(str, indices[:LISTED])) + (" ..." if len(indices) > LISTED else "")
+        if len(time_s):
+            return f"{path}: no frame can be used; record the clip again"
+        return f"{path}: none of its frames has a time; correct capture.timestamps"
+    from_s, to_s = keep.range_s
+    if len(time_s):
+        there = f"it goes from {time_s[0]:.2f} to {time_s[-1]:.2f} s"
+    else:
+        there = "its length is unknown" if info.duration_s is None else f"it is {info.duration_s:.2f} s long"
+    return f"{path}: no frame between {from_s:.2f} and {to_s:.2f} s ({there}); change capture.range_s"

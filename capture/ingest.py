@@ -53,6 +53,7 @@ def write_frames(
     out: Path,
     root: Path,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    only_ranges: bool = False,
     progress: Progress = no_progress,
 ) -> FrameSet:
     """Extract the frames of everything in the session and write `ingest.json`.
@@ -63,6 +64,7 @@ def write_frames(
         out: The ingest folder.
         root: Sources are named relative to this folder (the one of scene.yaml).
         ranges: Camera -> (from, to), only frames in this span of the camera's own times are kept.
+        only_ranges: Measure nothing outside `ranges` either (no clock needs it): long clips are not read in full.
         progress: Called with the share of sources that are done.
     Raises:
         InputError, CaptureError: Naming the file, what was found and the remedy.
@@ -94,11 +96,11 @@ def write_frames(
         extract(SWEEP, session.static, "sweep", Keep(most=most))
     for name, path in session.cameras.items():
         role: Role = "test" if name in session.test_names else "camera"
-        extract(name, path, role, Keep(range_s=ranges.get(name)), name)
+        extract(name, path, role, Keep(range_s=ranges.get(name), only_range=only_ranges), name)
     for name, path in session.board_clips.items():
-        extract(f"board_{name}", path, "board", Keep(most=MAX_BOARD_FRAMES, suffix=".jpg"))
+        extract(f"board_{name}", path, "board", Keep(most=MAX_BOARD_FRAMES))
     for name, path in joint_clips.items():
-        extract(name, path, "joint", Keep(most=MAX_JOINT_FRAMES, choose="every", suffix=".jpg"))
+        extract(name, path, "joint", Keep(most=MAX_JOINT_FRAMES, choose="every"))
     joint = {c: c if session.shares_joint_clip(c) else f"joint_{c}" for c in session.joint_clips}
     frames = FrameSet(cameras, joint, bool(times))
     frames.write(out)

@@ -140,13 +140,17 @@ def write_picture(
     path: Path, rgb: UInt8[np.ndarray, "height width channels"], quality: int = JPEG_QUALITY
 ) -> None:
     """Write RGB or RGBA as PNG or JPEG, by the suffix of `path`; a full disk is an OSError."""
+    write_bgr(path, rgb[:, :, [2, 1, 0, 3][: rgb.shape[2]]], quality)
+
+
+def write_bgr(path: Path, bgr: UInt8[np.ndarray, "height width channels"], quality: int) -> None:
+    """As `write_picture`, in OpenCV's order of colours."""
     suffix = path.suffix.lower()
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if suffix in JPEG_SUFFIXES else PNG_OPTIONS
-    order = [2, 1, 0, 3][: rgb.shape[2]]
-    done, data = cv2.imencode(suffix, rgb[:, :, order], options)
+    done, data = cv2.imencode(suffix, bgr, options)
     if not done:
         raise ValueError(f"{path}: OpenCV cannot write {suffix}")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(data.data)
 
 
 def _orientation(path: Path) -> int:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from devrf.capture.video import open_media
+from devrf.capture.media import open_media
 
 TIMECODE = re.compile(r"(\d{2}):(\d{2}):(\d{2})([:;.])(\d{2,3})")
 DROPPED = {30: 2, 60: 4}  # frame numbers left out each minute but the tenth (SMPTE ST 12-1, drop frame)

@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.media import check_file
 from devrf.capture.pictures import list_pictures, probe_picture
 from devrf.capture.raw import is_raw
-from devrf.capture.video import check_file, probe_video
+from devrf.capture.video import probe_video
 
 Rest = Literal["start", "end", "none"]
 

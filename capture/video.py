@@ -2,7 +2,7 @@
 
 File time is the presentation timestamp times the stream's time base, in seconds; it is never index / fps.
 Stream formats whose clock starts anywhere (MPEG-TS, MPEG-PS) are counted from the file's first timestamp.
-A turn stored in the file (display matrix) is applied here, once. Pictures are RGB uint8 [height, width, 3].
+A turn stored in the file (display matrix) is applied here, once. Pictures are 8-bit sRGB [height, width, 3].
 """
 
 from collections.abc import Iterator
@@ -11,24 +11,20 @@ from pathlib import Path
 from types import TracebackType
 
 import av
+import cv2
 import numpy as np
-from av.container import InputContainer
 from av.error import EOFError as EndOfFile
 from av.error import FFmpegError
-from av.stream import Disposition
-from av.video.reformatter import Colorspace
-from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.media import open_media, origin_s, video_stream
+from devrf.capture.packets import scan_packets
+from devrf.capture.video_colour import bgr_of, hdr_transfer, small_luma
 
-ARBITRARY_CLOCK_FORMATS = ("mpegts", "mpeg")  # camcorders' .mts starts at 1.4 s or at the time of day
-TEXT_FORMATS = ("tty",)  # ffmpeg shows plain text as pictures of letters
-UNSPECIFIED_COLORSPACE = 2  # ITU-T H.273, matrix_coefficients
-HDR_TRANSFERS = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer_characteristics
-SNIFF_BYTES = 512
 END_TOLERANCE_STEPS = 2  # announced duration minus last timestamp: one step, and rounding
 END_TOLERANCE_S = 0.05  # sound may end up to two AAC blocks after the pictures
+TURNS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
 
 
 @dataclass(frozen=True)
@@ -61,11 +57,50 @@ class VideoInfo:
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """One picture: its index in presentation order, its file time, RGB."""
+    """One decoded picture; its colours are made when they are asked for.
+
+    Attributes:
+        index: Place in presentation order, from 0.
+        time_s: File time.
+        picture: As stored, before its turn.
+        turns: Quarter turns counter-clockwise that make it upright.
+    """
 
     index: int
     time_s: float
-    rgb: UInt8[np.ndarray, "height width 3"]
+    picture: av.VideoFrame
+    turns: int
+
+    @property
+    def rgb(self) -> UInt8[np.ndarray, "height width 3"]:
+        """Upright, R, G, B."""
+        return cv2.cvtColor(self.bgr, cv2.COLOR_BGR2RGB)
+
+    @property
+    def bgr(self) -> UInt8[np.ndarray, "height width 3"]:
+        """Upright, B, G, R: what OpenCV writes."""
+        bgr = bgr_of(self.picture)
+        return bgr if self.turn is None else cv2.rotate(bgr, self.turn)
+
+    @property
+    def turn(self) -> int | None:
+        """OpenCV's code of the rotation that makes it upright; None for none."""
+        return TURNS.get(self.turns)
+
+    def stored_grey(self, side_px: int) -> UInt8[np.ndarray, "small_height small_width"]:
+        """Grey, area-averaged to at most `side_px`; rows in the order the sensor reads them, so not turned."""
+        return small_luma(self.picture, side_px)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, upright."""
+        width, height = self.picture.width, self.picture.height
+        return (height, width) if self.turns % 2 else (width, height)
+
+    @property
+    def damaged(self) -> bool:
+        """Whether the decoder had to fill in what could not be read."""
+        return self.picture.is_corrupt
 
 
 def probe_video(path: Path) -> VideoInfo:
@@ -78,54 +113,79 @@ def probe_video(path: Path) -> VideoInfo:
         return reader.info
 
 
-def count_packets(path: Path) -> int:
-    """Number of coded pictures that are really in the file (read, not decoded: fast)."""
-    with open_media(path) as container:
-        stream = _video_stream(container, path)
-        count = 0
-        try:
-            for packet in container.demux(stream):
-                if packet.is_corrupt:
-                    break
-                count += packet.size > 0
-        except FFmpegError:
-            pass  # what is before the damage counts
-        return count
-
-
 class VideoReader:
     """Streams the pictures of one file: `with VideoReader(path) as reader: for frame in reader: ...`.
 
-    Only one picture is held. `info` is known at once; after the loop `decoded` is the number of pictures and
-    `ended_early` says in words where a damaged or truncated file ended (None for a whole one).
+    Only the decoder's few pictures are held. `info` is known at once; after the loop `decoded` is the number of
+    pictures and `ended_early` says in words where a damaged or truncated file ended (None for a whole one).
     """
 
-    def __init__(self, path: Path) -> None:
-        """Open `path` and decode its first picture.
+    def __init__(self, path: Path, from_s: float | None = None) -> None:
+        """Open `path` and decode a first picture.
 
+        Args:
+            path: The file.
+            from_s: Leave out pictures before this file time. The reader jumps to the last key picture before it
+                and decodes from there: times and indices are those of reading from the start.
         Raises:
             InputError: If the file is missing, empty, not a video, or has no picture that decodes.
         """
         self.path = Path(path)
         self.decoded = 0
         self.ended_early: str | None = None
-        self._failure: str | None = None
-        self._container = open_media(self.path)
-        try:
-            self._stream = _video_stream(self._container, self.path)
-            self._stream.thread_type = "AUTO"
-            self._origin_s = origin_s(self._container)
-            self._pictures = self._decode()
-            self._first = next(self._pictures, None)
+        self._from_s = from_s
+        if from_s is None or not self._open_at(from_s):
+            self._open()
             if self._first is None:
+                reason = self._failure or "the video stream is empty"
+                self._container.close()
                 raise InputError(
-                    f"{self.path}: no picture decodes ({self._failure or 'the video stream is empty'}); "
+                    f"{self.path}: no picture decodes ({reason}); "
                     "expected at least one; record the clip again or leave it out"
                 )
+        try:
+            assert self._first is not None
             self.info = self._describe(self._first)
         except BaseException:
             self._container.close()
             raise
+
+    def _open(self, at_pts: int | None = None) -> None:
+        self._failure: str | None = None
+        self._container = open_media(self.path)
+        try:
+            self._stream = video_stream(self._container, self.path)
+            self._stream.thread_type = "AUTO"
+            self._origin_s = origin_s(self._container)
+            if at_pts is not None:
+                self._container.seek(at_pts, stream=self._stream)
+            self._pictures = self._decode()
+            self._first = next(self._pictures, None)
+        except BaseException:
+            self._container.close()
+            raise
+
+    def _open_at(self, from_s: float) -> bool:
+        """Jump to the key picture before `from_s`; False where that cannot be done exactly."""
+        packets = scan_packets(self.path)
+        with open_media(self.path) as container:
+            time_base = video_stream(container, self.path).time_base
+            start_s = from_s + origin_s(container)
+        if time_base is None or packets.pts is None:
+            return False
+        at_pts = int(start_s / time_base)
+        try:
+            self._open(at_pts)
+        except FFmpegError:  # a format without an index
+            return False
+        first = None if self._first is None or self._first.pts is None else packets.index_of(self._first.pts)
+        if first is None or (
+            first > 0 and packets.pts[first] > at_pts
+        ):  # landed behind: seeking is not exact
+            self._container.close()
+            return False
+        self.decoded = first
+        return True
 
     def __enter__(self) -> "VideoReader":
         return self
@@ -151,9 +211,9 @@ class VideoReader:
                     f"{self.path}: frame {self.decoded} has no timestamp (a raw stream without container?); "
                     "put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i in.h264 out.mp4`"
                 )
-            rgb = np.rot90(_rgb(picture), turns) if turns else _rgb(picture)
             time_s = float(picture.pts * self._stream.time_base) - self._origin_s  # flushed ones know no unit
-            yield VideoFrame(self.decoded, time_s, np.ascontiguousarray(rgb))
+            if self._from_s is None or time_s >= self._from_s:
+                yield VideoFrame(self.decoded, time_s, picture, turns)
             self.decoded += 1
             picture = next(self._pictures, None)
             if picture is None:
@@ -208,11 +268,9 @@ class VideoReader:
             notes.append(f"pixels are not square ({aspect.numerator}:{aspect.denominator}); left as they are")
         if picture.interlaced_frame:
             notes.append("pictures are interlaced: fast motion shows combs; film in a progressive mode")
-        if picture.color_trc in HDR_TRANSFERS:
-            notes.append(
-                f"HDR video ({HDR_TRANSFERS[picture.color_trc]}): colours are read without tone mapping; "
-                "film in a standard profile"
-            )
+        transfer = hdr_transfer(picture)
+        if transfer is not None:
+            notes.append(f"HDR video ({transfer}): reference white becomes 255, brighter light is clipped")
         duration = None
         if stream.duration is not None and stream.time_base is not None:
             duration = float(stream.duration * stream.time_base)
@@ -230,70 +288,3 @@ class VideoReader:
             rotation_deg=rotation,
             notes=tuple(notes),
         )
-
-
-def check_file(path: Path) -> None:
-    """Raise InputError unless `path` is a file with something in it."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a video file")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty (0 bytes); copy it from the camera again")
-
-
-def open_media(path: Path) -> InputContainer:
-    """Open a media file for reading.
-
-    Raises:
-        InputError: If it is missing, empty, unreadable or not a media file.
-    """
-    check_file(path)
-    try:
-        container = av.open(str(path))
-    except FFmpegError as error:
-        raise InputError(f"{path}: not a video ({_what_is_it(path, error)})") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
-    if container.format.name in TEXT_FORMATS:
-        container.close()
-        raise InputError(f"{path}: not a video (it holds text); check the path in scene.yaml")
-    return container
-
-
-def origin_s(container: InputContainer) -> float:
-    """What to subtract from this container's timestamps to get file time, seconds."""
-    if container.format.name in ARBITRARY_CLOCK_FORMATS and container.start_time is not None:
-        return container.start_time / av.time_base
-    return 0.0
-
-
-def _video_stream(container: InputContainer, path: Path) -> VideoStream:
-    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
-    if not streams:
-        kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        raise InputError(f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml")
-    return streams[0]
-
-
-def _rgb(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width 3"]:
-    """RGB of a decoded picture; unlabelled HD is BT.709 and smaller is BT.601, as players do it."""
-    space: int | Colorspace = picture.colorspace
-    if space == UNSPECIFIED_COLORSPACE:
-        hd = picture.width >= 1280 or picture.height > 576
-        space = Colorspace.ITU709 if hd else Colorspace.ITU601
-    return picture.to_ndarray(format="rgb24", src_colorspace=space)
-
-
-def _what_is_it(path: Path, error: Exception) -> str:
-    """What an unreadable file seems to be, and what to do."""
-    with path.open("rb") as file:
-        head = file.read(SNIFF_BYTES)
-    if b"ftyp" in head[:16]:
-        return "an mp4 or mov whose index is missing: the recording or the copy was cut short; copy it again"
-    try:
-        head.decode("utf-8")
-        return "it holds text; check the path in scene.yaml"
-    except UnicodeDecodeError:
-        reason = getattr(error, "strerror", None) or str(error)
-        return f"{reason}; expected mp4, mov, mkv, avi or another format ffmpeg reads"

@@ -64,6 +64,7 @@ def _cameras_table(cameras: dict[str, Any]) -> str:
 
 def _notes(camera: dict[str, Any]) -> list[str]:
     notes = [str(note) for note in camera.get("notes") or []]
+    notes += [str(fault["found"]) for fault in camera.get("faults") or []]
     if camera.get("ended_early"):
         notes.insert(0, str(camera["ended_early"]))
     if camera.get("missing_frames"):

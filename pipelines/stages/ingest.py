@@ -17,6 +17,10 @@ from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet
 TRUSTED = 0.5  # confidence from which a clock limits what is kept
+LEAST_LEFT = 10  # frames of a damaged clip, ...
+LEAST_LEFT_SHARE = (
+    0.5  # ... and share of what its file announces: with less it is not the clip that was filmed
+)
 
 
 def run(context: StageContext) -> None:
@@ -25,22 +29,26 @@ def run(context: StageContext) -> None:
     context.progress(0.0, "sound")
     sounds = write_sounds(session, context.out)
     ranges = file_ranges(session, sounds, context.config.calibration.sync.method)
-    frames = write_frames(session, sounds, context.out, context.scene_dir, ranges, context.progress)
+    only_ranges = len(ranges) == len(session.cameras)
+    frames = write_frames(
+        session, sounds, context.out, context.scene_dir, ranges, only_ranges, context.progress
+    )
     refuse_damaged(frames)
     context.health.extend(health(frames))
 
 
 def refuse_damaged(frames: FrameSet) -> None:
-    """A file that ends before its announced end is not what was filmed.
+    """A clip whose end is damaged or missing is used as far as it goes, if that is most of what was filmed.
 
     Raises:
-        CaptureError: Naming each file, where it ends and what to do.
+        CaptureError: Naming each file of which too little is left, where it ends and what to do.
     """
     damaged = [
-        f"{name}: {camera.source} {camera.ended_early}; copy it from the camera again, or repair it with "
-        "`ffmpeg -i damaged.mp4 -c copy whole.mp4` to use what is there"
+        f"{name}: {camera.source} {camera.ended_early}: too little is left; copy it from the camera again, or record "
+        "it again"
         for name, camera in frames.cameras.items()
         if camera.ended_early is not None
+        and camera.frames[-1].index + 1 < max(LEAST_LEFT, LEAST_LEFT_SHARE * (camera.announced_frames or 0))
     ]
     if damaged:
         raise CaptureError("\n".join(damaged))
@@ -82,6 +90,16 @@ def health(frames: FrameSet) -> list[HealthRow]:
     if frames.moving:
         rows += _moving(frames.moving)
     for name, camera in frames.cameras.items():
+        if camera.ended_early is not None:
+            remedy = (
+                f"{camera.source} is damaged: what is there is used, and the scene ends with it; copy the file from "
+                "the camera again to have all of it."
+            )
+            rows.append(note(f"end of {name}", camera.ended_early, verdict="warn", remedy=remedy))
+        rows += [
+            note(f"{fault.check}, {name}", fault.found, verdict="warn", remedy=fault.remedy)
+            for fault in camera.faults
+        ]
         if camera.notes:
             rows.append(note(name, "; ".join(camera.notes)))
     return rows

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from devrf.capture.errors import InputError
-from devrf.capture.video import VideoReader, count_packets, probe_video
+from devrf.capture.packets import scan_packets
+from devrf.capture.video import VideoReader, probe_video
 
 
 def read(path: Path) -> tuple[list[float], list[np.ndarray], str | None]:
@@ -20,7 +21,7 @@ def test_times_are_the_files_own_not_index_over_rate(make_clip, pictures):
     path = make_clip("variable.mp4", pictures, times)
     got, rgb, early = read(path)
     np.testing.assert_allclose(got, times, atol=1 / 90_000)
-    assert early is None and count_packets(path) == 12
+    assert early is None and scan_packets(path).count == 12
     assert np.abs(rgb[3].astype(int) - pictures[3]).mean() < 6  # right order, right colours
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from devrf.capture.audio import Sound, write_wav
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.frames import CameraFrames, Fault, FrameRecord, FrameSet
 from devrf.capture.progress import no_progress
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.health import HealthRow
@@ -138,12 +138,26 @@ def test_range_in_each_cameras_own_time():
     assert ingest.file_ranges(replace(session, range_s=None), sounds, "auto") == {}
 
 
-def test_a_damaged_file_is_refused_by_name():
+def test_a_clip_with_a_damaged_end_is_used_if_most_of_it_is_there():
     whole = FrameSet({"cam0": frames(), "cam1": frames()})
     ingest.refuse_damaged(whole)
-    cut = replace(whole.cameras["cam1"], ended_early="ends at frame 1 of 60")
-    with pytest.raises(CaptureError, match=f"cam1: {cut.source} ends at frame 1 of 60; copy it"):
-        ingest.refuse_damaged(FrameSet({**whole.cameras, "cam1": cut}))
+    cut = replace(whole.cameras["cam1"], ended_early="ends at frame 60 of 100", announced_frames=100)
+    usable = FrameSet({**whole.cameras, "cam1": cut})
+    ingest.refuse_damaged(usable)
+    row = next(r for r in ingest.health(usable) if r.check == "end of cam1")
+    assert row.verdict == "warn" and row.value == "ends at frame 60 of 100" and "copy the file" in row.remedy
+    for little in (replace(cut, announced_frames=130), replace(cut, frames=cut.frames[:9])):
+        with pytest.raises(
+            CaptureError, match=f"cam1: {cut.source} ends at frame 60 of 100: too little is left"
+        ):
+            ingest.refuse_damaged(FrameSet({**whole.cameras, "cam1": little}))
+
+
+def test_faults_of_clips_are_warnings_with_their_remedies():
+    fault = Fault("bit rate", "0.010 bits per pixel", "Film with the highest bit rate.")
+    rows = ingest.health(FrameSet({"cam0": frames(faults=(fault,)), "cam1": frames()}))
+    row = next(r for r in rows if r.check == "bit rate, cam0")
+    assert (row.value, row.verdict, row.remedy) == (fault.found, "warn", fault.remedy)
 
 
 def test_health_of_a_good_and_of_a_bad_capture():

@@ -1,0 +1,167 @@
+"""What is wrong with a clip, found while its frames pass: repeated frames, sizes, range of levels, bit rate, tripod.
+
+Each frame is looked at as a small grey picture, as the sensor reads it. Nothing here changes a picture.
+"""
+
+import av
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.capture.frames import LISTED, SHARPNESS_SIDE_PX, Fault
+from devrf.capture.steadiness import find_corners, follow
+from devrf.capture.video import VideoFrame, VideoInfo
+from devrf.capture.video_colour import is_full_range, luma_plane
+
+# Two frames that differ by less than this (mean of absolute differences, levels of 255) are the same picture. What
+# nine real and simulated cameras film differs by 0.15 and more between frames, a subject that hardly moves included.
+SAME_LEVEL = 0.1
+MOVES_LEVEL = (
+    0.2  # a repeat stands between frames that differ at least so much: a scene at rest repeats nothing
+)
+LONGEST_REPEAT = 5  # frames; more is a scene at rest
+
+LOOK_EVERY_S = 1.0  # at the tripod and at the levels
+SHIFT_PX = 0.5  # of a fixed camera's full picture; cameras that stand were measured at 0.1 and less
+ZOOM = 1e-3  # change of size; cameras that stand were measured at 6e-5 and less
+
+BELOW_LIMITED, ABOVE_LIMITED = 8, 247  # limited range is 16 to 235; noise and overshoot stay inside these
+LIMITED_ENDS = 3  # levels next to 16 and 235
+RANGE_SHARE = 1e-3
+LUMA_STEP_PX = 8  # every eighth pixel of every eighth row tells the levels
+
+LEAST_BITS = 0.05  # per pixel, for H.264 and older codecs ...
+LATER_CODECS = {"hevc": 0.6, "vp9": 0.6, "av1": 0.5}  # ... and these need that share of it
+
+
+class Repeats:
+    """Frames that repeat the one before: the camera or the recorder missed a frame and filled its place."""
+
+    def __init__(self) -> None:
+        self._changes: list[tuple[int, float]] = []
+
+    def add(self, index: int, change: float) -> None:
+        """Mean absolute difference between frame `index` and the one before."""
+        self._changes.append((index, change))
+
+    def frames(self) -> list[int]:
+        """Their indices."""
+        same = np.array([change < SAME_LEVEL for _, change in self._changes], dtype=bool)
+        moves = [change >= MOVES_LEVEL for _, change in self._changes]
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+        found: list[int] = []
+        for start, end in edges.reshape(-1, 2).tolist():
+            between = start > 0 and end < len(moves) and moves[start - 1] and moves[end]
+            if between and end - start <= LONGEST_REPEAT:
+                found += [index for index, _ in self._changes[start:end]]
+        return found
+
+
+def repeats_fault(repeated: list[int], count: int) -> Fault:
+    """What to say of repeated frames."""
+    return Fault(
+        "repeated frames",
+        f"{len(repeated)} of {count} frames repeat the one before: {places(repeated)}; they are not used",
+        "Film at the camera's own rate, with a shorter exposure or more light; use the camera's file, not a "
+        "recording of the screen or a conversion to another rate.",
+    )
+
+
+class Levels:
+    """Whether the levels of a clip fit the range that the file names."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(256, np.int64)
+        self._full = False
+
+    def add(self, picture: av.VideoFrame) -> None:
+        """Look at one picture."""
+        luma = luma_plane(picture)
+        if luma is not None:
+            sample = luma[::LUMA_STEP_PX, ::LUMA_STEP_PX]
+            self._counts += np.bincount(sample.ravel(), minlength=256)
+            self._full = is_full_range(picture)
+
+    def faults(self) -> list[Fault]:
+        """At most one."""
+        if not self._counts.any():
+            return []
+        share = self._counts / self._counts.sum()
+        below, above = share[:BELOW_LIMITED].sum(), share[ABOVE_LIMITED + 1 :].sum()
+        if not self._full and min(below, above) > RANGE_SHARE:
+            return [_range_fault("limited range (16 to 235), but they run from 0 to 255", 1)]
+        at_ends = min(share[16 : 16 + LIMITED_ENDS].sum(), share[236 - LIMITED_ENDS : 236].sum())
+        if self._full and share[:16].sum() + share[236:].sum() == 0 and at_ends > RANGE_SHARE:
+            return [_range_fault("full range (0 to 255), but they end at 16 and 235", 0)]
+        return []
+
+
+def _range_fault(what: str, flag: int) -> Fault:
+    return Fault(
+        "range of levels",
+        f"its levels are said to have {what}; the file's flag is believed",
+        "If the pictures look too hard or too flat, correct the flag without coding anew: `ffmpeg -i in.mp4 -c copy "
+        f"-bsf:v h264_metadata=video_full_range_flag={flag} out.mp4`.",
+    )
+
+
+def bit_rate_fault(info: VideoInfo, count: int, size_bytes: int) -> list[Fault]:
+    """A clip coded with too few bits."""
+    bits = 8 * size_bytes / max(1, count * info.width * info.height)
+    least = LEAST_BITS * LATER_CODECS.get(info.codec, 1.0)
+    if bits >= least:
+        return []
+    return [
+        Fault(
+            "bit rate",
+            f"{bits:.3f} bits per pixel ({info.codec}), expected at least {least:.3f}: features and flow will suffer",
+            "Film with the camera's highest bit rate, and use its own files, not copies sent by a messenger.",
+        )
+    ]
+
+
+class Tripod:
+    """Whether a fixed camera's background stays where it was in the first picture."""
+
+    def __init__(self) -> None:
+        self._first: UInt8[np.ndarray, "h w"] | None = None
+        self._corners: np.ndarray | None = None
+        self._shift = (0.0, 0.0)  # largest, and when
+        self._zoom = (0.0, 0.0)
+
+    def add(self, frame: VideoFrame, time_s: float) -> None:
+        """Look at one picture."""
+        grey = frame.stored_grey(SHARPNESS_SIDE_PX)
+        if self._first is None:
+            self._first, self._corners = grey, find_corners(grey)
+            return
+        motion = None if self._corners is None else follow(self._first, grey, self._corners)
+        if motion is not None:
+            shift_px = motion.shift_px * max(frame.size) / max(grey.shape)
+            self._shift = max(self._shift, (shift_px, time_s))
+            self._zoom = max(self._zoom, (abs(motion.scale - 1), time_s))
+
+    def faults(self) -> list[Fault]:
+        """What a camera on a tripod with everything switched off would not show."""
+        found = []
+        if self._shift[0] > SHIFT_PX:
+            found.append(
+                Fault(
+                    "fixed camera",
+                    f"its background moves by up to {self._shift[0]:.1f} px, at {self._shift[1]:.1f} s",
+                    "Switch stabilisation off, use a firm tripod and do not touch the camera while it films.",
+                )
+            )
+        if self._zoom[0] > ZOOM:
+            found.append(
+                Fault(
+                    "zoom and focus",
+                    f"its background changes size by up to {100 * self._zoom[0]:.2f} %, at {self._zoom[1]:.1f} s",
+                    "Lock focus and zoom before filming; film the calibration board with the same setting.",
+                )
+            )
+        return found
+
+
+def places(indices: list[int]) -> str:
+    """The first few of many frames."""
+    return ", ".join(map(str, indices[:LISTED])) + (" ..." if len(indices) > LISTED else "")

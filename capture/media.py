@@ -1,0 +1,78 @@
+"""Open a media file, and say in words what is wrong with one that cannot be."""
+
+from pathlib import Path
+
+import av
+from av.container import InputContainer
+from av.error import FFmpegError
+from av.stream import Disposition
+from av.video.stream import VideoStream
+
+from devrf.capture.errors import InputError
+
+ARBITRARY_CLOCK_FORMATS = ("mpegts", "mpeg")  # camcorders' .mts starts at 1.4 s or at the time of day
+TEXT_FORMATS = ("tty",)  # ffmpeg shows plain text as pictures of letters
+SNIFF_BYTES = 512
+
+
+def check_file(path: Path) -> None:
+    """Raise InputError unless `path` is a file with something in it."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, expected a video file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty (0 bytes); copy it from the camera again")
+
+
+def open_media(path: Path) -> InputContainer:
+    """Open a media file for reading.
+
+    Raises:
+        InputError: If it is missing, empty, unreadable or not a media file.
+    """
+    check_file(path)
+    try:
+        container = av.open(str(path))
+    except FFmpegError as error:
+        raise InputError(f"{path}: not a video ({_what_is_it(path, error)})") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    if container.format.name in TEXT_FORMATS:
+        container.close()
+        raise InputError(f"{path}: not a video (it holds text); check the path in scene.yaml")
+    return container
+
+
+def origin_s(container: InputContainer) -> float:
+    """What to subtract from this container's timestamps to get file time, seconds."""
+    if container.format.name in ARBITRARY_CLOCK_FORMATS and container.start_time is not None:
+        return container.start_time / av.time_base
+    return 0.0
+
+
+def video_stream(container: InputContainer, path: Path) -> VideoStream:
+    """The first stream of pictures that is not a cover.
+
+    Raises:
+        InputError: If there is none.
+    """
+    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+    if not streams:
+        kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
+        raise InputError(f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml")
+    return streams[0]
+
+
+def _what_is_it(path: Path, error: Exception) -> str:
+    """What an unreadable file seems to be, and what to do."""
+    with path.open("rb") as file:
+        head = file.read(SNIFF_BYTES)
+    if b"ftyp" in head[:16]:
+        return "an mp4 or mov whose index is missing: the recording or the copy was cut short; copy it again"
+    try:
+        head.decode("utf-8")
+        return "it holds text; check the path in scene.yaml"
+    except UnicodeDecodeError:
+        reason = getattr(error, "strerror", None) or str(error)
+        return f"{reason}; expected mp4, mov, mkv, avi or another format ffmpeg reads"

@@ -1,0 +1,60 @@
+"""What a clip's coded pictures tell without being decoded: how many, when, how many bytes. Reading them is fast."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from av.error import FFmpegError
+from jaxtyping import Int
+
+from devrf.capture.media import open_media, video_stream
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The coded pictures that are really in a file.
+
+    Attributes:
+        count: Their number, up to the first damage.
+        size_bytes: Their size together.
+        pts: Timestamps of those that are shown, rising, in the stream's time base; None where some carry none.
+    """
+
+    count: int
+    size_bytes: int
+    pts: Int[np.ndarray, " n"] | None
+
+    def index_of(self, pts: int) -> int | None:
+        """Place in presentation order of the picture with this timestamp; None where it is not known."""
+        if self.pts is None:
+            return None
+        place = int(np.searchsorted(self.pts, pts))
+        return place if place < len(self.pts) and self.pts[place] == pts else None
+
+
+def scan_packets(path: Path) -> Packets:
+    """Read the packets of a clip's first video stream.
+
+    Raises:
+        InputError: If the file is not a video.
+    """
+    with open_media(path) as container:
+        stream = video_stream(container, path)
+        count, size_bytes = 0, 0
+        pts: list[int] = []
+        timed = True
+        try:
+            for packet in container.demux(stream):
+                if packet.is_corrupt:
+                    break
+                if packet.size == 0 or packet.is_discard:  # the end; before the start of an edit list
+                    continue
+                count, size_bytes = count + 1, size_bytes + packet.size
+                if packet.pts is None:
+                    timed = False
+                else:
+                    pts.append(packet.pts)
+        except FFmpegError:
+            pass  # what is before the damage counts
+    distinct = timed and len(set(pts)) == len(pts)
+    return Packets(count, size_bytes, np.array(sorted(pts), dtype=np.int64) if distinct else None)

@@ -1,0 +1,83 @@
+"""One decoded picture of a video as 8-bit colours, and as a small grey picture to measure on.
+
+Eight bits are converted by swscale with the matrix and range the file names; unlabelled HD is BT.709 and smaller is
+BT.601, as players do it. More bits are converted in 16 and rounded to 8. HLG and PQ go through `hdr.py`.
+"""
+
+import av
+import cv2
+import numpy as np
+from av.video.plane import VideoPlane
+from av.video.reformatter import Colorspace
+from jaxtyping import UInt8
+
+from devrf.capture.frames import shrunk
+from devrf.capture.hdr import Transfer, srgb_from_hdr
+
+UNSPECIFIED_COLORSPACE = 2  # ITU-T H.273, matrix_coefficients
+HDR_TRANSFERS: dict[int, Transfer] = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer_characteristics
+FULL_RANGE = 2  # AVCOL_RANGE_JPEG
+ROUND_TO_8 = 1 / 256  # swscale's 16-bit colours are its 8-bit ones, shifted
+LUMA_FIRST = frozenset(  # formats whose first plane is luma in bytes
+    f"{kind}{sub}" for kind in ("yuv", "yuvj") for sub in ("420p", "422p", "440p", "444p")
+) | {"nv12", "nv21", "gray"}
+FULL_FROM_LIMITED = np.clip((np.arange(256) - 16) * (255 / 219), 0, 255).round().astype(np.uint8)
+
+
+def bgr_of(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width 3"]:
+    """B, G, R in sRGB as stored, before the file's turn. May share memory with nothing else; owned by the caller."""
+    space = colour_matrix(picture)
+    transfer = hdr_transfer(picture)
+    if transfer is None and _bits(picture) <= 8:
+        return picture.to_ndarray(format="bgr24", src_colorspace=space, threads=1)
+    deep = picture.to_ndarray(format="rgb48le", src_colorspace=space, threads=1)
+    if transfer is not None:
+        return np.ascontiguousarray(srgb_from_hdr(deep, transfer)[..., ::-1])
+    return cv2.cvtColor(cv2.convertScaleAbs(deep, alpha=ROUND_TO_8), cv2.COLOR_RGB2BGR)
+
+
+def colour_matrix(picture: av.VideoFrame) -> int:
+    """Number of its matrix in ITU-T H.273; a guess by size where the file names none."""
+    if picture.colorspace != UNSPECIFIED_COLORSPACE:
+        return picture.colorspace
+    hd = picture.width >= 1280 or picture.height > 576
+    return int(Colorspace.ITU709 if hd else Colorspace.ITU601)
+
+
+def hdr_transfer(picture: av.VideoFrame) -> Transfer | None:
+    """Which HDR curve codes this picture; None for all others."""
+    return HDR_TRANSFERS.get(picture.color_trc)
+
+
+def small_luma(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small_height small_width"]:
+    """Luma as grey levels, full range, area-averaged to a longer side of at most `side_px`; as stored.
+
+    Where the file holds luma in bytes this costs a tenth of making colours.
+    """
+    luma = luma_plane(picture)
+    if luma is None:
+        return shrunk(cv2.cvtColor(bgr_of(picture), cv2.COLOR_BGR2GRAY), side_px)
+    small = shrunk(luma, side_px)
+    return small if is_full_range(picture) else cv2.LUT(small, FULL_FROM_LIMITED)
+
+
+def luma_plane(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width"] | None:
+    """The stored luma, not copied: read it while the picture is held. None where it is not in bytes of its own."""
+    if picture.format.name not in LUMA_FIRST or hdr_transfer(picture) is not None:
+        return None
+    return plane_bytes(picture.planes[0])
+
+
+def plane_bytes(plane: VideoPlane) -> UInt8[np.ndarray, "height width"]:
+    """A plane of bytes, not copied: read it while its picture is held."""
+    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
+    return rows[: plane.height, : plane.width]
+
+
+def is_full_range(picture: av.VideoFrame) -> bool:
+    """Whether the file says that luma uses all of 0 to 255."""
+    return picture.color_range == FULL_RANGE or picture.format.name.startswith(("yuvj", "gray"))
+
+
+def _bits(picture: av.VideoFrame) -> int:
+    return max(component.bits for component in picture.format.components)
