@@ -174,16 +174,18 @@ def grey_small(
 
 
 def shrunk(
-    grey: UInt8[np.ndarray, "height width"], side_px: int
-) -> UInt8[np.ndarray, "small_height small_width"]:
-    """A grey picture area-averaged to a longer side of at most `side_px`."""
-    if max(grey.shape) <= side_px:
-        return np.array(grey)  # not a view: what it shows may be the decoder's
-    while max(grey.shape) >= 2 * side_px and not (grey.shape[0] % 2 or grey.shape[1] % 2):
-        grey = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    scale = side_px / max(grey.shape)  # means of 2 x 2 first: they are eight times as fast as others
-    size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
-    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    picture: UInt8[np.ndarray, "height width *channels"], side_px: int
+) -> UInt8[np.ndarray, "small_height small_width *channels"]:
+    """A picture area-averaged to a longer side of at most `side_px`."""
+    if max(picture.shape[:2]) <= side_px:
+        return np.array(picture)  # not a view: what it shows may be the decoder's
+    while max(picture.shape[:2]) >= 2 * side_px and not (picture.shape[0] % 2 or picture.shape[1] % 2):
+        picture = cv2.resize(
+            picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA
+        )
+    scale = side_px / max(picture.shape[:2])  # means of 2 x 2 first: they are eight times as fast as others
+    size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
 
 
 def sharpness(grey: UInt8[np.ndarray, "height width"]) -> float:

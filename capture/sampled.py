@@ -13,7 +13,8 @@ from av.video.stream import VideoStream
 from jaxtyping import Float
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.video import VideoFrame, VideoReader, open_media, origin_s
+from devrf.capture.media import open_media, origin_s
+from devrf.capture.video import VideoFrame, VideoReader
 
 MOST_AHEAD = (
     60  # pictures decoded to get from a key picture to the place asked for; then what is there is taken
@@ -99,6 +100,5 @@ def read_runs(
 
 
 def _frame(picture: av.VideoFrame, time_s: float, times_s: Float[np.ndarray, " n"], turns: int) -> VideoFrame:
-    rgb = picture.to_ndarray(format="rgb24")
     index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
-    return VideoFrame(index, time_s, np.ascontiguousarray(np.rot90(rgb, turns) if turns else rgb))
+    return VideoFrame(index, time_s, picture, turns)

@@ -20,7 +20,7 @@ from jaxtyping import UInt8
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.media import open_media, origin_s, video_stream
 from devrf.capture.packets import scan_packets
-from devrf.capture.video_colour import bgr_of, hdr_transfer, small_luma
+from devrf.capture.video_colour import bgr_of, hdr_transfer, small_luma, small_rgb
 
 END_TOLERANCE_STEPS = 2  # announced duration minus last timestamp: one step, and rounding
 END_TOLERANCE_S = 0.05  # sound may end up to two AAC blocks after the pictures
@@ -90,6 +90,10 @@ class VideoFrame:
     def stored_grey(self, side_px: int) -> UInt8[np.ndarray, "small_height small_width"]:
         """Grey, area-averaged to at most `side_px`; rows in the order the sensor reads them, so not turned."""
         return small_luma(self.picture, side_px)
+
+    def stored_rgb(self, side_px: int) -> UInt8[np.ndarray, "small_height small_width 3"]:
+        """R, G, B, area-averaged to at most `side_px`, not turned either; a few times the cost of `stored_grey`."""
+        return small_rgb(self.picture, side_px)
 
     @property
     def size(self) -> tuple[int, int]:

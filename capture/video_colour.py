@@ -21,6 +21,14 @@ ROUND_TO_8 = 1 / 256  # swscale's 16-bit colours are its 8-bit ones, shifted
 LUMA_FIRST = frozenset(  # formats whose first plane is luma in bytes
     f"{kind}{sub}" for kind in ("yuv", "yuvj") for sub in ("420p", "422p", "440p", "444p")
 ) | {"nv12", "nv21", "gray"}
+LUMA_SHARES = {  # Kr, Kb of ITU-T H.273, matrix_coefficients
+    1: (0.2126, 0.0722),
+    4: (0.30, 0.11),
+    5: (0.299, 0.114),
+    6: (0.299, 0.114),
+    7: (0.212, 0.087),
+    9: (0.2627, 0.0593),
+}
 FULL_FROM_LIMITED = np.clip((np.arange(256) - 16) * (255 / 219), 0, 255).round().astype(np.uint8)
 
 
@@ -59,6 +67,28 @@ def small_luma(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small
         return shrunk(cv2.cvtColor(bgr_of(picture), cv2.COLOR_BGR2GRAY), side_px)
     small = shrunk(luma, side_px)
     return small if is_full_range(picture) else cv2.LUT(small, FULL_FROM_LIMITED)
+
+
+def small_rgb(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small_height small_width 3"]:
+    """Colours, area-averaged to a longer side of at most `side_px`; as stored. Averages what is coded, not light."""
+    luma = luma_plane(picture)
+    if luma is None or len(picture.planes) != 3:
+        return cv2.cvtColor(shrunk(bgr_of(picture), side_px), cv2.COLOR_BGR2RGB)
+    small = shrunk(luma, side_px)
+    size = (small.shape[1], small.shape[0])
+    blue, red = (
+        cv2.resize(plane_bytes(p), size, interpolation=cv2.INTER_AREA).astype(np.float32) - 128
+        for p in picture.planes[1:]
+    )
+    kr, kb = LUMA_SHARES.get(colour_matrix(picture), LUMA_SHARES[Colorspace.ITU709])
+    if not is_full_range(picture):
+        blue, red = blue * (255 / 224), red * (255 / 224)
+        y = (small.astype(np.float32) - 16) * (255 / 219)
+    else:
+        y = small.astype(np.float32)
+    r, b = y + 2 * (1 - kr) * red, y + 2 * (1 - kb) * blue
+    g = (y - kr * r - kb * b) / (1 - kr - kb)
+    return np.clip(np.stack([r, g, b], axis=-1).round(), 0, 255).astype(np.uint8)
 
 
 def luma_plane(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width"] | None:

@@ -13,17 +13,9 @@ import numpy as np
 import simplejpeg
 from jaxtyping import Float, UInt8
 
-from devrf.capture.video_colour import colour_matrix, hdr_transfer, is_full_range, plane_bytes
+from devrf.capture.video_colour import LUMA_SHARES, colour_matrix, hdr_transfer, is_full_range, plane_bytes
 
 PLANES_420 = frozenset(("yuv420p", "yuvj420p"))
-LUMA_SHARES = {  # Kr, Kb of ITU-T H.273, matrix_coefficients
-    1: (0.2126, 0.0722),
-    4: (0.30, 0.11),
-    5: (0.299, 0.114),
-    6: (0.299, 0.114),
-    7: (0.212, 0.087),
-    9: (0.2627, 0.0593),
-}
 JFIF = 5
 MIDDLE = 128
 
@@ -45,7 +37,7 @@ def jpeg_of(picture: av.VideoFrame, quality: int, turn: int | None = None) -> by
 
 def jfif_planes(picture: av.VideoFrame) -> list[UInt8[np.ndarray, "_ _"]] | None:
     """Full-range luma [h, w] and BT.601 colour differences [h/2, w/2] (rounded up); None where it is not 4:2:0."""
-    matrix = LUMA_SHARES.get(int(colour_matrix(picture)))
+    matrix = LUMA_SHARES.get(colour_matrix(picture))
     if picture.format.name not in PLANES_420 or hdr_transfer(picture) is not None or matrix is None:
         return None
     luma, blue, red = (plane_bytes(plane) for plane in picture.planes)

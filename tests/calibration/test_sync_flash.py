@@ -108,15 +108,6 @@ def test_lamps_that_blink_are_no_flash(tmp_path):
     assert any("periodic" in n for n in result.notes)
 
 
-def test_turned_clips_keep_the_order_of_the_sensors_rows():
-    from devrf.capture.clips import ROW_BANDS, _row_bands
-
-    stored = np.repeat(np.arange(240, dtype=np.uint8)[:, None], 100, axis=1)  # brighter down the sensor
-    for turns in range(4):
-        bands = _row_bands(np.ascontiguousarray(np.rot90(stored, turns)), 90 * turns)
-        assert len(bands) == ROW_BANDS and np.all(np.diff(bands) > 0)
-
-
 @pytest.mark.parametrize("strength", [0.0, 1.0])
 def test_a_still_wall_and_a_flash_in_the_noise_are_none(tmp_path, strength):
     path = film_flashes(tmp_path / "a.mp4", RollingShutter(), FLASHES_S, strength=strength)

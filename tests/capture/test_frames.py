@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
-from devrf.capture.clips import Keep, extract_clip, extract_folder
+from devrf.capture.clips import ROW_BANDS, Keep, extract_clip, extract_folder
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.frames import (
     FrameSet,
@@ -157,6 +157,14 @@ def test_oddities_of_a_clip_are_noted(make_clip, pictures, tmp_path):
     assert any("brightness changes" in n for n in got.frames.notes)
     calm = extract_clip(make_clip("b.mp4", pictures), tmp_path, "cam1", "camera", "b.mp4", Keep())
     assert calm.frames.notes == ()
+
+
+@pytest.mark.parametrize("rotation", [0, 90, 180, -90])
+def test_turned_clips_keep_the_order_of_the_sensors_rows(make_clip, tmp_path, rotation):
+    stored = np.repeat(np.arange(0, 240, 5, dtype=np.uint8)[:, None, None], 64, axis=1).repeat(3, axis=2)
+    path = make_clip("a.mp4", [stored] * 3, rotation=rotation)  # brighter down the sensor
+    got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep())
+    assert got.brightness.shape == (3, 1 + ROW_BANDS) and np.all(np.diff(got.brightness[:, 1:], axis=1) > 0)
 
 
 def test_whole_session_on_disk_and_back(make_clip, pictures, tmp_path):
