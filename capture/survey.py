@@ -19,6 +19,8 @@ from devrf.capture.sampled import picture_times, read_runs, spread_starts
 from devrf.capture.stillness import moving_share, smooth_grey
 from devrf.capture.video import VideoInfo, probe_video
 
+Picture = UInt8[np.ndarray, "height width 3"]
+
 VIDEO_SUFFIXES = frozenset(
     ".mp4 .mov .mkv .avi .m4v .mts .m2ts .ts .mxf .webm .mpg .mpeg .wmv .3gp .insv".split()
 )

@@ -10,7 +10,7 @@ import typer
 
 import devrf
 from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.writable import check_folder
+from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines.bench.cli import bench
 from devrf.pipelines.cli_options import (
     DeviceOption,
@@ -29,6 +29,7 @@ from devrf.pipelines.runner import (
     BAD_INPUT,
     DONE,
     FAILED,
+    UNHEALTHY,
     Run,
     check_choice,
     dry_run,
@@ -69,6 +70,37 @@ def init(
     except OSError as error:
         talk.error(f"{folder}: cannot be written ({error.strerror or error}); copy it to a disk that can")
         raise typer.Exit(FAILED) from None
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    as_json: Annotated[Path | None, typer.Option("--json", help="File for the rows")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Look at a few pictures of every clip before the crew goes home: go or no-go."""
+    talk = talk_of(quiet)
+    job = _prepare(talk, scene, preset, overrides, None)
+    try:
+        check_folder(job.run_dir, "output:")
+        if as_json is not None:
+            check_file(as_json, "--json")
+        _check_raw_files(job)
+        if job.config.dataset is not None:
+            talk.say("GO: a finished data set, whose files can be read; the rest of check is for raw files")
+            raise typer.Exit(DONE)
+        from devrf.pipelines import check_command
+
+        go = check_command.check(talk, job.config, job.scene_dir, job.run_dir, as_json)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    except DevrfError as error:
+        talk.error(str(error))
+        raise typer.Exit(FAILED) from None
+    raise typer.Exit(DONE if go else UNHEALTHY)
 
 
 @app.command()
