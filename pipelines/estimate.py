@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from devrf.capture.clips import Keep
 from devrf.capture.frames import SWEEP, CameraFrames
 from devrf.capture.pictures import write_picture
 from devrf.capture.survey import Look, Picture
@@ -102,6 +101,6 @@ def calibration_seconds(config: SceneConfig, planned: Mapping[str, CameraFrames]
 
 def _stored_bytes(picture: Picture) -> int:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"0{Keep().suffix}"
+        path = Path(folder) / "0.jpg"
         write_picture(path, picture)
         return path.stat().st_size

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from devrf.calibration.field.matching import Features, match, scale_of
 from devrf.capture.frames import grey_small
-from devrf.capture.raw import linear_from_srgb
+from devrf.capture.srgb import linear_from_srgb
 from devrf.capture.stillness import SIDE_PX, moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import Picture
 

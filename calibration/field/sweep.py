@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.field.matching import Features, Pair, features, match
-from devrf.capture.raw import linear_from_srgb
+from devrf.capture.srgb import linear_from_srgb
 from devrf.capture.survey import Picture
 
 ENOUGH = 30  # verified matches of two neighbours: COLMAP's least for a pose
