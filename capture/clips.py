@@ -41,7 +41,8 @@ from devrf.capture.packets import scan_packets
 from devrf.capture.picture_writer import SUFFIX, PictureWriter
 from devrf.capture.pictures import copy_upright, list_pictures, probe_picture, read_picture, write_picture
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.raw import Development, develop, is_raw
+from devrf.capture.raw import is_raw
+from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions, develop_set
 from devrf.capture.session import FrameTimes
 from devrf.capture.video import VideoFrame, VideoInfo, VideoReader
 
@@ -308,6 +309,7 @@ def extract_folder(
     role: Role,
     source: str,
     most: int | None = None,
+    raw: RawOptions = RAW_DEFAULTS,
     progress: Progress = no_progress,
 ) -> CameraFrames:
     """Put a folder of photos upright into `out/frames/<name>`; see `extract_clip` for the arguments.
@@ -322,30 +324,29 @@ def extract_folder(
     folder = out / "frames" / name
     folder.mkdir(parents=True, exist_ok=True)
     pictures = list_pictures(path)
-    balance = develop(pictures[0]).white_balance if is_raw(pictures[0]) else None
+    raws = [(i, picture) for i, picture in enumerate(pictures) if is_raw(picture)]
+    developed = develop_set(raws, out, name, raw, progress) if raws else {}
     files: list[str] = []
     sizes: list[tuple[int, int]] = []
     sharp: list[float] = []
     levels: list[float] = []
     exifs: list[Exif | None] = []
-    turned, clipped = 0, 0
+    turned = 0
     for i, picture in enumerate(pictures):
         progress(i / len(pictures), f"{name}: {i + 1} of {len(pictures)} photos")
-        if is_raw(picture):
-            photo: Development = develop(picture, balance)
-            file = f"{i:06d}.png"
-            write_picture(folder / file, photo.rgb)
-            clipped += photo.clipped > 0.01
+        if i in developed:
+            photo = developed[i]
+            file, size, grey = photo.file, (photo.width, photo.height), photo.grey
             exifs.append(None)
         else:
             info = probe_picture(picture)
-            file = copy_upright(info, folder, f"{i:06d}")
+            file = f"frames/{name}/{copy_upright(info, folder, f'{i:06d}')}"
             turned += info.turned
             exifs.append(info.exif)
-        rgb = read_picture(folder / file)
-        grey = grey_small(rgb)
-        files.append(f"frames/{name}/{file}")
-        sizes.append((rgb.shape[1], rgb.shape[0]))
+            rgb = read_picture(out / file)
+            size, grey = (rgb.shape[1], rgb.shape[0]), grey_small(rgb)
+        files.append(file)
+        sizes.append(size)
         sharp.append(sharpness(grey))
         levels.append(float(np.median(grey)))
     counts = {size: sizes.count(size) for size in dict.fromkeys(sizes)}
@@ -358,6 +359,9 @@ def extract_folder(
         used = i in chosen
         if not used:
             (out / file).unlink()
+            linear = developed[i].linear if i in developed else None
+            if linear is not None:
+                (out / linear).unlink()
         records.append(FrameRecord(i, None, sharp[i], used, file if used else None, exifs[i]))
     notes = []
     if turned:
@@ -369,8 +373,6 @@ def extract_folder(
         notes.append(
             f"mixed sizes: {_sizes(counts, taken)} are used, {other} are not; one camera in one mode is expected"
         )
-    if clipped:
-        notes.append(f"{clipped} RAW photos have more than 1 % white pixels; lower the exposure")
     focals = [exif.focal_px for exif in exifs if exif is not None and exif.focal_px is not None]
     return CameraFrames(
         role=role,

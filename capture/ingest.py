@@ -22,6 +22,7 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.recorded import read_recorded
 from devrf.capture.session import CaptureSession, read_timestamps
+from devrf.capture.white import mean_white
 
 MAX_SWEEP_FRAMES = 120  # exhaustive matching of 120 pictures is 7140 pairs, minutes on two cores
 MAX_BOARD_FRAMES = 60  # intrinsics gain nothing from more views of one board
@@ -83,7 +84,7 @@ def write_frames(
     def extract(name: str, path: Path, role: Role, keep: Keep, camera: str | None = None) -> None:
         source = os.path.relpath(path, root)
         if path.is_dir():
-            cameras[name] = extract_folder(path, out, name, role, source, keep.most, step)
+            cameras[name] = extract_folder(path, out, name, role, source, keep.most, session.raw, step)
             return
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step)
         cameras[name] = _with_clock_cues(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
@@ -101,6 +102,10 @@ def write_frames(
         extract(f"board_{name}", path, "board", Keep(most=MAX_BOARD_FRAMES))
     for name, path in joint_clips.items():
         extract(name, path, "joint", Keep(most=MAX_JOINT_FRAMES, choose="every"))
+    for name, path in session.white.items():
+        (out / "white").mkdir(exist_ok=True)
+        progress(1.0, f"white sheet of {name}")
+        np.save(out / "white" / f"{name}.npy", mean_white(path))
     joint = {c: c if session.shares_joint_clip(c) else f"joint_{c}" for c in session.joint_clips}
     frames = FrameSet(cameras, joint, bool(times))
     frames.write(out)

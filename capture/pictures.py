@@ -15,7 +15,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.exif import Exif, read_exif
 from devrf.capture.picture_files import JPEG_SUFFIXES, PICTURE_SUFFIXES, natural_key
-from devrf.capture.raw import develop, is_raw
+from devrf.capture.raw import develop, is_raw, read_layout
 
 UNREADABLE_SUFFIXES = frozenset((".heic", ".heif", ".avif"))  # need a decoder that is not a dependency
 JPEG_QUALITY = 97  # of photos that had to be turned: a second JPEG at this quality costs < 1 level RMS
@@ -39,6 +39,11 @@ class PictureInfo:
     height: int
     turned: bool
     exif: Exif | None
+
+
+def is_photo(path: Path) -> bool:
+    """Whether the file name is that of a picture or a RAW photo."""
+    return path.suffix.lower() in PICTURE_SUFFIXES or is_raw(path)
 
 
 def list_pictures(folder: Path) -> list[Path]:
@@ -71,14 +76,15 @@ def list_pictures(folder: Path) -> list[Path]:
 
 
 def probe_picture(path: Path) -> PictureInfo:
-    """Read a photo's header (a RAW file is developed: its header does not tell the final size).
+    """Read a photo's header.
 
     Raises:
         InputError: If the file is not a picture.
     """
     if is_raw(path):
-        height, width = develop(path).rgb.shape[:2]
-        return PictureInfo(path, width, height, False, None)
+        raw = read_layout(path)
+        size = (raw.height, raw.width) if raw.turn_deg % 180 else (raw.width, raw.height)
+        return PictureInfo(path, *size, raw.turn_deg != 0, None)
     try:
         with Image.open(path) as image:
             width, height = image.size
@@ -96,17 +102,17 @@ def probe_picture(path: Path) -> PictureInfo:
         raise InputError(f"{path}: cannot be read ({error}); copy it from the camera again") from None
 
 
-def read_picture(
-    path: Path, white_balance: tuple[float, float, float, float] | None = None
-) -> UInt8[np.ndarray, "height width channels"]:
+def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     """Read a photo upright: RGB, or RGBA where the file has transparency; 16 bits are rounded to 8.
+
+    A RAW file is developed as a set of its own (`capture.raw_set` develops a folder by one recipe).
 
     Raises:
         InputError: If the file is not a picture.
         CaptureError: If its content is damaged.
     """
     if is_raw(path):
-        return develop(path, white_balance).rgb
+        return develop(path).rgb
     data = np.frombuffer(path.read_bytes(), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if image is None:

@@ -1,23 +1,101 @@
-"""Develop RAW photos with one fixed recipe, so that equal light gives equal pixels in every picture.
+"""Develop RAW photos with one fixed recipe for all photos of a set, so that equal light gives equal pixels.
 
-Nothing is adapted to the single picture: no automatic brightness, no automatic maximum, one white balance
-(the sensor's daylight multipliers, or the ones given), 16 bits linear inside, then the sRGB curve
-(IEC 61966-2-1) to 8 bits. The turn stored by the camera is applied here, once.
+Nothing is adapted to the single picture: no automatic brightness, no automatic maximum, one white balance, one white
+level, one demosaicing (AHD), highlights clipped, 16 bits linear in sRGB primaries. LibRaw's turn by EXIF is off: one
+sensor must keep one set of intrinsics, so the whole set is turned by the one turn most of its photos ask for, here,
+once. For display and training the sRGB curve (IEC 61966-2-1) and 8 bits follow.
+
+Black levels are each photo's own (some cameras measure them anew for every exposure); a photo's white level would be
+its own gain, so the first photo's is used for all.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8, UInt16
 
 from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.srgb import srgb_from_linear
+from devrf.capture.srgb import LEVEL_OF_LINEAR
 
 RAW_SUFFIXES = frozenset(
     ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .k25 .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf "
     ".raw .rw2 .rwl .sr2 .srf .srw .x3f".split()
 )
+DEMOSAIC = "AHD"
+TURNS_DEG = {
+    0: 0,
+    3: 180,
+    5: 90,
+    6: 270,
+}  # LibRaw's code -> turn that makes a photo upright, counter-clockwise
+BELOW_BLACK = 0.002  # of the range: noise of a dark pixel seldom reaches it, a wrong level does
+FLOOR_QUANTILE = 0.001  # of the pixels are darker than the floor
+
+WhiteBalance = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class RawLayout:
+    """What can be told of a RAW file without reading its pixels.
+
+    Attributes:
+        width, height: Size of the picture before any turn, pixels.
+        turn_deg: Turn its tag asks for, degrees counter-clockwise.
+    """
+
+    width: int
+    height: int
+    turn_deg: int
+
+
+@dataclass(frozen=True)
+class RawHeader:
+    """What a RAW file says of its sensor and settings.
+
+    Attributes:
+        path: The file.
+        black: Black levels of R, G, B and the second G, as stored.
+        white: White level, as stored.
+        as_shot: White balance the camera chose, multipliers with G at 1; None where the file has none.
+        daylight: The sensor's multipliers for daylight, the smallest at 1; ones where LibRaw knows none.
+        turn_deg: Turn its tag asks for, degrees counter-clockwise.
+        exposure_s, iso, aperture: As set; None where unknown.
+    """
+
+    path: Path
+    black: tuple[int, int, int, int]
+    white: int
+    as_shot: tuple[float, float, float] | None
+    daylight: WhiteBalance
+    turn_deg: int
+    exposure_s: float | None
+    iso: float | None
+    aperture: float | None
+
+    @property
+    def exposure_stops(self) -> float | None:
+        """Light by the camera's settings, log2 of time x ISO / aperture squared; None where time or ISO is unknown."""
+        if self.exposure_s is None or self.iso is None:
+            return None
+        return float(np.log2(self.exposure_s * self.iso / (self.aperture or 1.0) ** 2))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How every photo of a set is developed.
+
+    Attributes:
+        white_balance: Multipliers for R, G, B and the second G, the smallest at 1.
+        white: White level, as stored.
+        turn_deg: Turn of the whole set, degrees counter-clockwise.
+    """
+
+    white_balance: WhiteBalance
+    white: int
+    turn_deg: int
 
 
 @dataclass(frozen=True)
@@ -25,14 +103,29 @@ class Development:
     """A developed RAW photo.
 
     Attributes:
-        rgb: Picture [height, width, 3], sRGB, upright.
-        white_balance: Multipliers used for R, G, B and the second G.
-        clipped: Share of pixels with a channel at white.
+        linear: Picture [height, width, 3], linear light in sRGB primaries, 65535 is white; upright.
+        header: What the file says.
+        camera_matrix: LibRaw's matrix from the sensor's colours to linear sRGB [3, 4].
+        clipped: Share of pixels with a channel at white after white balance.
+        below_black: Share of sensor values below black by more than a five hundredth of the range.
+        floor: The darkest sensor values, above black: their quantile 0.001, share of the range.
+        highest: The highest sensor value, as stored.
+        at_highest: How many times more values it has than each of the thirty-two below it, on average.
     """
 
-    rgb: UInt8[np.ndarray, "height width 3"]
-    white_balance: tuple[float, float, float, float]
+    linear: UInt16[np.ndarray, "height width 3"]
+    header: RawHeader
+    camera_matrix: Float[np.ndarray, "3 4"]
     clipped: float
+    below_black: float
+    floor: float
+    highest: int
+    at_highest: float
+
+    @property
+    def rgb(self) -> UInt8[np.ndarray, "height width 3"]:
+        """The picture in sRGB, 8 bits."""
+        return LEVEL_OF_LINEAR[self.linear]
 
 
 def is_raw(path: Path) -> bool:
@@ -40,48 +133,142 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in RAW_SUFFIXES
 
 
-def develop(path: Path, white_balance: tuple[float, float, float, float] | None = None) -> Development:
+def read_layout(path: Path) -> RawLayout:
+    """Size and turn of a RAW file; its pixels are not read.
+
+    Raises:
+        InputError: If the file is not a RAW file that LibRaw reads.
+    """
+    with _open(path) as file:
+        sizes = file.sizes
+        return RawLayout(int(sizes.width), int(sizes.height), TURNS_DEG.get(sizes.flip, 0))
+
+
+def recipe_for(paths: Sequence[Path], white_balance: WhiteBalance | None = None) -> Recipe:
+    """The recipe of a set of photos of one camera.
+
+    Args:
+        paths: At least one.
+        white_balance: Multipliers for R, G, B, second G; None: daylight of the first photo's sensor.
+    Raises:
+        InputError: If a file is not a RAW file that LibRaw reads.
+        CaptureError: If the first one is damaged.
+    """
+    turns = Counter(read_layout(path).turn_deg for path in paths)
+    with _open(paths[0]) as file:
+        first = _header(paths[0], file)
+    balance = white_balance or first.daylight
+    smallest = min(balance)
+    r, g, b, g2 = (value / smallest for value in balance)
+    return Recipe((r, g, b, g2), first.white, turns.most_common(1)[0][0])
+
+
+def develop(path: Path, recipe: Recipe | None = None) -> Development:
     """Develop one RAW file.
 
     Args:
         path: The file.
-        white_balance: Multipliers for R, G, B, second G; None: this sensor's daylight multipliers. Give
-            the first picture's to all others of a set.
+        recipe: That of its set; None: it is a set of its own.
     Raises:
         InputError: If the file is not a RAW file that LibRaw reads.
         CaptureError: If its content is damaged.
     """
     import rawpy
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; check the path in scene.yaml")
-    try:
-        file = rawpy.imread(str(path))
-    except rawpy.LibRawError as error:
-        raise InputError(
-            f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
-        ) from None
-    with file:
+    recipe = recipe or recipe_for([path])
+    with _open(path) as file:
+        header = _header(path, file)
+        if recipe.white <= max(header.black):
+            raise CaptureError(
+                f"{path}: black level {max(header.black)}, but the set's white level is {recipe.white}; "
+                "photos of one folder must come from one camera"
+            )
         try:
-            balance = white_balance or _daylight(file.daylight_whitebalance)
+            sensor = _sensor_values(file, header)  # before LibRaw works on them in place
             linear = file.postprocess(
                 gamma=(1, 1),
                 output_bps=16,
                 no_auto_bright=True,
                 adjust_maximum_thr=0.0,
-                user_wb=list(balance),
-                demosaic_algorithm=rawpy.DemosaicAlgorithm.AHD,
+                user_wb=list(recipe.white_balance),
+                user_sat=recipe.white - max(header.black),  # LibRaw takes it as above black
+                user_flip=0,
+                demosaic_algorithm=rawpy.DemosaicAlgorithm[DEMOSAIC],
                 highlight_mode=rawpy.HighlightMode.Clip,
                 output_color=rawpy.ColorSpace.sRGB,
             )
         except rawpy.LibRawError as error:
-            raise CaptureError(f"{path}: the RAW data is damaged ({_reason(error)})") from None
-    values = linear.astype(np.float32) / np.float32(65535)
-    rgb = np.round(255 * srgb_from_linear(values)).astype(np.uint8)
-    return Development(rgb, balance, float((linear == 65535).any(axis=-1).mean()))
+            raise _damaged(path, error) from None
+        matrix = np.asarray(file.color_matrix, dtype=np.float64)
+    clipped = float((linear.max(axis=-1) == 65535).mean())
+    upright = np.ascontiguousarray(np.rot90(linear, recipe.turn_deg // 90))
+    return Development(upright, header, matrix, clipped, *sensor)
 
 
-def _daylight(multipliers: list[float]) -> tuple[float, float, float, float]:
+def _open(path: Path):
+    import rawpy
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path in scene.yaml")
+    try:
+        return rawpy.imread(str(path))
+    except rawpy.LibRawError as error:
+        raise InputError(
+            f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
+        ) from None
+
+
+def _damaged(path: Path, error: Exception) -> CaptureError:
+    return CaptureError(f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again")
+
+
+def _header(path: Path, file) -> RawHeader:
+    import rawpy
+
+    try:
+        r, g, b, g2 = (int(level) for level in file.black_level_per_channel)  # reads the pixels
+    except rawpy.LibRawError as error:
+        raise _damaged(path, error) from None
+    red, green, blue = (float(m) for m in file.camera_whitebalance[:3])
+    settings = file.other
+    return RawHeader(
+        path=path,
+        black=(r, g, b, g2),
+        white=int(file.white_level),
+        as_shot=(red / green, 1.0, blue / green) if min(red, green, blue) > 0 else None,
+        daylight=_daylight(file.daylight_whitebalance),
+        turn_deg=TURNS_DEG.get(file.sizes.flip, 0),
+        exposure_s=float(settings.shutter_speed) or None,
+        iso=float(settings.iso_speed) or None,
+        aperture=float(settings.aperture) or None,
+    )
+
+
+def _sensor_values(file, header: RawHeader) -> tuple[float, float, int, float]:
+    """Share below black, floor, highest value and how many more pixels have it than its neighbours; see Development."""
+    values = file.raw_image_visible
+    pattern = file.raw_pattern
+    if values is None or values.ndim != 2 or pattern is None:  # layered sensors have no mosaic
+        return 0.0, 0.0, header.white, 1.0
+    span = header.white - max(header.black)
+    above = np.zeros(65536 * 2, dtype=np.int64)  # histogram of values above black, from -65536
+    stored = np.zeros(65536, dtype=np.int64)
+    rows, columns = pattern.shape
+    for y in range(rows):
+        for x in range(columns):
+            counts = np.bincount(values[y::rows, x::columns].ravel(), minlength=65536)
+            begin = 65536 - header.black[int(pattern[y, x])]
+            above[begin : begin + 65536] += counts
+            stored += counts
+    total = int(stored.sum())
+    below = int(above[: 65536 - round(BELOW_BLACK * span)].sum())
+    floor = int(np.searchsorted(above.cumsum(), FLOOR_QUANTILE * total)) - 65536
+    highest = int(np.flatnonzero(stored)[-1])
+    next_to_it = stored[max(0, highest - 32) : highest]
+    return below / total, floor / span, highest, float(stored[highest] / max(1.0, next_to_it.mean()))
+
+
+def _daylight(multipliers: Sequence[float]) -> WhiteBalance:
     """Multipliers scaled so that the smallest is 1; sensors without a table keep their own balance."""
     r, g, b, g2 = (float(m) for m in (*multipliers, 0.0, 0.0, 0.0, 0.0)[:4])
     g2 = g2 or g

@@ -16,8 +16,9 @@ from jaxtyping import Float, Int
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.media import check_file
-from devrf.capture.pictures import list_pictures, probe_picture
+from devrf.capture.pictures import is_photo, list_pictures, probe_picture
 from devrf.capture.raw import is_raw
+from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions
 from devrf.capture.video import probe_video
 
 Rest = Literal["start", "end", "none"]
@@ -41,6 +42,8 @@ class CaptureSession:
         timestamps: CSV with camera, frame_index, time_s, or None.
         board_clips: Name -> clip or folder of photos of the board before this camera alone.
         joint_clips: Name -> clip of the board before several cameras at once; may be the moving clip itself.
+        white: Name, or "static" for the sweep's camera -> clip, photo or folder of photos of a white sheet.
+        raw: How RAW photos are developed.
         range_s: (from, to) on the first camera's clock, or None for all.
         rest: When the moving clips show the scene as in the sweep.
     """
@@ -51,6 +54,8 @@ class CaptureSession:
     timestamps: Path | None = None
     board_clips: Mapping[str, Path] = field(default_factory=_no_files)
     joint_clips: Mapping[str, Path] = field(default_factory=_no_files)
+    white: Mapping[str, Path] = field(default_factory=_no_files)
+    raw: RawOptions = RAW_DEFAULTS
     range_s: tuple[float, float] | None = None
     rest: Rest = "start"
 
@@ -62,7 +67,7 @@ class CaptureSession:
     def files(self) -> list[Path]:
         """Every raw file, photos of folders one by one, in a fixed order."""
         out: list[Path] = []
-        for path in (self.static, *self.cameras.values(), *self.board_clips.values()):
+        for path in (self.static, *self.cameras.values(), *self.board_clips.values(), *self.white.values()):
             if path is not None:
                 out.extend(list_pictures(path) if path.is_dir() else [path])
         out.extend(self.joint_clips.values())
@@ -101,6 +106,8 @@ def preflight(session: CaptureSession) -> list[str]:
     for name, path in session.joint_clips.items():
         if not session.shares_joint_clip(name):
             attempt(lambda path=path: probe_video(path), f"capture.board.joint_clips.{name}")
+    for name, path in session.white.items():
+        attempt(lambda path=path: _check_white(path), f"capture.white.{name}")
     if session.timestamps is not None:
         table = session.timestamps
         times: dict[str, FrameTimes] = {}
@@ -195,6 +202,13 @@ def _check_clip_or_folder(path: Path) -> None:
         _check_folder(path)
     else:
         probe_video(path)
+
+
+def _check_white(path: Path) -> None:
+    if path.is_file() and is_photo(path):
+        probe_picture(path)
+    else:
+        _check_clip_or_folder(path)
 
 
 def _check_folder(path: Path) -> list[Path]:

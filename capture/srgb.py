@@ -1,7 +1,7 @@
 """The sRGB curve (IEC 61966-2-1): from linear light in [0, 1] to what pictures store, and back."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 LINEAR_END = 0.0031308  # below it the curve is a straight line
 
@@ -20,3 +20,8 @@ def linear_from_srgb(values: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "
 
 LINEAR_OF_LEVEL: Float[np.ndarray, " 256"] = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 """Linear light of each of the 256 levels of an 8-bit picture."""
+
+LEVEL_OF_LINEAR: UInt8[np.ndarray, " 65536"] = np.round(
+    255 * srgb_from_linear(np.arange(65536) / 65535)
+).astype(np.uint8)
+"""The 8-bit level of linear light in 16 bits: a step is 0.05 levels where the curve is steepest."""

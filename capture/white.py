@@ -13,14 +13,12 @@ from jaxtyping import Float, UInt8
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.light import AT_WHITE
-from devrf.capture.picture_files import PICTURE_SUFFIXES
-from devrf.capture.pictures import list_pictures, read_picture
-from devrf.capture.raw import is_raw
+from devrf.capture.pictures import is_photo, list_pictures, read_picture
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 from devrf.capture.video import VideoReader
 
 SIDE_PX = 64  # a cell averages some 900 pixels of a 1080p picture
-CLIPPED_SHARE = 0.01  # of the sheet's pixels: more hides its middle
+CLIPPED_SHARE = 0.01  # of the picture: more hides the sheet's middle
 DARKEST = 0.02  # linear light of the sheet: below it black level and noise bend the map
 
 
@@ -61,7 +59,7 @@ def mean_white(path: Path) -> Float[np.ndarray, "rows columns 3"]:
 def _pictures(path: Path) -> Iterator[UInt8[np.ndarray, "h w c"]]:
     if path.is_dir():
         yield from (read_picture(picture) for picture in list_pictures(path))
-    elif path.suffix.lower() in PICTURE_SUFFIXES or is_raw(path):
+    elif is_photo(path):
         yield read_picture(path)
     else:
         with VideoReader(path) as reader:

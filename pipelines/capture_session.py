@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from devrf.capture.raw_set import RawOptions
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.scene_config import SceneConfig
 
@@ -27,6 +28,11 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
         timestamps=None if capture.timestamps is None else config.path(scene_dir, capture.timestamps),
         board_clips=paths(board.clips) if board else {},
         joint_clips=paths(board.joint_clips) if board else {},
+        white=paths(capture.white),
+        raw=RawOptions(
+            None if capture.raw.white_balance == "auto" else capture.raw.white_balance,
+            capture.raw.keep_linear,
+        ),
         range_s=capture.range_s,
         rest=capture.rest,
     )

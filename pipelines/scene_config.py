@@ -46,6 +46,8 @@ def _background(value: Any) -> Any:
     return tuple(float(n) for n in numbers)
 
 
+Multiplier = Annotated[float, Field(gt=0, le=100)]
+WhiteBalance = tuple[Multiplier, Multiplier, Multiplier, Multiplier]
 AutoBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
 
 
@@ -119,6 +121,15 @@ class BoardConfig(_Section):
         return self
 
 
+class RawConfig(_Section):
+    """How RAW photos are developed; one recipe for all photos of a folder."""
+
+    white_balance: Annotated[Literal["auto"] | WhiteBalance, BeforeValidator(_as_tuple)] = "auto"
+    """Multipliers [r, g, b, g2] for all of them; auto: daylight by the sensor of each folder's first photo."""
+    keep_linear: bool = False
+    """Keep the pictures in linear light with 16 bits too."""
+
+
 class CaptureConfig(_Section):
     """The raw files of one capture."""
 
@@ -136,6 +147,10 @@ class CaptureConfig(_Section):
     """When the moving clips show the scene as in the sweep."""
     board: BoardConfig | None = None
     """The calibration board, where one was filmed."""
+    raw: RawConfig = RawConfig()
+    """RAW photos."""
+    white: dict[str, str] = {}
+    """Camera name, or static for the sweep's -> clip, photo or folder of a white sheet: light fall-off."""
     mattes: Any = None
     """Foreground mattes: a folder per camera, or a method."""
 

@@ -406,15 +406,17 @@ def _check_names(config: SceneConfig, say: Any) -> None:
         if count > 1:
             names = ", ".join(name for name, own in capture.all_cameras.items() if own == clip)
             say("capture.cameras", f"{names} name the same file {clip!r}; each camera has its own clip")
+    sections = {"white": capture.white}
     if capture.board is not None:
-        for section in ("clips", "joint_clips"):
-            for name in getattr(capture.board, section):
-                known = [*capture.all_cameras, "static"] if section == "clips" else list(capture.all_cameras)
-                if name not in known:
-                    say(
-                        f"capture.board.{section}.{name}",
-                        f"no camera has this name{_suggestion(name, known)} (cameras: {', '.join(known)})",
-                    )
+        sections |= {"board.clips": capture.board.clips, "board.joint_clips": capture.board.joint_clips}
+    for section, clips in sections.items():
+        known = [*capture.all_cameras, *([] if section == "board.joint_clips" else ["static"])]
+        for name in clips:
+            if name not in known:
+                say(
+                    f"capture.{section}.{name}",
+                    f"no camera has this name{_suggestion(name, known)} (cameras: {', '.join(known)})",
+                )
 
 
 # --- files ---
@@ -432,6 +434,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
         if isinstance(capture.test_cameras, dict):
             paths |= {f"capture.test_cameras.{name}": clip for name, clip in capture.test_cameras.items()}
         paths["capture.timestamps"] = capture.timestamps
+        paths |= {f"capture.white.{name}": path for name, path in capture.white.items()}
         if capture.board is not None:
             paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
             paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}

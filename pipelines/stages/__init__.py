@@ -90,6 +90,8 @@ STAGES = (
             "capture.range_s",
             "capture.board.clips",
             "capture.board.joint_clips",
+            "capture.raw",
+            "capture.white",
             "calibration.sync.method",
         ),
         applies=_from_raw_files,

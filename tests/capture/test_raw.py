@@ -1,11 +1,39 @@
-"""RAW: one recipe, nothing adapted to the single picture."""
+"""RAW: one recipe for a set, nothing adapted to the single picture."""
 
+import json
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
+from jaxtyping import Float
+from tests.capture.dng import mosaic, write_dng
 
-from devrf.capture.errors import InputError
-from devrf.capture.raw import develop, is_raw
+from devrf.capture.clips import extract_folder
+from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.pictures import probe_picture, read_picture
+from devrf.capture.raw import develop, is_raw, recipe_for
+from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
 from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
+
+HEIGHT, WIDTH = 96, 128
+BLACK, WHITE = (512, 512, 512, 512), 16383
+# Linear interpolation between sensor pixels at most two apart errs by half the second derivative: 0.2 / 20² / 2 x 2 =
+# 0.0005 for the sine below, nothing for the ramps; rounding to 14 bits adds 0.00003, the matrix of the file 0.00005
+# times the value (it is inverted with four decimals). At the picture's rim LibRaw repeats a neighbour.
+TRUTH = 0.001
+
+
+def light(gain: float = 1.0) -> Float[np.ndarray, "h w 3"]:
+    """A smooth picture in linear light, each channel its own."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    red, green = 0.1 + 0.6 * x / WIDTH, 0.2 + 0.5 * y / HEIGHT
+    return gain * np.stack([red, green, 0.5 - 0.3 * x / WIDTH + 0.2 * np.sin(y / 20)], axis=-1)
+
+
+def inside(picture: np.ndarray) -> np.ndarray:
+    """Without the rim."""
+    return picture[1:-1, 1:-1]
 
 
 def test_srgb_curve():
@@ -15,15 +43,164 @@ def test_srgb_curve():
     assert srgb_from_linear(np.array(0.2140411)) == pytest.approx(0.5, abs=1e-6)  # IEC 61966-2-1
 
 
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize(
+    ("black", "white"), [((0, 0, 0, 0), 65535), (BLACK, WHITE), ((500, 512, 520, 530), 4095)]
+)
+def test_develops_to_its_own_truth(tmp_path, pattern, black, white):
+    path = tmp_path / "a.dng"
+    write_dng(path, mosaic(light(), pattern, black, white), pattern=pattern, black=black, white=white)
+    photo = develop(path)
+    np.testing.assert_allclose(inside(photo.linear / 65535), inside(light()), atol=TRUTH)
+    # Eight bits: half a level more, and the slope of the curve at the darkest value (0.1) is 1.6.
+    np.testing.assert_allclose(
+        inside(photo.rgb / 255), inside(srgb_from_linear(light())), atol=1.6 * TRUTH + 0.5 / 255
+    )
+    assert photo.clipped == 0 and photo.below_black == 0 and photo.header.white == white
+
+
+def test_exposures_keep_their_ratio(tmp_path):
+    """No automatic brightness: a photo with half the light is half as bright."""
+    for gain in (0.25, 0.5, 1.0):
+        write_dng(
+            tmp_path / f"{gain}.dng", mosaic(light(gain), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
+        )
+    recipe = recipe_for([tmp_path / "1.0.dng"])
+    pictures = {gain: develop(tmp_path / f"{gain}.dng", recipe).linear / 65535 for gain in (0.25, 0.5, 1.0)}
+    for gain in (0.25, 0.5):
+        np.testing.assert_allclose(inside(pictures[gain]), gain * inside(pictures[1.0]), atol=2 * TRUTH)
+
+
+def test_one_white_balance_and_one_white_level_for_all(tmp_path):
+    write_dng(tmp_path / "a.dng", mosaic(light(0.5), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    write_dng(
+        tmp_path / "b.dng",
+        mosaic(light(0.5), "RGGB", BLACK, WHITE),
+        black=BLACK,
+        white=12000,
+        neutral=(0.5, 1.0, 0.7),  # what the camera chose for this photo has no say
+    )
+    a, b = tmp_path / "a.dng", tmp_path / "b.dng"
+    b_says = develop(b).header
+    assert (
+        b_says.as_shot is not None
+        and b_says.as_shot == pytest.approx((2, 1, 1 / 0.7), rel=1e-5)
+        and b_says.white == 12000
+    )
+    recipe = recipe_for([a, b])
+    assert max(recipe.white_balance) == pytest.approx(1, abs=1e-3)
+    one, other = (develop(path, recipe).linear for path in (a, b))
+    np.testing.assert_array_equal(one, other)
+    given = recipe_for([a, b], (4.0, 2.0, 2.0, 2.0))
+    assert given.white_balance == (2.0, 1.0, 1.0, 1.0)
+    red = develop(a, given).linear[..., 0] / 65535
+    np.testing.assert_allclose(inside(red), inside(light()[..., 0]), atol=2 * TRUTH)
+
+
+def test_a_set_is_turned_once_and_alike(tmp_path):
+    for name, orientation in (("0.dng", 6), ("1.dng", 1), ("2.dng", 6)):  # held upright but for one
+        write_dng(
+            tmp_path / name,
+            mosaic(light(), "RGGB", BLACK, WHITE),
+            black=BLACK,
+            white=WHITE,
+            orientation=orientation,
+        )
+    paths = [tmp_path / f"{n}.dng" for n in range(3)]
+    recipe = recipe_for(paths)
+    assert [develop(path).header.turn_deg for path in paths] == [270, 0, 270] and recipe.turn_deg == 270
+    for path in paths:  # one sensor, one set of intrinsics
+        got = develop(path, recipe).linear / 65535
+        np.testing.assert_allclose(inside(got), inside(np.rot90(light(), -1)), atol=TRUTH)
+    info = probe_picture(tmp_path / "0.dng")
+    assert (info.width, info.height, info.turned) == (HEIGHT, WIDTH, True)
+    assert read_picture(tmp_path / "0.dng").shape == (WIDTH, HEIGHT, 3)
+
+
+def test_set_on_disk(tmp_path):
+    for n in range(5):
+        write_dng(
+            tmp_path / f"{n}.dng", mosaic(light(1 - 0.1 * n), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
+        )
+    jobs = [(n, tmp_path / f"{n}.dng") for n in (0, 1, 3, 4)]
+    out = tmp_path / "out"
+    photos = develop_set(jobs, out, "static", RawOptions(keep_linear=True))
+    assert list(photos) == [0, 1, 3, 4]
+    sidecar = read_raw_sidecar(out / "raw" / "static.json")
+    recipe, files = sidecar["recipe"], sidecar["files"]
+    assert recipe["white"] == WHITE and recipe["demosaic"] == "AHD" and recipe["auto_bright"] is False
+    assert recipe["libraw"].count(".") == 2 and recipe["curve"] == {"frames": "sRGB", "linear": "none"}
+    for (index, path), entry in zip(jobs, files, strict=True):
+        photo = photos[index]
+        assert (
+            entry["source"] == path.name and entry["file"] == photo.file == f"frames/static/{index:06d}.png"
+        )
+        assert entry["black"] == list(BLACK) and entry["white"] == WHITE and len(entry["camera_matrix"]) == 3
+        linear = cv2.imread(str(out / entry["linear"]), cv2.IMREAD_UNCHANGED)[..., ::-1]
+        assert linear.dtype == np.uint16
+        np.testing.assert_allclose(inside(linear / 65535), inside(light(1 - 0.1 * index)), atol=TRUTH)
+        rgb = read_picture(out / photo.file)
+        np.testing.assert_array_equal(rgb, develop(path).rgb)
+        assert (photo.height, photo.width) == rgb.shape[:2]
+    assert photos[0].linear == "linear/static/000000.png"
+    plain = develop_set(jobs[:1], tmp_path / "plain", "static", RawOptions())
+    assert plain[0].linear is None and not (tmp_path / "plain" / "linear").exists()
+    (out / "raw" / "static.json").write_text(json.dumps({"files": []}))
+    with pytest.raises(CaptureError, match="static.json: cannot be read.*--from ingest"):
+        read_raw_sidecar(out / "raw" / "static.json")
+
+
+def test_folder(tmp_path):
+    """A folder of RAW photos, of which the sharpest of each window is used."""
+    rng = np.random.default_rng(0)
+    (tmp_path / "in").mkdir()
+    for n in range(4):
+        texture = rng.uniform(0.2, 0.2 + 0.2 * (n % 2), (HEIGHT, WIDTH, 3))  # odd ones have more of it
+        write_dng(
+            tmp_path / "in" / f"{n}.dng", mosaic(texture, "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
+        )
+    out = tmp_path / "out"
+    options = RawOptions(white_balance=(2.0, 1.0, 1.0, 1.0), keep_linear=True)
+    frames = extract_folder(tmp_path / "in", out, "static", "sweep", "in", most=2, raw=options)
+    assert (frames.width, frames.height) == (WIDTH, HEIGHT)
+    assert [frame.index for frame in frames.used] == [1, 3]
+    for folder in ("frames", "linear"):
+        assert sorted(p.name for p in (out / folder / "static").iterdir()) == ["000001.png", "000003.png"]
+    sidecar = read_raw_sidecar(out / "raw" / "static.json")
+    assert len(sidecar["files"]) == 4 and sidecar["recipe"]["white_balance"] == [2.0, 1.0, 1.0, 1.0]
+
+
+def test_wrong_levels_are_measured(tmp_path):
+    raw = mosaic(light(0.1), "RGGB", BLACK, WHITE)
+    write_dng(tmp_path / "black.dng", raw, black=(1500, 1500, 1500, 1500), white=WHITE)  # true is 512
+    write_dng(tmp_path / "none.dng", raw, white=WHITE)
+    saturated = np.minimum(mosaic(light(2.0), "RGGB", BLACK, 4095), 3800)
+    write_dng(tmp_path / "white.dng", saturated, black=BLACK, white=4095)
+    high, none, white = (develop(tmp_path / f"{name}.dng") for name in ("black", "none", "white"))
+    below = float((raw < 1500 - 0.002 * (WHITE - 1500)).mean())
+    assert high.below_black == pytest.approx(below, abs=1e-3) and below > 0.05
+    assert none.floor > 0.03 and none.below_black == 0
+    assert white.highest == 3800 and white.at_highest > 100  # pixels pile up below the white level
+    assert develop_clipped(tmp_path) > 0.2
+
+
+def develop_clipped(tmp_path: Path) -> float:
+    """Clipped share of a photo whose red is at white in its right quarter (0.1 + 0.6 x at twice the light)."""
+    bright = np.clip(light(2.0), 0, 1)
+    write_dng(tmp_path / "bright.dng", mosaic(bright, "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    return develop(tmp_path / "bright.dng").clipped
+
+
 def test_real_raw_file(data_dir):
     path = data_dir / "raw" / "RAW_KODAK_DC50.KDC"
     assert is_raw(path) and not is_raw(path.with_suffix(".jpg"))
     one = develop(path)
     assert one.rgb.shape == (512, 768, 3) and 60 < one.rgb.mean() < 160 and one.clipped < 0.01
-    np.testing.assert_array_equal(one.rgb, develop(path, one.white_balance).rgb)
-    red = develop(path, (0.5, 1.0, 1.0, 1.0)).rgb
-    darker = linear_from_srgb(red[..., 0] / 255.0).mean() / linear_from_srgb(one.rgb[..., 0] / 255.0).mean()
-    assert darker < 0.8  # the balance that is given is the balance that is used
+    red = develop(path, recipe_for([path], (2.0, 1.0, 1.0, 1.0))).linear.mean(axis=(0, 1))
+    as_is = one.linear.mean(axis=(0, 1))
+    assert (red[0] / red[1]) / (
+        as_is[0] / as_is[1]
+    ) > 1.5  # the balance that is given is the one that is used
 
 
 def test_not_raw(tmp_path):
@@ -33,3 +210,22 @@ def test_not_raw(tmp_path):
         develop(path)
     with pytest.raises(InputError, match="no such file"):
         develop(tmp_path / "b.dng")
+
+
+def test_damaged(tmp_path):
+    path = tmp_path / "a.dng"
+    write_dng(path, mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CaptureError, match="a.dng: the RAW data is damaged .*copy it from the camera again"):
+        develop(path)
+    write_dng(tmp_path / "b.dng", mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    with pytest.raises(CaptureError, match="a.dng"):
+        develop_set([(0, tmp_path / "b.dng"), (1, path)], tmp_path / "out", "static", RawOptions())
+    other = recipe_for([tmp_path / "b.dng"])
+    high = (20000, 20000, 20000, 20000)
+    write_dng(path, mosaic(light(), "RGGB", high, 65535), black=high)
+    with pytest.raises(
+        CaptureError, match="black level 20000, but the set's white level is 16383.*one camera"
+    ):
+        develop(path, other)
