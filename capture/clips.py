@@ -37,9 +37,10 @@ from devrf.capture.frames import (
     timing,
     window_of,
 )
+from devrf.capture.light import SMALL_SIDE_PX, LightCourse, LightMeter
 from devrf.capture.packets import scan_packets
 from devrf.capture.picture_writer import SUFFIX, PictureWriter
-from devrf.capture.pictures import copy_upright, list_pictures, probe_picture, read_picture, write_picture
+from devrf.capture.pictures import copy_upright, list_pictures, probe_picture, read_picture
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.raw import is_raw
 from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions, develop_set
@@ -49,7 +50,6 @@ from devrf.capture.video import VideoFrame, VideoInfo, VideoReader
 MOTION_SIDE_PX = 160  # averages sensor noise away; a moving hand still covers several pixels
 ROW_BANDS = 24  # a flash is placed to a twenty-fourth of the readout, about a millisecond
 FEWEST_OF_A_SIZE = 5  # photos of a sweep; fewer leave their focal length to chance
-BRIGHTNESS_DRIFT = 0.06  # of a fixed camera's pixels, sRGB (about 13 % of the light): automatic exposure
 FIXED: tuple[Role, ...] = ("camera", "test", "joint")  # roles of cameras on a tripod
 
 
@@ -78,11 +78,13 @@ class Extract:
         frames: The frames.
         motion: Motion energy: time between two frames, mean absolute difference [n, 2].
         brightness: Time of a frame, mean level of each band of rows in the sensor's order [n, 1 + bands].
+        light: The light of a fixed camera's clip; None for others.
     """
 
     frames: CameraFrames
     motion: Float[np.ndarray, "n 2"]
     brightness: Float[np.ndarray, "m bands"]
+    light: LightCourse | None
 
 
 def extract_clip(
@@ -165,9 +167,6 @@ def extract_clip(
     notes = [*info.notes, *told.notes, *unused.notes(len(records))]
     if true_time is not None and max(true_time) >= count:
         notes.append(f"the table of times names frame {max(true_time)}, the clip has {count}")
-    drift = (max(seen.changes) - min(seen.changes)) / max(1.0, float(np.median(seen.levels)))
-    if role in ("camera", "test") and drift > BRIGHTNESS_DRIFT:
-        notes.append(f"brightness changes by {100 * drift:.0f} % (automatic exposure?); lock the exposure")
     faults = [*unused.faults(), *seen.faults(), *bit_rate_fault(info, packets.count, packets.size_bytes)]
     if repeated:
         faults.append(repeats_fault(repeated, len(records)))
@@ -193,6 +192,7 @@ def extract_clip(
         frames,
         np.array(seen.motion).reshape(-1, 2),
         np.array(seen.brightness).reshape(-1, 1 + ROW_BANDS),
+        None if seen.light is None else seen.light.course(),
     )
 
 
@@ -202,27 +202,26 @@ class _Seen:
     def __init__(self, role: Role) -> None:
         self.times_s: list[float] = []
         self.levels: list[float] = []
-        self.changes: list[float] = []  # median over the pixels, so a subject below half has no say
         self.motion: list[tuple[float, float]] = []
         self.brightness: list[np.ndarray] = []
+        self.light = LightMeter() if role in ("camera", "test") else None
         self.repeats = Repeats()
         self._range = Levels()
         self._tripod = Tripod() if role in FIXED else None
-        self._first_small: UInt8[np.ndarray, "h w"] | None = None
         self._last: tuple[UInt8[np.ndarray, "h w"], UInt8[np.ndarray, "h2 w2"]] | None = None
         self._look_at_s = -np.inf
 
     def add(self, frame: VideoFrame, time_s: float, grey: UInt8[np.ndarray, "h w"]) -> None:
         small = shrunk(grey, MOTION_SIDE_PX)
-        self._first_small = small if self._first_small is None else self._first_small
         self.levels.append(float(np.median(small)))
-        self.changes.append(float(np.median(small.astype(np.int16) - self._first_small)))
         if self._last is not None:
             last_grey, last_small = self._last
             self.repeats.add(frame.index, float(cv2.mean(cv2.absdiff(grey, last_grey))[0]))
             difference = float(cv2.mean(cv2.absdiff(small, last_small))[0])
             self.motion.append(((time_s + self.times_s[-1]) / 2, difference))
         self.brightness.append(np.concatenate([[time_s], _row_bands(grey)]))
+        if self.light is not None:
+            self.light.add(frame.index, time_s, frame.stored_rgb(SMALL_SIDE_PX))
         self.times_s.append(time_s)
         self._last = (grey, small)
         if time_s >= self._look_at_s:

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
-from devrf.capture.raw import srgb_from_linear
+from devrf.capture.srgb import LEVEL_OF_LINEAR
 
 Transfer = Literal["HLG", "PQ"]
 
@@ -42,7 +42,7 @@ def srgb_from_hdr(
                 light * ((light @ BT2020_LUMA) ** (HLG_GAMMA - 1))[..., None] * (HLG_PEAK / REFERENCE_WHITE)
             )
         linear = np.clip(light @ BT709_FROM_BT2020.T, 0, 1)
-        out[top : top + STRIPE_ROWS] = _srgb_table()[(linear * 65535 + 0.5).astype(np.uint16)]
+        out[top : top + STRIPE_ROWS] = LEVEL_OF_LINEAR[(linear * 65535 + 0.5).astype(np.uint16)]
     return out
 
 
@@ -59,9 +59,3 @@ def _light(transfer: Transfer) -> Float32[np.ndarray, " codes"]:
         root = signal ** (1 / m2)
         light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1) * (10_000 / REFERENCE_WHITE)
     return light.astype(np.float32)
-
-
-@cache
-def _srgb_table() -> UInt8[np.ndarray, " codes"]:
-    """sRGB, 8 bits, of linear light in 65536 steps."""
-    return np.round(255 * srgb_from_linear(np.arange(65536) / 65535)).astype(np.uint8)

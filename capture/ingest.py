@@ -73,7 +73,7 @@ def write_frames(
     ranges = ranges or {}
     times = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
     joint_clips = _separate_joint_clips(session)
-    for course in ("motion", "brightness"):
+    for course in ("motion", "brightness", "light"):
         (out / course).mkdir(parents=True, exist_ok=True)
     total = (session.static is not None) + len(session.cameras) + len(session.board_clips) + len(joint_clips)
     cameras: dict[str, CameraFrames] = {}
@@ -91,6 +91,8 @@ def write_frames(
         if role in SOUND_ROLES:
             np.save(out / "motion" / f"{name}.npy", got.motion)
             np.save(out / "brightness" / f"{name}.npy", got.brightness)
+        if got.light is not None:
+            got.light.write(out / "light" / f"{name}.npy")
 
     if session.static is not None:
         most = None if session.static.is_dir() else MAX_SWEEP_FRAMES

@@ -21,7 +21,7 @@ CELLS = (
     32,
 )  # rows, columns: a cell averages the noise of many pixels; a moving hand leaves most cells alone
 BANDS = 12  # bands of rows: lamps at 100 Hz give a sensor that reads out in 16 ms between one and two waves
-SMALL_SIDE_PX = 160  # pictures are brought to this size first, then to linear light, then to cells
+SMALL_SIDE_PX = 160  # pictures come at this size, so that a cell is the mean of some twenty in linear light
 DARK, BRIGHT = 0.01, 0.75  # linear light of cells that are compared: above the noise, well below white
 NEAR_WHITE = 0.95  # cells that have grown brighter than this no longer tell how much
 AT_WHITE = 253  # levels of 255; compression leaves clipped pixels within two levels of white
@@ -76,18 +76,14 @@ class LightCourse:
 class LightMeter:
     """Gathers a `LightCourse`, frame by frame."""
 
-    def __init__(self, rotation_deg: int = 0) -> None:
-        """Args: rotation_deg: By how much pictures were turned counter-clockwise to be upright (VideoInfo)."""
-        self._turns = -(rotation_deg // 90)
+    def __init__(self) -> None:
         self._first: Float[np.ndarray, "rows columns 3"] | None = None
         self._rows: list[np.ndarray] = []
 
-    def add(self, index: int, time_s: float, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Measure one frame; any size will do, small ones are faster."""
-        small = _small(rgb)
+    def add(self, index: int, time_s: float, small: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Measure one frame, R, G, B, as stored: not turned. `SMALL_SIDE_PX` are enough."""
         clipped = float((small >= AT_WHITE).any(axis=-1).mean())
-        stored = np.ascontiguousarray(np.rot90(LINEAR_OF_LEVEL[small], self._turns))
-        cells = cv2.resize(stored, CELLS[::-1], interpolation=cv2.INTER_AREA)
+        cells = cv2.resize(LINEAR_OF_LEVEL[small], CELLS[::-1], interpolation=cv2.INTER_AREA)
         if self._first is None and _comparable(cells).sum() >= FEWEST_CELLS:
             self._first = cells
         stops, bands = np.full(3, np.nan), np.full(BANDS, np.nan)
@@ -101,14 +97,6 @@ class LightMeter:
         return LightCourse(
             table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 6:], table[:, 5]
         )
-
-
-def _small(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "small_h small_w 3"]:
-    scale = SMALL_SIDE_PX / max(rgb.shape[:2])
-    if scale >= 1:
-        return rgb
-    size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
-    return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
 
 
 def _comparable(cells: Float[np.ndarray, "rows columns 3"]) -> Bool[np.ndarray, "rows columns"]:

@@ -13,6 +13,7 @@ from devrf.capture.session import CaptureSession
 from devrf.capture.srgb import linear_from_srgb
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health import HealthRow, note, row
+from devrf.pipelines.light_health import light_rows
 from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet
@@ -35,6 +36,7 @@ def run(context: StageContext) -> None:
     )
     refuse_damaged(frames)
     context.health.extend(health(frames))
+    context.health.extend(light_rows(frames, context.out))
 
 
 def refuse_damaged(frames: FrameSet) -> None:
