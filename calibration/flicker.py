@@ -159,7 +159,8 @@ def _find_flicker(
     phase = 2 * np.pi * seen_hz * (time_s - time_s[0])
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
     weights = np.linalg.lstsq(waves, rest, rcond=None)[0]
-    depth = float(np.exp2(2 * np.median(np.linalg.norm(weights, axis=0))) - 1)
+    # By the mean square, because at half the frame rate sine and cosine are one wave and their weights mean nothing.
+    depth = float(np.exp2(2 * np.sqrt(2 * np.median(((waves @ weights) ** 2).mean(axis=0)))) - 1)
     if explained(seen_hz) < EXPLAINED or depth < FLICKER_DEPTH:
         return None
     return Flicker(lamp_hz, seen_hz, depth), waves

@@ -51,6 +51,19 @@ def test_a_steady_clip_is_left_alone():
     assert steady_gains(course) is None
 
 
+def test_a_lamp_seen_at_half_the_frame_rate():
+    """120 Hz at 16 frames a second is seen at 8 Hz, as is what a codec does to every other frame."""
+    time_s = np.arange(FRAMES) / 16
+    for depth, fires in ((0.003, False), (0.05, True)):
+        light = 1 + depth / 2 * np.cos(2 * np.pi * 120 * time_s)
+        found = judge_light(measure(film(light[:, None, None] * np.ones(3)), time_s)).flicker
+        assert (found is not None) == fires
+        if (
+            found is not None
+        ):  # what lies between the two frames of a wave is not seen: a wave of sqrt(2) fits as well
+            assert 0.95 * depth < found.depth < 1.05 * np.sqrt(2) * depth
+
+
 def test_automatic_exposure():
     stops = 0.4 * np.clip((TIME_S - 1.0) / 1.5, 0, 1)
     pictures = film(np.exp2(stops)[:, None, None] * np.ones(3))
