@@ -137,7 +137,6 @@ def _recipe(recipe: Recipe) -> dict[str, Any]:
         "primaries": "sRGB",
         "curve": {"frames": "sRGB", "linear": "none"},
         "libraw": ".".join(map(str, rawpy.libraw_version)),
-        "rawpy": rawpy.__version__,
     }
 
 

@@ -136,9 +136,11 @@ def test_set_on_disk(tmp_path):
             entry["source"] == path.name and entry["file"] == photo.file == f"frames/static/{index:06d}.png"
         )
         assert entry["black"] == list(BLACK) and entry["white"] == WHITE and len(entry["camera_matrix"]) == 3
-        linear = cv2.imread(str(out / entry["linear"]), cv2.IMREAD_UNCHANGED)[..., ::-1]
-        assert linear.dtype == np.uint16
-        np.testing.assert_allclose(inside(linear / 65535), inside(light(1 - 0.1 * index)), atol=TRUTH)
+        linear = cv2.imread(str(out / entry["linear"]), cv2.IMREAD_UNCHANGED)
+        assert linear is not None and linear.dtype == np.uint16
+        np.testing.assert_allclose(
+            inside(linear[..., ::-1] / 65535), inside(light(1 - 0.1 * index)), atol=TRUTH
+        )
         rgb = read_picture(out / photo.file)
         np.testing.assert_array_equal(rgb, develop(path).rgb)
         assert (photo.height, photo.width) == rgb.shape[:2]
