@@ -15,11 +15,14 @@ UNEVEN_SHARE = 0.1  # of the cells
 ITERATIONS = 10  # of reweighting; from half of it on the map moves by less than 1e-4
 
 
-def flat_field(white: Float[np.ndarray, "rows columns 3"]) -> Float[np.ndarray, "18 32"]:
+def flat_field(
+    white: Float[np.ndarray, "rows columns 3"], name: str = "white sheet"
+) -> Float[np.ndarray, "18 32"]:
     """Relative light over the picture, from the mean picture of a white sheet.
 
     Args:
         white: Mean of the sheet's pictures, linear light [rows, columns, 3], any size (`capture.white.mean_white`).
+        name: What it is called in a message.
     Returns:
         Map [18, 32] in (0, 1]: values at the centres of equal cells that cover the picture; 1 where it is brightest.
         Pictures in linear light are divided by it.
@@ -40,7 +43,7 @@ def flat_field(white: Float[np.ndarray, "rows columns 3"]) -> Float[np.ndarray, 
     uneven = float(np.mean(left > SMOOTH_STOPS))
     if uneven > UNEVEN_SHARE:
         raise CalibrationError(
-            f"{100 * uneven:.0f} % of the picture is not an evenly lit sheet (more than "
+            f"{name}: {100 * uneven:.0f} % of the picture is not an evenly lit sheet (more than "
             f"{100 * (2**SMOOTH_STOPS - 1):.0f} % off a smooth fall-off), expected at most {100 * UNEVEN_SHARE:.0f} %; "
             "fill the whole picture with a white sheet, out of focus, without shadows"
         )

@@ -1,13 +1,19 @@
 """Rows about light: what a fault says, and silence where there is none."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.capture.dng import mosaic, write_dng
+from tests.conftest import Command
 
-from devrf.calibration.flicker import Change, Flicker, LightFound
+from devrf.calibration.flicker import Change, Flicker, LightFound, judge_light
+from devrf.capture.light import LightCourse
+from devrf.capture.pictures import write_picture
 from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
+from devrf.capture.srgb import srgb_from_linear
+from devrf.capture.video_writer import write_video
 from devrf.pipelines.health import HealthRow
 from devrf.pipelines.light_health import clip_rows, raw_rows
 
@@ -80,3 +86,62 @@ def test_rows_of_clips():
     )
     (hidden,) = clip_rows("cam1", "cam1.mp4", LightFound(None, None, None, 0.2))
     assert hidden.verdict == "ok" and "not measured" in str(hidden.value)
+
+
+def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
+    """Through the command line: clips that change their light, RAW photos as sweep and as board stills."""
+    rng = np.random.default_rng(0)
+    wall = rng.uniform(0.05, 0.35, (12, 16, 3)).repeat(10, axis=0).repeat(10, axis=1)
+    time_s = np.arange(50) / 25
+    lights = {
+        "cam0": np.exp2(0.4 * np.clip(time_s - 0.5, 0, 1))[:, None] * np.ones(3),
+        "cam1": np.exp2(np.clip(time_s - 0.5, 0, 1)[:, None] * np.array([0.12, 0.0, -0.12])),
+        "cam2": (1 + 0.05 * np.sin(2 * np.pi * 120 * time_s))[:, None] * np.ones(3),
+        "cam3": np.ones((50, 3)),
+    }
+    for name, light in lights.items():
+        moving = [wall.copy() for _ in light]
+        for n, scene in enumerate(moving):
+            scene[30:70, 2 * n : 2 * n + 30] = 0.5
+        write_video(
+            tmp_path / f"{name}.mp4",
+            (
+                np.clip(
+                    255 * srgb_from_linear(np.minimum(scene * gain, 1)) + rng.normal(size=wall.shape), 0, 255
+                )
+                .round()
+                .astype(np.uint8)
+                for scene, gain in zip(moving, light, strict=True)
+            ),
+            25.0,
+        )
+    for folder, count in (("sweep", 3), ("board", 2)):
+        (tmp_path / folder).mkdir()
+        for n in range(count):
+            raw = mosaic(picture(1 - 0.1 * n), "RGGB", LEVELS["black"], LEVELS["white"])
+            neutral = (0.5, 1.0, 0.6) if n == 2 else (1.0, 1.0, 1.0)
+            write_dng(tmp_path / folder / f"IMG_{n}.dng", raw, neutral=neutral, **LEVELS)
+    write_picture(tmp_path / "white.png", np.full((240, 320, 3), 180, np.uint8))
+    (tmp_path / "scene.yaml").write_text(
+        "name: light\noutput: run\ncapture:\n  static: sweep\n"
+        "  cameras: {cam0: cam0.mp4, cam1: cam1.mp4, cam2: cam2.mp4, cam3: cam3.mp4}\n"
+        "  raw: {keep_linear: true, white_balance: [2, 1, 1, 1]}\n  white: {cam1: white.png}\n"
+        "  board: {squares: [8, 6], square_m: 0.06, marker_m: 0.045, clips: {cam0: board}}\n"
+    )
+    result = devrf("run", tmp_path, "--until", "ingest")
+    assert result.code == 0, result.said
+    out = tmp_path / "run" / "ingest"
+    rows = {row["check"]: row for row in json.loads((out / "health.json").read_text())["rows"]}
+    assert rows["exposure of cam0"]["value"].startswith("+0.4")
+    assert "red or blue against green" in rows["white balance of cam1"]["value"]
+    assert "mains of 60 Hz" in rows["lamps seen by cam2"]["value"]
+    about_light = ("exposure of", "white balance of", "lamps seen by", "highlights of", "light of")
+    assert not [check for check in rows if check.startswith(about_light) and "cam3" in check]
+    assert "1 of 3 files" in rows["white balance of RAW photos, static"]["value"]
+    assert not [check for check in rows if "board_cam0" in check and "RAW" in check]
+    for name, count in (("static", 3), ("board_cam0", 2)):
+        assert len(list((out / "frames" / name).glob("*.png"))) == count
+        assert len(list((out / "linear" / name).glob("*.png"))) == count
+        assert read_raw_sidecar(out / "raw" / f"{name}.json")["recipe"]["white_balance"] == [2, 1, 1, 1]
+    assert np.load(out / "white" / "cam1.npy").shape == (48, 64, 3)
+    assert judge_light(LightCourse.read(out / "light" / "cam3.npy")).steady
