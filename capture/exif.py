@@ -1,4 +1,4 @@
-"""What a photo's EXIF data say of device, lens and place (EXIF 2.32, CIPA DC-008).
+"""What a photo's EXIF data say of device, lens, place and exposure (EXIF 2.32, CIPA DC-008).
 
 Focal lengths are in pixels of the upright picture. Places are WGS 84: degrees north and east, metres above
 sea level.
@@ -39,11 +39,13 @@ class Exif:
         device: Maker and model; empty where it does not say.
         focal_px: Focal length, pixels of the upright picture, or None.
         place: Where it was taken, or None.
+        exposure_stops: Light by the settings (`exposure_stops`), or None.
     """
 
     device: str = ""
     focal_px: float | None = None
     place: Place | None = None
+    exposure_stops: float | None = None
 
 
 def read_exif(image: Image.Image) -> Exif:
@@ -51,7 +53,14 @@ def read_exif(image: Image.Image) -> Exif:
     exif = image.getexif()
     words = [str(exif.get(tag, "")).strip(" \0") for tag in (ExifTags.Base.Make, ExifTags.Base.Model)]
     width, height = image.size
-    return Exif(" ".join(filter(None, words)), _focal_px(exif, width, height), _place(exif))
+    return Exif(" ".join(filter(None, words)), _focal_px(exif, width, height), _place(exif), _exposure(exif))
+
+
+def exposure_stops(time_s: float | None, iso: float | None, aperture: float | None) -> float | None:
+    """Light by a camera's settings, log2 of time x ISO / aperture squared; None where time or ISO is unknown."""
+    if time_s is None or iso is None:
+        return None
+    return float(np.log2(time_s * iso / (aperture or 1.0) ** 2))
 
 
 def exif_from_dict(raw: Mapping[str, Any] | None) -> Exif | None:
@@ -59,7 +68,7 @@ def exif_from_dict(raw: Mapping[str, Any] | None) -> Exif | None:
     if raw is None:
         return None
     place = raw["place"]
-    return Exif(raw["device"], raw["focal_px"], None if place is None else Place(**place))
+    return Exif(**{**raw, "place": None if place is None else Place(**place)})
 
 
 def _focal_px(exif: Image.Exif, width: int, height: int) -> float | None:
@@ -80,6 +89,16 @@ def _focal_px(exif: Image.Exif, width: int, height: int) -> float | None:
         return None
     resized = width / stored_width if stored_width else 1.0  # the tag speaks of the picture as it was taken
     return focal_mm * resolution / unit * resized
+
+
+def _exposure(exif: Image.Exif) -> float | None:
+    tags, base = exif.get_ifd(ExifTags.IFD.Exif), ExifTags.Base
+    speed = tags.get(base.ISOSpeedRatings)
+    return exposure_stops(
+        _positive(tags.get(base.ExposureTime)),
+        _positive(speed[0] if isinstance(speed, tuple) and speed else speed),
+        _positive(tags.get(base.FNumber)),
+    )
 
 
 def _place(exif: Image.Exif) -> Place | None:

@@ -75,13 +75,6 @@ class RawHeader:
     iso: float | None
     aperture: float | None
 
-    @property
-    def exposure_stops(self) -> float | None:
-        """Light by the camera's settings, log2 of time x ISO / aperture squared; None where time or ISO is unknown."""
-        if self.exposure_s is None or self.iso is None:
-            return None
-        return float(np.log2(self.exposure_s * self.iso / (self.aperture or 1.0) ** 2))
-
 
 @dataclass(frozen=True)
 class Recipe:

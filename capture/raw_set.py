@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.exif import exposure_stops
 from devrf.capture.frames import grey_small
 from devrf.capture.pictures import PNG_OPTIONS, write_picture
 from devrf.capture.progress import Progress, no_progress
@@ -154,7 +155,7 @@ def _used(photo: Development, file: str, linear: str | None) -> dict[str, Any]:
         "exposure_s": header.exposure_s,
         "iso": header.iso,
         "aperture": header.aperture,
-        "exposure_stops": header.exposure_stops,
+        "exposure_stops": exposure_stops(header.exposure_s, header.iso, header.aperture),
         "camera_matrix": photo.camera_matrix.tolist(),
         "clipped": photo.clipped,
         "below_black": photo.below_black,

@@ -1,5 +1,6 @@
 """Health rows about light: exposure, white balance, lamps and highlights of clips; levels of RAW photos."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,12 @@ def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
     if fixed and not rows:
         rows.append(note("light of the fixed cameras", "steady, nothing clipped"))
     for path in sorted((folder / "raw").glob("*.json")):
-        rows += raw_rows(path.stem, read_raw_sidecar(path))
+        sidecar = read_raw_sidecar(path)
+        rows += raw_rows(path.stem, sidecar)
+        rows += exposure_rows(path.stem, {f["source"]: f["exposure_stops"] for f in sidecar["files"]})
+    for name, camera in frames.cameras.items():
+        photos = {f"photo {f.index}": f.exif.exposure_stops for f in camera.used if f.exif is not None}
+        rows += exposure_rows(name, photos)
     return rows
 
 
@@ -82,8 +88,7 @@ def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
 
     def say(check: str, found: list[dict[str, Any]], text: str, remedy: str = "") -> None:
         if found:
-            names = ", ".join(f["source"] for f in found[:LISTED]) + (" ..." if len(found) > LISTED else "")
-            words = f"{len(found)} of {len(files)} files {text}: {names}"
+            words = f"{len(found)} of {len(files)} files {text}: {_listed([f['source'] for f in found])}"
             rows.append(note(f"{check}, {name}", words, verdict="warn" if remedy else "ok", remedy=remedy))
 
     shot = [f for f in files if f["as_shot"] is not None]
@@ -97,20 +102,6 @@ def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
         [f for f in files if f["white"] != recipe["white"]],
         f"have another white level; {recipe['white']} is used for all",
         "Keep one camera in one mode (ISO, compression, bit depth) for the whole set.",
-    )
-    known = [f["exposure_stops"] for f in files if f["exposure_stops"] is not None]
-    middle = float(np.median(known)) if known else 0.0
-    off = [
-        f
-        for f in files
-        if f["exposure_stops"] is not None and abs(f["exposure_stops"] - middle) > EXPOSURE_STOPS
-    ]
-    span = max(known) - min(known) if known else 0.0
-    say(
-        "exposure of RAW photos",
-        off,
-        f"are exposed unlike most, up to {span:.1f} EV apart",
-        "Set shutter, ISO and aperture by hand and lock them for the whole set.",
     )
     say(
         "highlights of RAW photos",
@@ -140,6 +131,28 @@ def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
         "The file's white level is too high for this sensor: highlights come out grey; lower the exposure.",
     )
     return rows
+
+
+def exposure_rows(name: str, stops: Mapping[str, float | None]) -> list[HealthRow]:
+    """A row about a folder of photos whose settings give them unequal light; none where all are alike or unknown."""
+    known = {photo: value for photo, value in stops.items() if value is not None}
+    middle = float(np.median(list(known.values()))) if known else 0.0
+    off = [photo for photo, value in known.items() if abs(value - middle) > EXPOSURE_STOPS]
+    if not off:
+        return []
+    span = max(known.values()) - min(known.values())
+    return [
+        note(
+            f"exposure of photos, {name}",
+            f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {_listed(off)}",
+            verdict="warn",
+            remedy="Set shutter, ISO and aperture by hand and lock them for the whole set.",
+        )
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:LISTED]) + (" ..." if len(names) > LISTED else "")
 
 
 def _clipped(name: str, course: LightCourse) -> list[HealthRow]:

@@ -123,6 +123,9 @@ def test_exif_of_a_photo_with_gps(tmp_path):
     tags = Image.Exif()
     tags[ExifTags.Base.Make], tags[ExifTags.Base.Model] = "Maker", "Phone 3"
     tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    settings = tags.get_ifd(ExifTags.IFD.Exif)
+    settings[ExifTags.Base.ExposureTime], settings[ExifTags.Base.FNumber] = 1 / 64, 2.0
+    settings[ExifTags.Base.ISOSpeedRatings] = 128
     gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
     gps[ExifTags.GPS.GPSLatitudeRef], gps[ExifTags.GPS.GPSLatitude] = "S", (33.0, 30.0, 36.0)
     gps[ExifTags.GPS.GPSLongitudeRef], gps[ExifTags.GPS.GPSLongitude] = "E", (151.0, 12.0, 0.0)
@@ -132,6 +135,7 @@ def test_exif_of_a_photo_with_gps(tmp_path):
     exif = probe_picture(tmp_path / "a.jpg").exif
     assert exif is not None and exif.device == "Maker Phone 3"
     assert exif.focal_px == pytest.approx(26 * 500 / 43.2666)  # by the diagonal
+    assert exif.exposure_stops == pytest.approx(-1.0)  # log2(1/64 * 128 / 4)
     assert exif.place is not None
     found = (exif.place.latitude_deg, exif.place.longitude_deg, exif.place.altitude_m, exif.place.std_m)
     assert found == pytest.approx((-33.51, 151.2, -12.5, 3.5))

@@ -15,7 +15,7 @@ from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.health import HealthRow
-from devrf.pipelines.light_health import clip_rows, raw_rows
+from devrf.pipelines.light_health import clip_rows, exposure_rows, raw_rows
 
 LEVELS = {"black": (512, 512, 512, 512), "white": 16383}
 
@@ -47,7 +47,6 @@ def test_healthy_photos_fire_nothing(tmp_path):
         ({"neutral": (0.5, 1, 0.6)}, "white balance of RAW photos", "another white balance", "ok"),
         ({"orientation": 6}, "turn of RAW photos", "turned by 0 degrees", "ok"),
         ({"white": 15000}, "white level of RAW photos", "16383 is used for all", "warn"),
-        ({"exposure_s": 0.02}, "exposure of RAW photos", "up to 1.0 EV apart", "warn"),
         ({"black": (2000, 2000, 2000, 2000)}, "black level of RAW photos", "below their black level", "warn"),
     ],
 )
@@ -58,6 +57,16 @@ def test_a_photo_unlike_the_others_is_named(tmp_path, file, check, says, verdict
     )
     assert isinstance(row.value, str) and "1 of 4 files" in row.value
     assert says in row.value and row.value.endswith("IMG_3.dng")
+
+
+def test_exposure_of_photos_by_their_settings():
+    alike = {f"IMG_{n}": -9.0 for n in range(6)}
+    assert exposure_rows("static", alike) == [] and exposure_rows("static", {"IMG_0": None}) == []
+    (row,) = exposure_rows("static", {**alike, "IMG_7": -8.0, "IMG_8": None})
+    assert (
+        row.verdict == "warn"
+        and row.value == "1 of 7 photos are exposed unlike most, up to 1.0 EV apart: IMG_7"
+    )
 
 
 def test_highlights_and_levels_of_a_set(tmp_path):
@@ -120,7 +129,10 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
         for n in range(count):
             raw = mosaic(picture(1 - 0.1 * n), "RGGB", LEVELS["black"], LEVELS["white"])
             neutral = (0.5, 1.0, 0.6) if n == 2 else (1.0, 1.0, 1.0)
-            write_dng(tmp_path / folder / f"IMG_{n}.dng", raw, neutral=neutral, **LEVELS)
+            exposure_s = 0.02 if n == 2 else 0.01
+            write_dng(
+                tmp_path / folder / f"IMG_{n}.dng", raw, neutral=neutral, exposure_s=exposure_s, **LEVELS
+            )
     write_picture(tmp_path / "white.png", np.full((240, 320, 3), 180, np.uint8))
     (tmp_path / "scene.yaml").write_text(
         "name: light\noutput: run\ncapture:\n  static: sweep\n"
@@ -138,7 +150,10 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     about_light = ("exposure of", "white balance of", "lamps seen by", "highlights of", "light of")
     assert not [check for check in rows if check.startswith(about_light) and "cam3" in check]
     assert "1 of 3 files" in rows["white balance of RAW photos, static"]["value"]
-    assert not [check for check in rows if "board_cam0" in check and "RAW" in check]
+    assert (
+        "1 of 3 photos are exposed unlike most, up to 1.0 EV" in rows["exposure of photos, static"]["value"]
+    )
+    assert not [check for check in rows if "board_cam0" in check and "photos" in check]
     for name, count in (("static", 3), ("board_cam0", 2)):
         assert len(list((out / "frames" / name).glob("*.png"))) == count
         assert len(list((out / "linear" / name).glob("*.png"))) == count
