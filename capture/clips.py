@@ -37,7 +37,7 @@ from devrf.capture.frames import (
     timing,
     window_of,
 )
-from devrf.capture.light import SMALL_SIDE_PX, LightCourse, LightMeter
+from devrf.capture.light import SMALL_SIDE_PX, LightCourse, LightMeter, clipped_share, highlight_faults
 from devrf.capture.packets import scan_packets
 from devrf.capture.picture_writer import SUFFIX, PictureWriter
 from devrf.capture.pictures import copy_upright, list_pictures, probe_picture, read_picture
@@ -205,6 +205,8 @@ class _Seen:
         self.motion: list[tuple[float, float]] = []
         self.brightness: list[np.ndarray] = []
         self.light = LightMeter() if role in ("camera", "test") else None
+        self._role = role
+        self._clipped: list[float] = []
         self.repeats = Repeats()
         self._range = Levels()
         self._tripod = Tripod() if role in FIXED else None
@@ -227,11 +229,14 @@ class _Seen:
         if time_s >= self._look_at_s:
             self._look_at_s = time_s + LOOK_EVERY_S
             self._range.add(frame.picture)
+            if self._role in ("sweep", "camera", "test"):  # a board is white paper
+                self._clipped.append(clipped_share(frame.stored_rgb(SMALL_SIDE_PX)))
             if self._tripod is not None:
                 self._tripod.add(frame, time_s)
 
     def faults(self) -> list[Fault]:
-        return [*self._range.faults(), *(self._tripod.faults() if self._tripod else ())]
+        found = [*self._range.faults(), *highlight_faults(self._clipped)]
+        return [*found, *(self._tripod.faults() if self._tripod else ())]
 
 
 class _Unused:
@@ -330,6 +335,7 @@ def extract_folder(
     sharp: list[float] = []
     levels: list[float] = []
     exifs: list[Exif | None] = []
+    clipped: list[float] = []
     turned = 0
     for i, picture in enumerate(pictures):
         progress(i / len(pictures), f"{name}: {i + 1} of {len(pictures)} photos")
@@ -344,6 +350,7 @@ def extract_folder(
             exifs.append(info.exif)
             rgb = read_picture(out / file)
             size, grey = (rgb.shape[1], rgb.shape[0]), grey_small(rgb)
+            clipped.append(clipped_share(rgb[:, :, :3]))
         files.append(file)
         sizes.append(size)
         sharp.append(sharpness(grey))
@@ -386,6 +393,7 @@ def extract_folder(
         frames=tuple(records),
         level=float(np.median(levels)),
         notes=tuple(notes),
+        faults=tuple(highlight_faults(clipped) if role == "sweep" else ()),  # a board is white paper
     )
 
 

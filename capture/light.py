@@ -6,6 +6,7 @@ are log2 of light; the sRGB curve (IEC 61966-2-1) is taken as the one the pictur
 one pass, about a hundred bytes a frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,20 +15,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.frames import Fault
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 
-CELLS = (
-    24,
-    32,
-)  # rows, columns: a cell averages the noise of many pixels; a moving hand leaves most cells alone
+CELLS = (24, 32)  # rows, columns; a moving hand leaves most of them alone
 BANDS = 12  # bands of rows: lamps at 100 Hz give a sensor that reads out in 16 ms between one and two waves
 SMALL_SIDE_PX = 160  # pictures come at this size, so that a cell is the mean of some twenty in linear light
 DARK, BRIGHT = 0.01, 0.75  # linear light of cells that are compared: above the noise, well below white
 NEAR_WHITE = 0.95  # cells that have grown brighter than this no longer tell how much
+CLIPPED_SHARE = 0.01  # of a picture: colours at white are no colours
 AT_WHITE = 253  # levels of 255; compression leaves clipped pixels within two levels of white
-AGREE_STOPS = (
-    0.15  # cells agree within this: lamps differ by 10 % between rows, cells of something else by more ...
-)
+AGREE_STOPS = 0.15  # cells agree within this: lamps differ by 10 % between rows, other things by more ...
 AGREE_SHARE = 0.1  # ... and this share of the change: a camera's curve is not exactly sRGB
 FEWEST_CELLS = 20  # a median of fewer says nothing
 FEWEST_AGREEING = 0.5  # of the cells: a subject that fills the picture hides the light
@@ -42,18 +40,16 @@ class LightCourse:
         time_s: Their times [n], seconds.
         stops: Light of R, G, B against the first frame [n, 3], log2; NaN where what moves hides it.
         bands: The same of the grey picture by bands of rows in the order the sensor reads them [n, bands].
-        clipped: Share of the picture with a channel at white [n].
     """
 
     index: Int[np.ndarray, " n"]
     time_s: Float[np.ndarray, " n"]
     stops: Float[np.ndarray, "n 3"]
     bands: Float[np.ndarray, "n bands"]
-    clipped: Float[np.ndarray, " n"]
 
     def write(self, path: Path) -> None:
-        """Write a table [n, 6 + bands]: frame, seconds, stops of R, G, B, clipped share, stops of the bands."""
-        np.save(path, np.column_stack([self.index, self.time_s, self.stops, self.clipped, self.bands]))
+        """Write a table [n, 5 + bands]: frame, seconds, stops of R, G, B, stops of the bands."""
+        np.save(path, np.column_stack([self.index, self.time_s, self.stops, self.bands]))
 
     @staticmethod
     def read(path: Path) -> "LightCourse":
@@ -64,13 +60,11 @@ class LightCourse:
         """
         try:
             table = np.load(path)
-            if table.ndim != 2 or table.shape[1] != 6 + BANDS:
-                raise ValueError(f"a table {table.shape}, expected {6 + BANDS} columns")
+            if table.ndim != 2 or table.shape[1] != 5 + BANDS:
+                raise ValueError(f"a table {table.shape}, expected {5 + BANDS} columns")
         except (OSError, ValueError) as error:
             raise CaptureError(f"{path}: cannot be read ({error}); run again with --from ingest") from None
-        return LightCourse(
-            table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 6:], table[:, 5]
-        )
+        return _course(table)
 
 
 class LightMeter:
@@ -82,21 +76,41 @@ class LightMeter:
 
     def add(self, index: int, time_s: float, small: UInt8[np.ndarray, "h w 3"]) -> None:
         """Measure one frame, R, G, B, as stored: not turned. `SMALL_SIDE_PX` are enough."""
-        clipped = float((small >= AT_WHITE).any(axis=-1).mean())
         cells = cv2.resize(LINEAR_OF_LEVEL[small], CELLS[::-1], interpolation=cv2.INTER_AREA)
         if self._first is None and _comparable(cells).sum() >= FEWEST_CELLS:
             self._first = cells
         stops, bands = np.full(3, np.nan), np.full(BANDS, np.nan)
         if self._first is not None:
             stops, bands = _against(self._first, cells)
-        self._rows.append(np.concatenate([[index, time_s], stops, [clipped], bands]))
+        self._rows.append(np.concatenate([[index, time_s], stops, bands]))
 
     def course(self) -> LightCourse:
         """What was measured."""
-        table = np.array(self._rows).reshape(-1, 6 + BANDS)
-        return LightCourse(
-            table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 6:], table[:, 5]
+        table = np.array(self._rows).reshape(-1, 5 + BANDS)
+        return _course(table)
+
+
+def clipped_share(rgb: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Share of a picture with a channel at white."""
+    return float((rgb.max(axis=-1) >= AT_WHITE).mean())
+
+
+def highlight_faults(shares: Sequence[float]) -> list[Fault]:
+    """What `clipped_share` of several pictures of one source says."""
+    share = float(np.median(shares)) if shares else 0.0
+    if share <= CLIPPED_SHARE:
+        return []
+    return [
+        Fault(
+            "highlights",
+            f"{100 * share:.0f} % of the picture is at white, expected at most {100 * CLIPPED_SHARE:.0f} %",
+            "Lower the exposure, or keep windows and lamps out of the picture.",
         )
+    ]
+
+
+def _course(table: Float[np.ndarray, "n columns"]) -> LightCourse:
+    return LightCourse(table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 5:])
 
 
 def _comparable(cells: Float[np.ndarray, "rows columns 3"]) -> Bool[np.ndarray, "rows columns"]:

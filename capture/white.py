@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.light import AT_WHITE
+from devrf.capture.light import CLIPPED_SHARE, clipped_share
 from devrf.capture.pictures import is_photo, list_pictures, read_picture
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 from devrf.capture.video import VideoReader
 
 SIDE_PX = 64  # a cell averages some 900 pixels of a 1080p picture
-CLIPPED_SHARE = 0.01  # of the picture: more hides the sheet's middle
 DARKEST = 0.02  # linear light of the sheet: below it black level and noise bend the map
 
 
@@ -38,7 +37,7 @@ def mean_white(path: Path) -> Float[np.ndarray, "rows columns 3"]:
         if total is not None and small.shape != total.shape:
             raise CaptureError(f"{path}: pictures of several sizes; expected those of one camera in one mode")
         total = small if total is None else total + small
-        clipped += float((rgb >= AT_WHITE).any(axis=-1).mean())
+        clipped += clipped_share(rgb[:, :, :3])
         count += 1
     if total is None:
         raise CaptureError(f"{path}: no picture of the white sheet; film it again")

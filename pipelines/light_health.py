@@ -1,4 +1,4 @@
-"""Health rows about light: exposure, white balance, lamps and highlights of clips; levels of RAW photos."""
+"""Health rows about light: exposure, white balance and lamps in clips; settings of photos; levels of RAW."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,31 +8,27 @@ import numpy as np
 
 from devrf.calibration.flicker import LightFound, judge_light
 from devrf.capture.frames import LISTED, FrameSet
-from devrf.capture.light import LightCourse
+from devrf.capture.light import CLIPPED_SHARE, LightCourse
 from devrf.capture.raw_set import read_raw_sidecar
 from devrf.pipelines.health import HealthRow, note
 
-CLIPPED_SHARE = 0.01  # of a picture; colours at white are no colours
 BELOW_BLACK_SHARE = 0.05  # of the sensor's values
-FLOOR_SHARE = (
-    0.02  # of the range, where a file says that black is 0: the usual black levels are 1.6 % and more
-)
+FLOOR_SHARE = 0.02  # of the range, where a file says that black is 0: sensors put black at 1.6 % and more
 WHITE_SHARE = 0.97  # of the white level: sensors saturate within 3 % of what their files say
 PILED_UP = 20.0  # times more values at the highest than below it: that is where the sensor saturates
-BALANCE_SHARE = 0.01
+BALANCE_SHARE = 0.01  # cameras round their multipliers to less
 EXPOSURE_STOPS = 0.1  # a third of a camera's smallest step
 
 
 def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
-    """Rows about the clips of the fixed cameras, the sweep's highlights and all RAW photos of an ingest folder."""
+    """Rows about the clips of the fixed cameras and all photos of an ingest folder."""
     rows: list[HealthRow] = []
     fixed = [name for name in frames.moving if (folder / "light" / f"{name}.npy").is_file()]
     for name in fixed:
         course = LightCourse.read(folder / "light" / f"{name}.npy")
         rows += clip_rows(name, frames.cameras[name].source, judge_light(course))
-        rows += _clipped(name, course)
     if fixed and not rows:
-        rows.append(note("light of the fixed cameras", "steady, nothing clipped"))
+        rows.append(note("light of the fixed cameras", "steady"))
     for path in sorted((folder / "raw").glob("*.json")):
         sidecar = read_raw_sidecar(path)
         rows += raw_rows(path.stem, sidecar)
@@ -153,20 +149,6 @@ def exposure_rows(name: str, stops: Mapping[str, float | None]) -> list[HealthRo
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:LISTED]) + (" ..." if len(names) > LISTED else "")
-
-
-def _clipped(name: str, course: LightCourse) -> list[HealthRow]:
-    share = float(np.median(course.clipped)) if len(course.clipped) else 0.0
-    if share <= CLIPPED_SHARE:
-        return []
-    return [
-        note(
-            f"highlights of {name}",
-            f"{100 * share:.0f} % of the picture is at white",
-            verdict="warn",
-            remedy="Lower the exposure, or keep windows and lamps out of the picture.",
-        )
-    ]
 
 
 def _when(from_s: float, to_s: float) -> str:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from jaxtyping import Float, UInt8
 
+from devrf.capture.clips import Keep, extract_clip, extract_folder
 from devrf.capture.errors import CaptureError
-from devrf.capture.light import BANDS, LightCourse, LightMeter
+from devrf.capture.light import BANDS, LightCourse, LightMeter, clipped_share, highlight_faults
+from devrf.capture.pictures import write_picture
 from devrf.capture.srgb import srgb_from_linear
 
 # A cell is the mean of 25 pixels (here), the course the median of some 400 cells. With noise of one level (0.9 % of the
@@ -75,20 +77,43 @@ def test_not_known_where_the_subject_fills_the_picture():
     course = measure(pictures)
     assert np.isfinite(course.stops[0]).all() and np.isnan(course.stops[1:]).all()
     black = measure([np.zeros((60, 80, 3), np.uint8)] * 2)
-    assert np.isnan(black.stops).all() and (black.clipped == 0).all()
+    assert np.isnan(black.stops).all()
 
 
 def test_clipped_share():
     picture = np.full((100, 160, 3), 90, np.uint8)
+    assert clipped_share(picture) == 0 and highlight_faults([]) == []
     picture[:25, :, 0] = 255  # one channel is enough
-    assert measure([picture]).clipped == pytest.approx([0.25], abs=0.01)
+    assert clipped_share(picture) == 0.25
+    assert highlight_faults([0.005, 0.009, 0.5]) == []  # a reflection that passes by
+    (fault,) = highlight_faults([0.05, 0.06, 0.07])
+    assert fault.found.startswith("6 % of the picture is at white") and "Lower the exposure" in fault.remedy
+
+
+@pytest.mark.parametrize("role", ["sweep", "camera", "board"])
+def test_clipped_clips_and_photos_are_named(make_clip, tmp_path, role):
+    picture = room_levels()
+    picture[:40] = 255
+    clip = make_clip("a.mp4", [picture] * 3)
+    got = extract_clip(clip, tmp_path / "out", "cam0", role, "a.mp4", Keep()).frames
+    (tmp_path / "in").mkdir()
+    write_picture(tmp_path / "in" / "0.png", picture)
+    photos = extract_folder(tmp_path / "in", tmp_path / "out", "static", role, "in")
+    for found in (got, photos) if role == "sweep" else (got,):
+        texts = [fault.found for fault in found.faults if fault.check == "highlights"]
+        assert bool(texts) == (role != "board") and all(text.startswith("33 %") for text in texts)
+
+
+def room_levels() -> UInt8[np.ndarray, "h w 3"]:
+    """The room in sRGB."""
+    return (255 * srgb_from_linear(room(np.random.default_rng(4)))).round().astype(np.uint8)
 
 
 def test_file(tmp_path):
     course = measure(film(np.ones((3, 3))))
     course.write(tmp_path / "cam0.npy")
     again = LightCourse.read(tmp_path / "cam0.npy")
-    for name in ("index", "time_s", "stops", "bands", "clipped"):
+    for name in ("index", "time_s", "stops", "bands"):
         np.testing.assert_array_equal(getattr(again, name), getattr(course, name))
     np.save(tmp_path / "cam1.npy", np.zeros((3, 2)))
     for name in ("cam1.npy", "cam2.npy"):
