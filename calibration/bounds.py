@@ -50,6 +50,7 @@ class Bounds:
         size: Sides of the box, world units [3].
         points_outside: Share of the sweep's points that lie outside the box; None without points.
         mean_view: Length of the mean view direction.
+        far_over_most: How far points put `far`, over the distance of 95 % of their sightings; None without points.
         basis: What the box was taken from, in words.
     """
 
@@ -61,6 +62,7 @@ class Bounds:
     size: Float[np.ndarray, "3"]
     points_outside: float | None
     mean_view: float
+    far_over_most: float | None
     basis: str
 
 
@@ -78,6 +80,7 @@ def scene_bounds(
     points: Float[np.ndarray, "n 3"],
     distances: Float[np.ndarray, " m"],
     masks: Sequence[MotionMask] = (),
+    shown: str = "what moves",
 ) -> Bounds:
     """Find the box.
 
@@ -86,7 +89,8 @@ def scene_bounds(
         fixed: The moving scene's cameras; may be empty.
         points: The sweep's good points [n, 3].
         distances: Distance of every sighting of a point from its camera [m].
-        masks: Motion masks of the fixed cameras.
+        masks: Motion masks of the fixed cameras, or mattes.
+        shown: What they show, in words.
     Raises:
         ValueError: There is no camera at all.
     """
@@ -98,7 +102,7 @@ def scene_bounds(
     hull = visual_hull(masks, focus, box_from_up) if len(masks) > 1 else None
     if hull is not None:
         lo, hi = hull
-        basis = f"visual hull of what moves in {len(masks)} cameras"
+        basis = f"visual hull of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
         lo, hi, basis = _point_box(points, focus_point(cameras), cameras, box_from_up)
@@ -122,6 +126,7 @@ def scene_bounds(
         size=2 * half,
         points_outside=outside,
         mean_view=mean_view,
+        far_over_most=_far_over_most(distances),
         basis=basis,
     )
 
@@ -227,6 +232,13 @@ def _point_box(
         return centre - half, centre + half, "the focus of the view axes (no points near it)"
     lo, hi = np.percentile(near @ box_from_up.T, POINT_PERCENTILES, axis=0)
     return lo, hi, f"{len(near)} points around the focus of the view axes"
+
+
+def _far_over_most(distances: Float[np.ndarray, " m"]) -> float | None:
+    if not len(distances):
+        return None
+    most, last = np.percentile(distances, [95, 99])
+    return FAR_SHARE * float(last) / max(float(most), 1e-9)
 
 
 def _near_far(

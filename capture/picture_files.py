@@ -68,8 +68,8 @@ def damaged_pictures(paths: Iterable[Path]) -> list[str]:
         return [text for text in pool.map(problem, dict.fromkeys(paths)) if text is not None]
 
 
-def write_png(path: Path, picture: UInt8[np.ndarray, "height width channels"]) -> None:
-    """Write RGB or RGBA; a full disk is an OSError."""
+def write_png(path: Path, picture: UInt8[np.ndarray, "height width *channels"]) -> None:
+    """Write grey, RGB or RGBA; a full disk is an OSError."""
     Image.fromarray(picture).save(path, format="PNG", compress_level=PNG_LEVEL)
 
 

@@ -40,6 +40,8 @@ class PosedFrame:
         split: Pictures of split `test` are never trained on.
         flow: Backward flow that a data set brings with the picture (`capture.formats.flow_files`), or None.
         look: What brings its colours to the reference camera's when it is loaded; None: nothing.
+        matte: Where the subject is: a grey picture of the same size, white is the subject; or None. Before a plain
+            background it is the picture's alpha; where surroundings are seen it changes no picture.
     """
 
     path: Path
@@ -51,6 +53,7 @@ class PosedFrame:
     split: Split
     flow: Path | None = None
     look: Look | None = None
+    matte: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -179,7 +182,7 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
 
     Colours are weighted by alpha while resizing, so that hidden colours do not bleed into edges.
     """
-    image = read_corrected(frame)
+    image = read_matted(frame, background)
     height, width = image.shape[:2]
     if (width, height) != (frame.camera.width, frame.camera.height):
         raise CaptureError(
@@ -203,6 +206,40 @@ def read_corrected(frame: PosedFrame) -> UInt8[np.ndarray, "h w c"]:
     if frame.look is not None:
         image[..., :3] = frame.look.apply(image[..., :3])
     return image
+
+
+def read_matted(frame: PosedFrame, background: Background) -> UInt8[np.ndarray, "h w c"]:
+    """The frame's picture at full size, its look applied; before a plain background with its matte, where it has one, as alpha."""
+    image = read_corrected(frame)
+    if frame.matte is None or background == "shell":
+        return image
+    return np.concatenate([image[..., :3], read_matte(frame.matte, image.shape[:2])[..., None]], axis=2)
+
+
+def read_opacity(frame: PosedFrame, background: Background) -> UInt8[np.ndarray, "h w"] | None:
+    """The frame's matte before a plain background, else the alpha of its picture; None where it has neither."""
+    if frame.matte is not None and background != "shell":
+        return read_matte(frame.matte, (frame.camera.height, frame.camera.width))
+    image = read_pixels(frame.path)
+    return np.ascontiguousarray(image[..., 3]) if image.shape[2] == 4 else None
+
+
+def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
+    """A frame's matte, 255 is the subject.
+
+    Args:
+        path: Its file.
+        size: Height and width of the picture.
+    Raises:
+        CaptureError: It cannot be read, or has another size.
+    """
+    matte = read_pixels(path)[..., 0]
+    if matte.shape != size:
+        raise CaptureError(
+            f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}; save it at the "
+            "picture's size"
+        )
+    return matte
 
 
 def image_scale_for(width: int, height: int, max_pixels: int) -> float:

@@ -17,6 +17,7 @@ from devrf.calibration.bounds import (
     motion_mask,
     scene_bounds,
 )
+from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
@@ -24,11 +25,16 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
+from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
+from devrf.pipelines.box_health import box_health
 from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync
+from devrf.pipelines.matte_health import matte_health
+from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
 
+PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
 MASK_FRAMES = 24  # of a clip, for finding what moves
 TIME_SLACK_S = 1e-6
 
@@ -46,13 +52,21 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
     context.progress(0.4, "what moves")
-    masks = [
-        m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
-    ]
-    points = None
+    points = None if model is None else _points(model, factor)
+    mattes = scene_mattes(
+        context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
+    )
+    if mattes is None:
+        masks = [
+            m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
+        ]
+    else:
+        static, dynamic, masks = mattes.static, mattes.dynamic, mattes.hull_masks
+        if points is not None and mattes.everywhere:
+            small = [fact.small for fact in mattes.cameras[SWEEP].facts]
+            points = points_of_subject(points, mattes.small[SWEEP], small)
     xyz, distances = np.zeros((0, 3)), np.zeros(0)
-    if model is not None:
-        points = _points(model, factor)
+    if points is not None:
         start, end = points.lines_of_sight(static)
         xyz, distances = points.xyz, np.linalg.norm(end - start, axis=1)
     context.progress(0.8, "box")
@@ -62,7 +76,12 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         xyz,
         distances,
         masks,
+        "what moves" if mattes is None else "the subject's mattes",
     )
+    if mattes is not None:
+        assert config.capture.mattes is not None
+        context.health.extend(matte_health(mattes, config.capture.mattes.method))
+    context.health.extend(box_health(bounds, masks, mattes, dynamic))
     rest = config.capture.rest
     scene = Scene(
         static=static,
@@ -72,7 +91,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         near=bounds.near,
         far=bounds.far,
         kind=bounds.kind,
-        background="shell",
+        background=PLAIN if mattes is not None and mattes.everywhere else "shell",
         t0_s=t0_s,
         t1_s=t1_s,
         rest_time={"start": 0.0, "end": 1.0}.get(rest) if dynamic else None,
@@ -134,7 +153,7 @@ def _moving_frames(
     times: dict[str, list[tuple[int, Path, float]]] = {}
     for name, camera in frames.moving.items():
         times[name] = [
-            (f.index, ingest / f.file, float(clocks[name].true_time(np.array(f.time_s))))
+            (f.index, ingest / f.file, float(clocks[name].true_time(np.array([f.time_s]))[0]))
             for f in camera.used
             if f.file is not None and f.time_s is not None
         ]

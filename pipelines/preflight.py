@@ -13,7 +13,8 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
     from devrf.capture.session import preflight
 
     session = capture_session(config, scene_dir)
-    problems = preflight(session) + _check_masks(config, scene_dir) + _check_dictionary(config)
+    problems = preflight(session) + _check_masks(config, scene_dir) + _check_mattes(config, scene_dir)
+    problems += _check_dictionary(config)
     # sizes and tracks are known where clips are whole
     return problems or _check_sound(config, session) + _check_given(config, scene_dir, session)
 
@@ -61,6 +62,25 @@ def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:
         f"calibration.static_poses.masks: {masks}: no folder with PNG files; expected one mask per picture of the "
         "sweep, named like the picture with .png"
     ]
+
+
+def _check_mattes(config: SceneConfig, scene_dir: Path) -> list[str]:
+    mattes = None if config.capture is None else config.capture.mattes
+    if config.capture is None or mattes is None:
+        return []
+    from devrf.capture.mattes.given import cameras_with_mattes
+    from devrf.pipelines.scene_mattes import matte_command
+
+    if mattes.command is not None:
+        problem = matte_command(mattes, scene_dir).problem()
+        return [] if problem is None else [f"capture.mattes.command: {problem}"]
+    if mattes.folder is not None:
+        folder, sweep = config.path(scene_dir, mattes.folder), config.capture.static is not None
+        try:
+            cameras_with_mattes(folder, tuple(config.capture.all_cameras), sweep)
+        except DevrfError as error:
+            return [f"capture.mattes: {error}"]
+    return []
 
 
 def _check_given(config: SceneConfig, scene_dir: Path, session: CaptureSession) -> list[str]:

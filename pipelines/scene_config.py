@@ -130,6 +130,59 @@ class RawConfig(_Section):
     """Keep the pictures in linear light with 16 bits too."""
 
 
+class MattesConfig(_Section):
+    """Where the subject is, picture by picture."""
+
+    method: Literal["given", "chroma", "background", "command"]
+    """given: a folder of mattes; chroma: a coloured screen; background: what differs from a fixed camera's clean plate
+    (moving cameras only); command: a program of yours."""
+    folder: str | None = None
+    """given: holds a folder per camera, and `static` for the sweep."""
+    inverted: AutoBool = "auto"
+    """given: whether the subject is black on white."""
+    colour: str = "auto"
+    """chroma: of the screen, #rrggbb; auto finds each camera's."""
+    command: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
+    """command: program and arguments, with {image} and {matte} for the files; run without a shell."""
+    timeout_s: float = Field(default=120.0, gt=0, le=3600)
+    """command: longest time for one picture, seconds."""
+
+    @field_validator("colour")
+    @classmethod
+    def _hex(cls, colour: str) -> str:
+        if colour != "auto" and not re.fullmatch("#[0-9a-fA-F]{6}", colour):
+            raise ValueError(f"{colour!r}; expected auto or #rrggbb, such as '#00b140'")
+        return colour
+
+    @model_validator(mode="after")
+    def _keys_of_the_method(self) -> "MattesConfig":
+        for needed in ("folder", "command"):
+            if METHOD_OF[needed] == self.method and not getattr(self, needed):
+                raise ValueError(f"{needed} is missing; method: {self.method} needs it")
+        for key in sorted(self.model_fields_set - {"method"}):
+            if METHOD_OF[key] != self.method:
+                raise ValueError(f"{key} is for method: {METHOD_OF[key]}, and the method is {self.method}")
+        return self
+
+
+METHOD_OF = {
+    "folder": "given",
+    "inverted": "given",
+    "colour": "chroma",
+    "command": "command",
+    "timeout_s": "command",
+}
+
+
+def _mattes(value: Any) -> Any:
+    """A word is a method that needs no more, or a folder."""
+    if isinstance(value, str):
+        return (
+            {"method": value} if value in ("chroma", "background") else {"method": "given", "folder": value}
+        )
+    return value
+
+
 class CaptureConfig(_Section):
     """The raw files of one capture."""
 
@@ -151,8 +204,8 @@ class CaptureConfig(_Section):
     """RAW photos."""
     white: dict[str, str] = {}
     """Camera name, or static for the sweep's -> clip, photo or folder of a white sheet: light fall-off."""
-    mattes: Any = None
-    """Foreground mattes: a folder per camera, or a method."""
+    mattes: Annotated[MattesConfig, BeforeValidator(_mattes)] | None = None
+    """Foreground mattes: a folder, `chroma`, `background`, or a section; a room needs none."""
 
     @field_validator("range_s")
     @classmethod
@@ -160,13 +213,6 @@ class CaptureConfig(_Section):
         if range_s is not None and not range_s[0] < range_s[1]:
             raise ValueError(f"{list(range_s)}; expected [from, to] with from < to, seconds")
         return range_s
-
-    @field_validator("mattes")
-    @classmethod
-    def _no_mattes_yet(cls, mattes: Any) -> Any:
-        if mattes is not None:
-            raise ValueError("mattes are not built yet; leave it out (a room needs none)")
-        return mattes
 
     @property
     def training_cameras(self) -> dict[str, str]:

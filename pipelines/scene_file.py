@@ -357,6 +357,8 @@ def _check_together(config: SceneConfig, raw: dict, say: Any) -> None:
                 "is missing, and without a sweep the cameras' poses come from a board that several see "
                 "(capture.board.joint_clips) or from a file (calibration.rig.given); give one of the three",
             )
+    if capture.mattes is not None and capture.mattes.method == "background" and config.kind == "sweep":
+        say("capture.mattes", "background needs fixed cameras, and there is only a sweep; use another method")
     rig = config.calibration.rig
     if rig.method == "given" and rig.given is None:
         say("calibration.rig.given", "is missing; rig.method: given needs the calibration file")
@@ -435,6 +437,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
             paths |= {f"capture.test_cameras.{name}": clip for name, clip in capture.test_cameras.items()}
         paths["capture.timestamps"] = capture.timestamps
         paths |= {f"capture.white.{name}": path for name, path in capture.white.items()}
+        paths["capture.mattes.folder"] = None if capture.mattes is None else capture.mattes.folder
         if capture.board is not None:
             paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
             paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}
@@ -451,7 +454,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
 
 
 def _check_files(config: SceneConfig, scene_dir: Path, say: Any) -> None:
-    folders = {"dataset.path", "evaluate.lpips_weights"}
+    folders = {"dataset.path", "evaluate.lpips_weights", "capture.mattes.folder"}
     files_or_folders = {"capture.static", "calibration.rig.given"}
     clips = "capture.board.clips."  # photos of the board will do
     for key, text in input_paths(config).items():

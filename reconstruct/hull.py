@@ -15,7 +15,7 @@ from torch import Tensor
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.scene import Background, PosedFrame, plain_colour
+from devrf.capture.scene import Background, PosedFrame, plain_colour, read_opacity
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.ndc import Ndc
 
@@ -25,9 +25,10 @@ MISSED = 0.1  # share of the cameras that may see background where the subject i
 
 def silhouette(frame: PosedFrame, background: Background) -> Bool[np.ndarray, "h w"]:
     """Pixels of the full-size picture that show the subject."""
+    opacity = read_opacity(frame, background)
+    if opacity is not None:
+        return opacity > MATTE * 255
     image = read_pixels(frame.path)
-    if image.shape[2] == 4:
-        return image[..., 3] > MATTE * 255
     plain = 255 * np.array(plain_colour(background) or (0.0, 0.0, 0.0), np.float32)
     return np.any(np.abs(image.astype(np.float32) - plain) > MATTE * 255, axis=-1)
 

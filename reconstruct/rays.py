@@ -14,10 +14,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.capture.picture_files import read_pixels
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.resize import shrink
-from devrf.capture.scene import Background, PosedFrame, load_image
+from devrf.capture.scene import Background, PosedFrame, load_image, read_opacity
 
 PARALLEL = 1e-9  # direction components below this are held to it, so that a slab test divides safely
 
@@ -73,7 +72,7 @@ class RaySet:
         for n, frame in enumerate(frames):
             pictures.append(load_image(frame, image_scale, background))
             if background != "shell":
-                mattes.append(load_matte(frame, pictures[-1].shape[:2]))
+                mattes.append(load_matte(frame, pictures[-1].shape[:2], background))
             progress((n + 1) / len(frames), f"reading picture {n + 1} of {len(frames)}")
         cameras = [f.camera.scaled(image_scale) for f in frames]  # rounds sizes as load_image does
         self._fill(frames, cameras, pictures, device)
@@ -165,10 +164,12 @@ class RaySet:
         return RayBatch(self.centres[frame], rays_d, rgb, opacity, self.times[frame], frame, pixel)
 
 
-def load_matte(frame: PosedFrame, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"] | None:
+def load_matte(
+    frame: PosedFrame, size: tuple[int, int], background: Background
+) -> UInt8[np.ndarray, "h w"] | None:
     """The picture's alpha at (height, width); None where it has none."""
-    image = read_pixels(frame.path)
-    return shrink(image[..., 3], size[1], size[0]) if image.shape[2] == 4 else None
+    opacity = read_opacity(frame, background)
+    return None if opacity is None else shrink(opacity, size[1], size[0])
 
 
 def camera_rays(camera: Camera, device: str = "cpu") -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:

@@ -22,7 +22,7 @@ from devrf.capture.formats.flow_files import Flow
 from devrf.capture.formats.readme import readme
 from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.scene import PosedFrame, Scene, plain_colour, read_corrected
+from devrf.capture.scene import PosedFrame, Scene, plain_colour, read_matted
 from devrf.capture.writable import check_folder
 
 if TYPE_CHECKING:
@@ -113,10 +113,11 @@ def check_target(folder: Path, dataset_format: str) -> None:
 
 
 def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[PosedFrame, ...]:
-    """The frames with their pictures copied to `part/<camera>/<number>`, bit by bit; looks are applied."""
-    out = []
+    """The frames with their pictures copied to `part/<camera>/<number>`, bit by bit; looks and mattes are applied."""
+    out, background = [], export.scene.background
     for n, (frame, stem) in enumerate(zip(frames, stems(frames), strict=True)):
-        as_it_is = frame.look is None
+        matted = frame.matte is not None and plain_colour(background) is not None
+        as_it_is = frame.look is None and not matted
         path = export.folder / part / f"{stem}{frame.path.suffix.lower() if as_it_is else '.png'}"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not frame.path.is_file():
@@ -124,8 +125,8 @@ def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[P
         if as_it_is:
             shutil.copyfile(frame.path, path)
         else:
-            write_png(path, read_corrected(frame))
-        out.append(replace(frame, path=path, flow=None, look=None))
+            write_png(path, read_matted(frame, background))
+        out.append(replace(frame, path=path, flow=None, look=None, matte=None))
         export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
     return tuple(out)
 
@@ -186,14 +187,15 @@ class Pinholes:
     def write(self, frame: PosedFrame, path: Path, alpha: bool = True) -> PosedFrame:
         """Write a frame's picture as PNG; the frame as it is in the data set."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        undistorter, rgba = self._of(frame.camera), _with_alpha(read_corrected(frame))
+        undistorter = self._of(frame.camera)
+        rgba = _with_alpha(read_matted(frame, self.export.scene.background))
         if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
             raise CaptureError(
                 f"{frame.path}: picture has another size than its calibration; run again with --force scene"
             )
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])
-        return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None)
+        return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None, matte=None)
 
     def flow(self, frame: PosedFrame) -> Flow | None:
         """A frame's backward flow at the size of the written picture."""

@@ -51,7 +51,8 @@ def frame_entry(frame: PosedFrame, base: Path) -> dict[str, Any]:
         entry |= {"colour_matrix": frame.look.matrix, "colour_gains": frame.look.gains}
         if frame.look.flat is not None:
             entry["flat_field_path"] = relative_to(frame.look.flat, base)
-    return entry if frame.flow is None else {**entry, "flow_path": relative_to(frame.flow, base)}
+    beside = {"flow_path": frame.flow, "mask_path": frame.matte}
+    return {**entry, **{key: relative_to(path, base) for key, path in beside.items() if path is not None}}
 
 
 def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFrame, ...]:
@@ -85,6 +86,9 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 split=_split(entry, meta, where),
                 flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
                 look=_look(entry, path.parent, where),
+                matte=None
+                if entry.get("mask_path") is None
+                else find_picture(path.parent / entry["mask_path"]),
             )
         )
     if grey and notes is not None:

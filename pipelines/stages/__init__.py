@@ -78,6 +78,16 @@ def _masks(config: SceneConfig, scene_dir: Path) -> list[Path]:
     return [] if masks is None else sorted(config.path(scene_dir, masks).glob("*.png"))
 
 
+def _matte_program(config: SceneConfig, scene_dir: Path) -> list[Path]:
+    """Files among the arguments of the program that makes mattes."""
+    mattes = None if config.capture is None else config.capture.mattes
+    if mattes is None or mattes.command is None:
+        return []
+    from devrf.capture.mattes.command import MatteCommand
+
+    return MatteCommand(mattes.command, scene_dir, mattes.timeout_s).files()
+
+
 STAGES = (
     Stage(
         name="ingest",
@@ -128,11 +138,13 @@ STAGES = (
             "dataset",
             "capture.rest",
             "capture.range_s",
+            "capture.mattes",
             "reconstruct.image_scale",
             "evaluate.holdout_every",
         ),
         applies=_always,
         run=_glue("scene"),
+        inputs=_matte_program,
     ),
     Stage(
         name="flow",

@@ -20,6 +20,7 @@ MAX_PIXELS = {
     "fast": 400_000,
     "reference": 10**9,
 }  # per picture, where image_scale is not set
+SURROUND = 0.5  # length of the mean view direction; below, cameras stand around the subject
 
 
 def run(context: StageContext) -> None:
@@ -81,7 +82,7 @@ def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
     size = " x ".join(f"{side:.3g}" for side in bounds.size)
     rows = [
         note("box", f"{size} {unit}, from {bounds.basis}"),
-        note("cameras", f"{bounds.kind} ({bounds.mean_view:.2f})"),
+        note("cameras", f"{bounds.kind} ({_spread(bounds)})"),
     ]
     if bounds.points_outside is not None:
         rows.append(
@@ -97,10 +98,10 @@ def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
         rows.append(
             row(
                 "frames of the shortest training camera",
-                min(counts.values(), default=0),
+                float(min(counts.values(), default=0)),
                 "",
-                warn=5,
-                fail=2,
+                warn=5.0,
+                fail=2.0,
                 remedy="The clips hardly overlap: film longer, or widen capture.range_s.",
             )
         )
@@ -114,3 +115,10 @@ def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
                 )
             )
     return rows
+
+
+def _spread(bounds: "Bounds") -> str:
+    """The length of the mean view direction, and what it means where the word for it does not say all."""
+    if bounds.kind == "inward" and bounds.mean_view > SURROUND:
+        return f"{bounds.mean_view:.2f}, neither all around nor all one way: modelled as around the subject"
+    return f"{bounds.mean_view:.2f}"

@@ -128,7 +128,21 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         ("{static: static.mp4, test_cameras: {a: cam0.mp4}}", "every camera is a test camera"),
         ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; expected [from, to]"),
         ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; expected a list of two numbers"),
-        ("{static: static.mp4, mattes: chroma}", "capture.mattes: mattes are not built yet"),
+        ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': no such file or folder"),
+        ("{static: static.mp4, mattes: background}", "capture.mattes: background needs fixed cameras"),
+        ("{static: static.mp4, mattes: {method: keying}}", "capture.mattes.method: 'keying'; expected given"),
+        ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder is missing; method: given"),
+        ("{static: static.mp4, mattes: {method: command}}", "capture.mattes: command is missing"),
+        (
+            "{static: static.mp4, mattes: {method: chroma, command: [a]}}",
+            "capture.mattes: command is for method: command, and the method is chroma",
+        ),
+        (
+            "{static: static.mp4, mattes: {method: chroma, colour: green}}",
+            "capture.mattes.colour: 'green'; expected",
+        ),
+        ("{static: static.mp4, mattes: {method: chroma, color: auto}}", "unknown key, did you mean colour?"),
+        ("{static: static.mp4, mattes: 3}", "capture.mattes: 3; expected a section with the keys method"),
         ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board: square_m is missing"),
         (
             "{static: static.mp4, board: {type: aruco_grid, squares: [8, 6], marker_m: 0.04}}",

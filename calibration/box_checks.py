@@ -1,0 +1,76 @@
+"""What masks of the subject say of a box and of sparse points, and what cameras see of the box."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import SparsePoints
+
+CELLS = 24  # along each side of the box, for what cameras see of it
+
+
+def outside_box(
+    masks: Bool[np.ndarray, "n h w"],
+    camera: Camera,
+    box_from_world: Float[np.ndarray, "4 4"],
+    aabb: Float[np.ndarray, "2 3"],
+) -> Float[np.ndarray, " n"]:
+    """Share of each mask's pixels whose rays miss the box; 0 for empty masks.
+
+    Args:
+        masks: Of one camera, at its size.
+        camera: In the world.
+        box_from_world, aabb: The box.
+    """
+    moved = camera.moved(box_from_world)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays_d = moved.directions(np.stack([u, v], axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
+    enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
+    misses = ~(leave > np.maximum(enter, 0.0))
+    return (masks & misses).sum((1, 2)) / np.maximum(masks.sum((1, 2)), 1)
+
+
+def seen_by_fewer(
+    cameras: Sequence[Camera],
+    box_from_world: Float[np.ndarray, "4 4"],
+    aabb: Float[np.ndarray, "2 3"],
+    least: int,
+) -> float:
+    """Share of the box that lies in the pictures of fewer than `least` cameras."""
+    axes = [np.linspace(lo, hi, CELLS + 1)[:-1] + (hi - lo) / (2 * CELLS) for lo, hi in aabb.T]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    seen = np.zeros(len(points), int)
+    for camera in cameras:
+        pixel = np.nan_to_num(camera.moved(box_from_world).project(points), nan=-1.0)
+        seen += ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(-1)
+    return float((seen < least).mean())
+
+
+def points_of_subject(
+    points: SparsePoints, cameras: Sequence[Camera], masks: Sequence[Bool[np.ndarray, "_ _"]]
+) -> SparsePoints:
+    """The sparse points that most of the sweep's pictures that see them show on the subject.
+
+    Args:
+        points: Of the scene at rest.
+        cameras: Of the sweep's pictures, at the size of their masks.
+        masks: Where each picture shows the subject.
+    """
+    inside = np.zeros(len(points.obs_point), bool)
+    for n, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
+        here = points.obs_frame == n
+        u, v = (
+            np.floor(np.nan_to_num(camera.project(points.xyz[points.obs_point[here]]), nan=-1)).astype(int).T
+        )
+        within = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+        shown = np.zeros(len(u), bool)
+        shown[within] = mask[v[within], u[within]]
+        inside[here] = shown
+    sightings = np.bincount(points.obs_point, minlength=len(points.xyz))
+    keep = 2 * np.bincount(points.obs_point, inside, len(points.xyz)) > sightings
+    number, seen = np.cumsum(keep) - 1, keep[points.obs_point]
+    return SparsePoints(points.xyz[keep], number[points.obs_point[seen]], points.obs_frame[seen])

@@ -1,0 +1,131 @@
+"""Mattes that people bring: a folder per camera, `static` for the sweep, a file per picture.
+
+A matte is called like its picture (`IMG_1.png` or `IMG_1.jpg.png` for a photo) or by the number of the frame in
+its clip, counted from 0 (`12.png`, `000012.png`, `frame_000012.png`). White is the subject; grey is partly
+transparent; of a file with transparency its opacity counts. Upright, of the picture's size or shape.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.picture_files import PICTURE_SUFFIXES, read_pixels
+
+SAME_SHAPE = 0.01  # relative difference of the sides' ratio: the same picture at another size
+LOOKED_AT = 12  # mattes of a camera, for whether white and black are swapped
+BORDER = 0.02  # of the shorter side
+WHITE_AROUND = 0.8  # of the border: no subject fills so much of it and leaves the middle darker
+LISTED = 4
+SWEEP = "static"
+
+
+def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tuple[str, ...]:
+    """Which of `static` (where there is a sweep) and the cameras have a folder of mattes.
+
+    Either all have one, or some of the cameras and not the sweep.
+
+    Raises:
+        InputError: None has, or the sweep has one and a camera has not.
+    """
+    wanted = ((SWEEP,) if sweep else ()) + tuple(cameras)
+    found = tuple(name for name in wanted if (folder / name).is_dir())
+    without = [name for name in wanted if name not in found]
+    others = (
+        sorted(f.name for f in folder.iterdir() if f.is_dir() and f.name not in wanted) if without else []
+    )
+    hint = f" (it holds {', '.join(others[:LISTED])})" if others else ""
+    if not found:
+        called = " or ".join(wanted[:LISTED])
+        raise InputError(f"{folder}: no folder called {called} in it{hint}; expected one per camera")
+    if SWEEP in found and without:
+        raise InputError(
+            f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}; before a plain background every "
+            "picture needs one: add them, or take static away"
+        )
+    return found
+
+
+def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
+    """The matte file of every picture.
+
+    Args:
+        folder: Of the camera.
+        names: Number of each used frame -> what the photo was called, or None for a film.
+    Raises:
+        CaptureError: Some have none.
+    """
+    files = (
+        [f for f in sorted(folder.iterdir()) if f.suffix.lower() in PICTURE_SUFFIXES]
+        if folder.is_dir()
+        else []
+    )
+    by_name = {f.stem.lower(): f for f in files}
+    by_number = {int(m[1]): f for f in files if (m := re.search(r"(\d+)$", f.stem))}
+    found, missing = [], []
+    for index, name in names.items():
+        if name is None:
+            file = by_number.get(index)
+        else:
+            file = by_name.get(name.lower()) or by_name.get(Path(name).stem.lower())
+        found.append(file)
+        if file is None:
+            missing.append(f"{index:06d}.png" if name is None else f"{Path(name).stem}.png")
+    if missing:
+        raise CaptureError(_missing(folder, missing, len(names), by_number, set(names)))
+    return [file for file in found if file is not None]
+
+
+def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.ndarray, "h w"]:
+    """A matte at its picture's size.
+
+    Raises:
+        CaptureError: It cannot be read, or has another shape than its picture.
+    """
+    matte = _opacity(file)
+    if inverted:
+        matte = 255 - matte
+    h, w = matte.shape
+    if (w, h) == (width, height):
+        return matte
+    if abs(w * height - h * width) > SAME_SHAPE * h * width:
+        raise CaptureError(
+            f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright); make it from the picture as it was "
+            "filmed, not cropped or turned"
+        )
+    return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
+
+
+def is_inverted(files: Sequence[Path]) -> bool:
+    """Whether a camera's mattes are white around and darker inside, which shows the subject black."""
+    chosen = np.unique(np.linspace(0, len(files) - 1, LOOKED_AT).round().astype(int))
+    around, inside = [], []
+    for n in chosen:
+        matte = _opacity(files[n]).astype(np.float32) / 255
+        rim = max(1, round(BORDER * min(matte.shape)))
+        within = matte[rim:-rim, rim:-rim]
+        inside.append(float(within.mean()) if within.size else 0.0)
+        around.append(float((matte.sum() - within.sum()) / max(1, matte.size - within.size)))
+    return float(np.median(around)) > WHITE_AROUND and float(np.median(inside)) < float(np.median(around))
+
+
+def _opacity(file: Path) -> UInt8[np.ndarray, "h w"]:
+    """Opacity of a cut-out, else its brightness."""
+    pixels = read_pixels(file)
+    if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
+        return np.ascontiguousarray(pixels[..., 3])
+    return pixels[..., :3].max(axis=2)
+
+
+def _missing(
+    folder: Path, missing: list[str], count: int, by_number: Mapping[int, Path], wanted: set[int]
+) -> str:
+    listed = ", ".join(missing[:LISTED]) + (" ..." if len(missing) > LISTED else "")
+    text = f"{folder}: no matte of {len(missing)} of the camera's {count} pictures: {listed}; "
+    if by_number and 0 in wanted and min(by_number) == 1:
+        return text + "its files are numbered from 1, frames are counted from 0: rename them"
+    return text + "add them (black where no subject is seen), or leave the whole folder out"

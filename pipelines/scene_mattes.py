@@ -1,0 +1,155 @@
+"""Mattes of a capture's pictures, by the method that scene.yaml names, and what follows from them for the scene."""
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from devrf.calibration.bounds import MASK_SIDE_PX, MotionMask
+from devrf.capture.camera import Camera
+from devrf.capture.frames import FrameSet
+from devrf.capture.mattes.chroma import parse_colour
+from devrf.capture.mattes.command import MatteCommand
+from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
+from devrf.capture.mattes.make import (
+    CameraMattes,
+    Clip,
+    background_mattes,
+    chroma_mattes,
+    command_mattes,
+    given_mattes,
+)
+from devrf.capture.pictures import list_pictures
+from devrf.capture.progress import Progress
+from devrf.capture.scene import PosedFrame
+from devrf.pipelines.scene_config import MattesConfig
+from devrf.pipelines.stage import StageContext
+
+KEPT = ".mattes"  # in the run folder: what a program has made
+HULL_PICTURES = 24  # of a sweep, for the box
+Maker = Callable[[Clip, Progress], CameraMattes]
+
+
+@dataclass(frozen=True)
+class SceneMattes:
+    """The pictures with their mattes.
+
+    Attributes:
+        static, dynamic: The scene's pictures.
+        cameras: Name -> what was made.
+        small: Name -> the cameras of its pictures at the size of `MatteFacts.small`, in order.
+        everywhere: Every picture has one, so that the subject can be modelled before a plain background.
+    """
+
+    static: tuple[PosedFrame, ...]
+    dynamic: tuple[PosedFrame, ...]
+    cameras: Mapping[str, CameraMattes]
+    small: Mapping[str, list[Camera]]
+    everywhere: bool
+
+    @property
+    def hull_masks(self) -> list[MotionMask]:
+        """Where the subject ever is, by the moving cameras; by the sweep where there are not two of them."""
+        moving = [
+            MotionMask(self.small[name][0], np.any([fact.small for fact in made.facts], axis=0))
+            for name, made in self.cameras.items()
+            if name != SWEEP
+        ]
+        if len(moving) > 1 or SWEEP not in self.cameras:
+            return moving
+        facts, cameras = self.cameras[SWEEP].facts, self.small[SWEEP]
+        chosen = np.unique(np.linspace(0, len(facts) - 1, HULL_PICTURES).round().astype(int))
+        return [MotionMask(cameras[n], facts[n].small) for n in chosen]
+
+
+def scene_mattes(
+    context: StageContext,
+    frames: FrameSet,
+    static: tuple[PosedFrame, ...],
+    dynamic: tuple[PosedFrame, ...],
+    progress: Progress,
+) -> SceneMattes | None:
+    """Make the mattes; None where scene.yaml asks for none."""
+    capture = context.config.capture
+    assert capture is not None
+    if capture.mattes is None:
+        return None
+    out = context.out / "mattes"
+    clips = _clips(context, frames, static, dynamic)
+    make, names = _maker(capture.mattes, context, out, list(clips))
+    made: dict[str, CameraMattes] = {}
+    for n, name in enumerate(names):
+        clip = clips[name]
+
+        def part(share: float, text: str, n: int = n) -> None:
+            progress((n + share) / len(names), text)
+
+        made[name] = make(clip, part)
+    matte_of = {
+        picture: matte
+        for name, mattes in made.items()
+        for picture, matte in zip(clips[name].files, mattes.files, strict=True)
+    }
+
+    def matted(of: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:
+        return tuple(replace(f, matte=matte_of.get(f.path)) for f in of)
+
+    small: dict[str, list[Camera]] = {name: [] for name in made}
+    for frame in (*static, *dynamic):
+        if frame.camera_name in small:
+            small[frame.camera_name].append(_small(frame.camera))
+    everywhere = bool(static) and len(names) == len(clips) and capture.mattes.method != "background"
+    return SceneMattes(matted(static), matted(dynamic), made, small, everywhere)
+
+
+def matte_command(mattes: MattesConfig, scene_dir: Path) -> MatteCommand:
+    """The program that scene.yaml names."""
+    assert mattes.command is not None
+    return MatteCommand(mattes.command, scene_dir, mattes.timeout_s)
+
+
+def _maker(
+    mattes: MattesConfig, context: StageContext, out: Path, names: list[str]
+) -> tuple[Maker, tuple[str, ...]]:
+    """What makes one camera's mattes, and of which cameras."""
+    if mattes.method == "chroma":
+        colour = None if mattes.colour == "auto" else parse_colour(mattes.colour)
+        return (lambda clip, progress: chroma_mattes(clip, colour, out, progress)), tuple(names)
+    if mattes.method == "background":
+        moving = tuple(name for name in names if name != SWEEP)
+        return (lambda clip, progress: background_mattes(clip, out, progress)), moving
+    if mattes.method == "command":
+        command, kept = matte_command(mattes, context.scene_dir), context.run_dir / KEPT
+        return (lambda clip, progress: command_mattes(clip, command, kept, out, progress)), tuple(names)
+    assert mattes.folder is not None
+    folder = context.config.path(context.scene_dir, mattes.folder)
+    inverted = None if mattes.inverted == "auto" else mattes.inverted
+    found = cameras_with_mattes(folder, [name for name in names if name != SWEEP], SWEEP in names)
+    return (lambda clip, progress: given_mattes(clip, folder / clip.camera, inverted, out, progress)), found
+
+
+def _clips(
+    context: StageContext, frames: FrameSet, static: tuple[PosedFrame, ...], dynamic: tuple[PosedFrame, ...]
+) -> dict[str, Clip]:
+    """The scene's pictures by camera, the sweep first; photos with the names they came with."""
+    by_camera: dict[str, list[PosedFrame]] = defaultdict(list)
+    for frame in (*static, *dynamic):
+        by_camera[frame.camera_name].append(frame)
+    clips = {}
+    for name, of_camera in by_camera.items():
+        filmed = frames.cameras[name]
+        photos = None if filmed.fps_mean is not None else list_pictures(context.scene_dir / filmed.source)
+        small = [_small(f.camera) for f in of_camera]
+        clips[name] = Clip(
+            camera=name,
+            files=tuple(f.path for f in of_camera),
+            names={f.index: None if photos is None else photos[f.index].name for f in of_camera},
+            small_sizes=tuple((camera.width, camera.height) for camera in small),
+        )
+    return clips
+
+
+def _small(camera: Camera) -> Camera:
+    return camera.scaled(min(1.0, MASK_SIDE_PX / max(camera.width, camera.height)))

@@ -1,0 +1,336 @@
+"""Mattes against exact ones: a model passes before a wall (clean plate) and a screen (chroma); given; by a program."""
+
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.mattes.chroma import find_key, parse_colour
+from devrf.capture.mattes.clean_plate import clean_plate
+from devrf.capture.mattes.command import MatteCommand, run_on_pictures
+from devrf.capture.mattes.given import cameras_with_mattes, find_mattes, is_inverted, read_given
+from devrf.capture.mattes.make import Clip, background_mattes, chroma_mattes, given_mattes
+from devrf.capture.mattes.measure import measure
+from devrf.capture.mattes.tidy import eroded, tidy
+from devrf.capture.picture_files import read_pixels, write_png
+
+SIZE = (200, 150)
+Passing = tuple[np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def passing() -> Passing:
+    """Pictures of a robot that passes, noisy, and its exact mattes."""
+    pytest.importorskip("mitsuba")
+    from devrf.capture.simulate_passing import simulate_passing
+
+    return simulate_passing("robot", 11, SIZE, seed=5, spp=8)
+
+
+def clip_of(pictures: np.ndarray, folder: Path, camera: str = "cam0") -> Clip:
+    """The pictures as a camera's compressed frames on disk."""
+    files = []
+    for n, picture in enumerate(pictures):
+        files.append(folder / f"{n:06d}.jpg")
+        cv2.imwrite(str(files[-1]), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+    size = (pictures.shape[2], pictures.shape[1])
+    return Clip(camera, tuple(files), {n: None for n in range(len(files))}, (size,) * len(files))
+
+
+def shown(files: tuple[Path, ...]) -> np.ndarray:
+    return np.stack([read_pixels(file)[..., 0] > 127 for file in files])
+
+
+def overlap(ours: np.ndarray, true: np.ndarray) -> float:
+    """Mean intersection over union."""
+    return float(np.mean([(a & b).sum() / (a | b).sum() for a, b in zip(ours, true, strict=True)]))
+
+
+def least_overlap(true: np.ndarray, pixels: int) -> float:
+    """What is left of the truth where an edge that is off by some pixels all around has cost its part."""
+    return float(np.mean([eroded(t, pixels).sum() / t.sum() for t in true]))
+
+
+def test_what_passes_differs_from_the_clean_plate(passing: Passing, tmp_path: Path) -> None:
+    """One pixel of the rim is taken on purpose, another is lost to blur and to compressed colour."""
+    pictures, mattes = passing
+    gains = np.linspace(0.9, 1.1, len(pictures))[:, None, None, None]  # exposure drifts
+    clip = clip_of(np.clip(pictures * gains, 0, 255).astype(np.uint8), tmp_path)
+    made = background_mattes(clip, tmp_path / "out")
+    true = mattes > 0.5
+    assert overlap(shown(made.files), true) > least_overlap(true, 2)
+    assert (
+        shown(made.files)[~true].sum() < 0.1 * true.sum()
+    )  # the shadow, three times the robot's feet, is not in it
+    assert made.hidden is not None and made.hidden < 0.5
+    assert [f.name for f in made.files] == [f"{n:06d}.png" for n in range(len(pictures))]
+
+
+def test_the_plate_is_the_background_that_comes_back(tmp_path: Path) -> None:
+    """Hidden for two thirds of the clip by something whose colour changes: the median would show that."""
+    rng = np.random.default_rng(0)
+    wall = rng.integers(60, 200, (40, 60, 3)).astype(np.uint8)
+    pictures = np.repeat(wall[None], 21, axis=0)
+    for n in range(14):
+        pictures[n, 10:30, 20:40] = rng.integers(0, 255, 3)
+    for n, picture in enumerate(pictures):
+        write_png(tmp_path / f"{n}.png", picture)
+    plate = clean_plate([tmp_path / f"{n}.png" for n in range(21)])
+    np.testing.assert_allclose(plate.rgb, wall, atol=1)
+    assert plate.unsteady[12:28, 22:38].all() and not plate.unsteady[:8].any()
+
+
+@pytest.mark.parametrize("screen", [(30, 160, 70), (20, 60, 190)])
+def test_a_screen_is_found_and_taken_away(passing: Passing, tmp_path: Path, screen: tuple[int, ...]) -> None:
+    """Unevenly lit. One pixel of the edge is lost to compressed colour; the robot's parts of the screen's own colour,
+    which no key can tell, are left out of the comparison."""
+    pictures, mattes = passing
+    light = 0.6 + 0.4 * np.sin(np.linspace(0, 3, SIZE[0]))[:, None]
+    alpha = mattes[..., None]
+    before = alpha * pictures + (1 - alpha) * np.array(screen) * light
+    clip = clip_of(before.astype(np.uint8), tmp_path)
+    key = find_key("cam0", clip.files)
+    cosine = key @ screen / np.linalg.norm(key) / np.linalg.norm(screen)
+    assert cosine > 0.99
+    made = chroma_mattes(clip, None, tmp_path / "out")
+    true, ours = mattes > 0.5, shown(made.files)
+    rgb = pictures.astype(np.float32)
+    strongest = np.argmax(screen)
+    others = [n for n in range(3) if n != strongest]
+    alike = rgb[..., strongest] > 1.15 * rgb[..., others].max(
+        -1
+    )  # green parts before green, blue before blue
+    assert overlap(ours & ~alike, true & ~alike) > least_overlap(true, 1)
+    named = chroma_mattes(clip, parse_colour("#{:02x}{:02x}{:02x}".format(*screen)), tmp_path / "named")
+    assert overlap(shown(named.files), ours) > 0.95
+    soft = read_pixels(made.files[6])[..., 0]
+    assert ((soft > 20) & (soft < 235)).sum() > 20  # edges are no steps
+
+
+def test_no_screen_is_named(passing: Passing, tmp_path: Path) -> None:
+    grey = passing[0].mean(axis=-1, keepdims=True).repeat(3, axis=-1).astype(np.uint8)
+    clip = clip_of(grey[:3], tmp_path)
+    with pytest.raises(
+        CaptureError, match="camera 'cam0': no key colour found: .*expected at least 15 %.*colour"
+    ):
+        find_key("cam0", clip.files)
+
+
+def test_light_of_the_screen_on_the_subject_is_measured(tmp_path: Path) -> None:
+    picture = np.full((100, 100, 3), (30, 160, 70), np.uint8)
+    picture[20:80, 20:80] = (150, 120, 110)
+    clean = chroma_mattes(clip_of(picture[None], tmp_path), None, tmp_path / "a")
+    picture[20:80, 20:80] = (130, 165, 115)  # a third of the screen's green on it
+    lit = chroma_mattes(clip_of(picture[None], tmp_path), None, tmp_path / "b")
+    assert clean.spill is not None and lit.spill is not None
+    assert clean.spill < 0.01 and lit.spill > 0.05
+
+
+# --- given ---
+
+
+def blob(size: tuple[int, int] = (64, 48)) -> np.ndarray:
+    matte = np.zeros(size[::-1], np.uint8)
+    cv2.circle(matte, (size[0] // 2, size[1] // 2), size[1] // 4, 255, -1)
+    return matte
+
+
+@pytest.mark.parametrize(
+    "called", ["12.png", "000012.png", "frame_012.png", "IMG_7.png", "img_7.jpg.png", "IMG_7.JPG"]
+)
+def test_names_of_given_mattes(tmp_path: Path, called: str) -> None:
+    write_png(tmp_path / "x.png", blob())
+    (tmp_path / "cam0").mkdir()
+    (tmp_path / "x.png").rename(tmp_path / "cam0" / called)
+    film, photo = {12: None}, {3: "IMG_7.jpg"}
+    assert find_mattes(tmp_path / "cam0", film if "12" in called else photo)[0].name == called
+
+
+def test_missing_mattes_are_named(tmp_path: Path) -> None:
+    for n in range(1, 4):
+        write_png(tmp_path / f"{n:04d}.png", blob())
+    with pytest.raises(
+        CaptureError, match=r"no matte of 2 of the camera's 3 pictures: 000000.png, 000007.png; .*from 1"
+    ):
+        find_mattes(tmp_path, {0: None, 2: None, 7: None})
+    with pytest.raises(CaptureError, match="000009.png; add them"):
+        find_mattes(tmp_path, {9: None})
+
+
+def test_which_cameras_have_mattes(tmp_path: Path) -> None:
+    (tmp_path / "cam0").mkdir()
+    (tmp_path / "Cam1").mkdir()
+    assert cameras_with_mattes(tmp_path, ("cam0", "cam1"), sweep=True) == ("cam0",)
+    (tmp_path / "static").mkdir()
+    with pytest.raises(InputError, match=r"mattes of the sweep but none of cam1 \(it holds Cam1\)"):
+        cameras_with_mattes(tmp_path, ("cam0", "cam1"), sweep=True)
+    with pytest.raises(
+        InputError, match=r"no folder called left or right in it \(it holds Cam1, cam0, static\)"
+    ):
+        cameras_with_mattes(tmp_path, ("left", "right"), sweep=False)
+
+
+def test_size_shape_and_kind_of_given_mattes(tmp_path: Path) -> None:
+    matte = blob()
+    write_png(tmp_path / "soft.png", cv2.GaussianBlur(matte, (0, 0), 2))
+    cut_out = np.dstack([np.full((48, 64, 3), 90, np.uint8), matte])
+    write_png(tmp_path / "cut.png", cut_out)
+    write_png(tmp_path / "half.png", cv2.resize(matte, (32, 24), interpolation=cv2.INTER_AREA))
+    write_png(tmp_path / "cropped.png", matte[:, :50])
+    np.testing.assert_array_equal(read_given(tmp_path / "cut.png", 64, 48, False), matte)
+    assert len(np.unique(read_given(tmp_path / "soft.png", 64, 48, False))) > 10
+    half = read_given(tmp_path / "half.png", 64, 48, False)
+    assert overlap((half > 127)[None], (matte > 127)[None]) > least_overlap((matte > 127)[None], 1)
+    with pytest.raises(
+        CaptureError, match=r"cropped.png: matte is 50x48, its picture 64x48 \(upright\); make it"
+    ):
+        read_given(tmp_path / "cropped.png", 64, 48, False)
+
+
+def test_black_subjects_are_noticed(tmp_path: Path) -> None:
+    for n in range(3):
+        write_png(tmp_path / f"{n}.png", 255 - blob())
+    files = [tmp_path / f"{n}.png" for n in range(3)]
+    assert is_inverted(files)
+    write_png(tmp_path / "full.png", np.full((48, 64), 255, np.uint8))
+    write_png(tmp_path / "good.png", blob())
+    assert not is_inverted([tmp_path / "good.png"]) and not is_inverted([tmp_path / "full.png"])
+    pictures = np.full((3, 48, 64, 3), 90, np.uint8)
+    (tmp_path / "in").mkdir()
+    clip = clip_of(pictures, tmp_path / "in")
+    found = given_mattes(clip, tmp_path, None, tmp_path / "a")
+    assert found.inverted and shown(found.files).mean() < 0.5
+    told = given_mattes(clip, tmp_path, True, tmp_path / "b")
+    assert not told.inverted and (shown(told.files) == shown(found.files)).all()
+    kept = given_mattes(clip, tmp_path, False, tmp_path / "c")
+    assert not kept.inverted and shown(kept.files).mean() > 0.5
+
+
+# --- what a matte says about itself ---
+
+
+def test_specks_and_pinholes_go_gaps_stay() -> None:
+    mask = np.zeros((100, 100), bool)
+    mask[20:80, 20:80] = True
+    mask[40:42, 40:42] = False  # 0.1 % of the subject
+    mask[50:70, 50:60] = False  # 6 %: a gap that is seen through
+    mask[5:8, 5:8] = True  # 0.3 % of it
+    clean = tidy(mask)
+    assert clean[41, 41] and not clean[60, 55] and not clean[6, 6] and clean[20:40, 20:80].all()
+
+
+def test_holes_in_the_subject_count_and_gaps_do_not() -> None:
+    picture = np.full((120, 160, 3), (60, 120, 180), np.uint8)
+    picture[30:90, 50:110] = (200, 90, 60)
+    matte = np.zeros((120, 160), np.uint8)
+    matte[30:90, 50:110] = 255
+    whole = measure(picture, matte, (40, 30))
+    assert whole.holes == 0 and whole.area == pytest.approx(3600 / 19200)
+    matte[50:60, 70:80] = 0
+    assert measure(picture, matte, (40, 30)).holes == pytest.approx(100 / 3500)
+    picture[50:60, 70:80] = (60, 120, 180)  # seen through
+    assert measure(picture, matte, (40, 30)).holes == 0
+
+
+def test_a_rim_of_the_background_is_seen() -> None:
+    picture = np.full((120, 160, 3), (60, 120, 180), np.uint8)
+    picture[30:90, 50:110] = (200, 90, 60)
+    tight, wide = (np.zeros((120, 160), np.uint8) for _ in range(2))
+    tight[30:90, 50:110] = 255
+    wide[27:93, 47:113] = 255
+    assert measure(picture, tight, (40, 30)).rim == 0
+    assert measure(picture, wide, (40, 30)).rim == 1
+    assert measure(np.full_like(picture, 90), wide, (40, 30)).rim is None  # nothing to tell them by
+    assert measure(picture, np.zeros_like(wide), (40, 30)).rim is None
+
+
+# --- a program ---
+
+
+PROGRAM = """
+    import sys, time
+    from pathlib import Path
+    from PIL import Image
+
+    image, matte, how = sys.argv[1:4]
+    with open("calls.txt", "a") as log:
+        log.write(Path(image).name + "\\n")
+    if how == "slow":
+        time.sleep(60)
+    if how == "fails":
+        sys.exit("out of memory\\nno weights")
+    if how != "lazy":
+        grey = Image.open(image).convert("L").point(lambda v: 255 * (v > 100))
+        (grey.crop((0, 0, 20, 48)) if how == "crops" else grey).save(matte)
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    (tmp_path / "matting.py").write_text(textwrap.dedent(PROGRAM))
+    for n in range(3):
+        write_png(tmp_path / f"my picture {n}; $HOME.png", blob()[..., None].repeat(3, axis=2) // 2 + n)
+    return tmp_path
+
+
+def command(folder: Path, how: str, timeout_s: float = 30.0) -> MatteCommand:
+    return MatteCommand((sys.executable, "matting.py", "{image}", "{matte}", how), folder, timeout_s)
+
+
+def calls(folder: Path) -> int:
+    return len((folder / "calls.txt").read_text().splitlines()) if (folder / "calls.txt").exists() else 0
+
+
+def test_a_program_makes_mattes_and_is_not_asked_twice(program: Path) -> None:
+    pictures = sorted(program.glob("my *.png"))
+    run = command(program, "good")
+    assert run.problem() is None and run.files() == [program / "matting.py"]
+    made = run_on_pictures(run, pictures, program / "kept")
+    for file in made:
+        np.testing.assert_array_equal(read_pixels(file)[..., 0] > 127, blob() > 127)
+    assert calls(program) == 3
+    made[1].unlink()
+    assert run_on_pictures(run, pictures, program / "kept") == made
+    assert calls(program) == 4
+    (program / "matting.py").write_text(textwrap.dedent(PROGRAM) + "\n# another version\n")
+    assert not set(run_on_pictures(run, pictures, program / "kept")) & set(made)
+    assert calls(program) == 7
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        (
+            "fails",
+            r"exit code 1 for .*my picture 0; \$HOME.png; what it said last:\nout of memory\nno weights\nrun it",
+        ),
+        ("lazy", r"ended well but left no file at \{matte\} for .*it said nothing"),
+        ("crops", "no matte of .*matte is 20x48, its picture 64x48"),
+    ],
+)
+def test_a_program_that_fails_is_named(program: Path, how: str, said: str) -> None:
+    with pytest.raises(CaptureError, match=f"(?s)capture.mattes: command .*{said}"):
+        run_on_pictures(command(program, how), sorted(program.glob("my *.png"))[:1], program / "kept")
+    assert "exit code" in (program / "kept" / "command.log").read_text()
+
+
+def test_a_program_that_hangs_is_ended(program: Path) -> None:
+    start = time.monotonic()
+    with pytest.raises(
+        CaptureError, match="not done with .* after 0.5 s; allow more .capture.mattes.timeout_s"
+    ):
+        run_on_pictures(command(program, "slow", 0.5), sorted(program.glob("my *.png")), program / "kept")
+    assert time.monotonic() - start < 20
+
+
+def test_what_keeps_a_program_from_running(tmp_path: Path) -> None:
+    assert "'{matte}'" not in str(MatteCommand(("cp", "{image}", "{matte}"), tmp_path, 1.0).problem())
+    assert "{matte} is missing" in str(MatteCommand(("cp", "{image}"), tmp_path, 1.0).problem())
+    assert "no such program" in str(
+        MatteCommand(("no-such-tool", "{image}", "{matte}"), tmp_path, 1.0).problem()
+    )

@@ -1,0 +1,297 @@
+"""Stage `scene` with mattes: who gets them, what they do to background and box, what rows say."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration.bounds import MotionMask, scene_bounds
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
+from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.scene import Scene, load_image
+from devrf.pipelines import captured_scene
+from devrf.pipelines.box_health import box_health
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import scene as stage
+
+WIDTH, HEIGHT, FOCAL = 64, 48, 70.0
+BALL = np.array([0.1, 0.0, 0.05])
+RADIUS = 0.3
+GREEN = np.array([40, 170, 80], np.uint8)
+
+
+def look_at(angle: float, height: float = 0.5, distance: float = 2.5) -> Camera:
+    """A camera around the origin; z is up."""
+    eye = distance * np.array([np.cos(angle), np.sin(angle), height])
+    forward = -eye / np.linalg.norm(eye)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    return Camera(WIDTH, HEIGHT, K, np.column_stack([R, -R @ eye]))
+
+
+def ball(camera: Camera, centre: np.ndarray) -> np.ndarray:
+    """Where a camera sees the ball."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = camera.directions(np.stack([u, v], axis=-1))
+    return np.linalg.norm(np.cross(rays, centre - camera.centre), axis=-1) < RADIUS
+
+
+class Session:
+    """A run folder up to `rig`: a ball at rest for a sweep, and in motion for one fixed camera."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, step: float = 0.004) -> None:
+        self.folder, self.run = folder, folder / "run"
+        self.sweep = [look_at(a, 0.3 + 0.2 * (n % 3)) for n, a in enumerate(np.linspace(0, 6, 10))]
+        self.fixed = look_at(0.4)
+        self.true: dict[str, np.ndarray] = {}
+        ingest = self.run / "ingest"
+        cameras = {"static": self._filmed("static", [(c, BALL) for c in self.sweep], "sweep")}
+        path = [(self.fixed, BALL + [0, step * n, 0]) for n in range(6)]
+        cameras["cam0"] = self._filmed("cam0", path, "camera")
+        FrameSet(cameras).write(ingest)
+        (self.run / "static_poses").mkdir()
+        (self.run / "static_poses" / "static_poses.json").write_text("{}")
+        monkeypatch.setattr(captured_scene, "read_static_poses", lambda folder: self._model())
+        (self.run / "rig").mkdir()
+        write_rig(self.run / "rig" / "rig.json", Rig({"cam0": RigCamera(self.fixed, "given")}, ARBITRARY))
+        (self.run / "sync").mkdir()
+        clock = {
+            "offset_s": 0.0,
+            "drift_ppm": 0.0,
+            "std_s": None,
+            "method": "none",
+            "confidence": 1.0,
+            "basis": "",
+        }
+        (self.run / "sync" / "sync.json").write_text(json.dumps({"cameras": {"cam0": clock}}))
+
+    def _filmed(self, name: str, views: list[tuple[Camera, np.ndarray]], role: Any) -> CameraFrames:
+        rng, records = np.random.default_rng(len(name)), []
+        (self.run / "ingest" / "frames" / name).mkdir(parents=True)
+        for n, (camera, centre) in enumerate(views):
+            mask = ball(camera, centre)
+            picture = np.where(mask[..., None], [190, 60, 70], GREEN).astype(np.int16)
+            picture += rng.integers(-3, 4, picture.shape)
+            file = f"frames/{name}/{n:06d}.png"
+            write_png(self.run / "ingest" / file, picture.clip(0, 255).astype(np.uint8))
+            self.true[file] = mask
+            records.append(FrameRecord(n, None if role == "sweep" else n / 10, 1.0, True, file))
+        return CameraFrames(role, f"{name}.mp4", WIDTH, HEIGHT, 10.0, False, False, None, 0, tuple(records))
+
+    def _model(self) -> SweepModel:
+        """Points on the ball and far around it; every camera sees all that lies in its picture."""
+        rng = np.random.default_rng(0)
+        on = rng.normal(size=(40, 3))
+        on = BALL + 0.8 * RADIUS * on / np.linalg.norm(on, axis=1, keepdims=True)
+        around = rng.uniform(-1, 1, (200, 3))
+        around = 6 * around / np.linalg.norm(around, axis=1, keepdims=True)
+        xyz = np.concatenate([on, around])
+        pairs = []
+        for n, camera in enumerate(self.sweep):
+            pixel = np.nan_to_num(camera.project(xyz), nan=-1.0)
+            seen = ((pixel >= 0) & (pixel < [WIDTH, HEIGHT])).all(1)
+            pairs += [(p, n) for p in np.flatnonzero(seen)]
+        point, image = np.array(pairs).T
+        names = tuple(f"static/{n:06d}.png" for n in range(len(self.sweep)))
+        count = len(xyz)
+        return SweepModel(
+            names, tuple(self.sweep), xyz, np.zeros((count, 3), np.uint8), np.zeros(count), point, image,
+            np.zeros((len(point), 2)), np.zeros((len(point), 128), np.uint8), {},
+        )  # fmt: skip
+
+    def write_mattes(self, folder: str, *names: str) -> None:
+        """The true mattes as people would bring them."""
+        for file, mask in self.true.items():
+            _, name, picture = file.split("/")
+            if name in names:
+                (self.folder / folder / name).mkdir(parents=True, exist_ok=True)
+                write_png(self.folder / folder / name / picture, mask.astype(np.uint8) * 255)
+
+    def scene(self, mattes: object) -> tuple[Scene, dict[str, Any], Path]:
+        """Run the stage: the scene as it is read again, its rows, its folder."""
+        capture = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}, "mattes": mattes}
+        config = SceneConfig.model_validate({"name": "ball", "capture": capture})
+        out = self.run / f"scene{len(list(self.run.glob('scene*')))}"
+        out.mkdir()
+        context = StageContext(config, self.folder, self.run, out, lambda done, text: None, "cpu")
+        stage.run(context)
+        return read_scene(out), {row.check: row for row in context.health}, out
+
+
+@pytest.fixture
+def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+    return Session(tmp_path, monkeypatch)
+
+
+def program() -> dict[str, object]:
+    code = (
+        "import sys; from PIL import Image; "
+        "Image.open(sys.argv[1]).getchannel(0).point(lambda v: 255 * (v > 110)).save(sys.argv[2])"
+    )
+    return {"method": "command", "command": [sys.executable, "-c", code, "{image}", "{matte}"]}
+
+
+@pytest.mark.parametrize("method", ["given", "chroma", "command"])
+def test_mattes_of_every_picture_make_the_background_plain(session: Session, method: str) -> None:
+    session.write_mattes("mattes", "static", "cam0")
+    mattes = {"given": "mattes", "chroma": "chroma", "command": program()}[method]
+    scene, rows, out = session.scene(mattes)
+    assert scene.background == "white"
+    assert all(row.verdict == "ok" for name, row in rows.items() if name != "what moves"), rows
+    assert "before a plain background" in rows["mattes"].value
+    for frame in scene.frames:
+        true = session.true[f"frames/{frame.camera_name}/{frame.path.name}"]
+        assert (
+            frame.matte is not None
+            and frame.matte == (out / "mattes" / frame.camera_name / frame.path.name).resolve()
+        )
+        # an edge that is off by one pixel all around
+        ring = cv2.dilate(true.astype(np.uint8), np.ones((3, 3))) - cv2.erode(
+            true.astype(np.uint8), np.ones((3, 3))
+        )
+        wrong = (read_pixels(frame.matte)[..., 0] > 127) != true
+        assert not (wrong & (ring == 0)).any()
+        assert (load_image(frame, 1.0, scene.background)[~true & (ring == 0)] == 255).all()
+    # the box holds the ball and hardly more; the points are those on the ball
+    corners = (scene.aabb[1] - scene.aabb[0]) / np.linalg.norm(scene.box_from_world[0, :3])
+    assert (2 * RADIUS < corners).all() and (corners < 2 * RADIUS * 1.6).all(), corners
+    assert scene.points is not None and 30 <= len(scene.points.xyz) <= 40
+    assert np.linalg.norm(scene.points.xyz - BALL, axis=1).max() < RADIUS
+
+
+@pytest.mark.parametrize("method", ["given", "background"])
+def test_mattes_of_the_moving_cameras_leave_the_surroundings(session: Session, method: str) -> None:
+    session.write_mattes("mattes", "cam0")
+    scene, rows, _ = session.scene("mattes" if method == "given" else "background")
+    assert scene.background == "shell"
+    assert "surroundings are modelled" in rows["mattes"].value
+    assert all(f.matte is None for f in scene.static) and all(f.matte is not None for f in scene.dynamic)
+    for frame in (scene.static[0], scene.dynamic[0]):
+        np.testing.assert_array_equal(load_image(frame, 1.0, "shell"), read_pixels(frame.path))
+    if method == "background":  # the ball hides its own background all the time
+        assert rows["subject's places without a lasting background (cam0)"].verdict in ("ok", "warn")
+
+
+def test_without_mattes_nothing_changes(session: Session) -> None:
+    scene, rows, out = session.scene(None)
+    assert scene.background == "shell" and all(f.matte is None for f in scene.frames)
+    assert not (out / "mattes").exists() and "mattes" not in rows
+
+
+def test_swapped_mattes_are_used_and_said(session: Session) -> None:
+    session.write_mattes("mattes", "static", "cam0")
+    for file in (session.folder / "mattes" / "cam0").glob("*.png"):
+        write_png(file, 255 - read_pixels(file)[..., 0])
+    scene, rows, _ = session.scene("mattes")
+    row = rows["mattes' black and white"]
+    assert row.verdict == "warn" and row.value == "swapped: cam0" and "capture.mattes.inverted" in row.remedy
+    true = session.true["frames/cam0/000000.png"]
+    matte = scene.dynamic[0].matte
+    assert matte is not None
+    np.testing.assert_array_equal(read_pixels(matte)[..., 0] > 127, true)
+
+
+def test_bad_mattes_have_rows(session: Session) -> None:
+    session.write_mattes("holes", "static", "cam0")
+    for file in (session.folder / "holes" / "cam0").glob("*.png"):
+        matte = read_pixels(file)[..., 0]
+        inner = cv2.erode(matte, np.ones((9, 9)))
+        v, u = np.argwhere(inner > 0).mean(0).round().astype(int)
+        matte = cv2.dilate(matte, np.ones((7, 7)))
+        matte[v - 2 : v + 2, u - 2 : u + 2] = 0
+        write_png(file, matte)
+    rows = session.scene("holes")[1]
+    assert rows["holes in mattes (cam0)"].verdict == "warn"
+    assert rows["rim of the background's colour (cam0)"].verdict == "warn"
+    session.write_mattes("empty", "static", "cam0")
+    for file in (session.folder / "empty" / "cam0").glob("*.png"):
+        write_png(file, np.zeros((HEIGHT, WIDTH), np.uint8))
+    for file in (session.folder / "empty" / "static").glob("*.png"):
+        write_png(file, np.full((HEIGHT, WIDTH), 255, np.uint8))
+    rows = session.scene("empty")[1]
+    assert rows["pictures without a subject (cam0)"].verdict == "warn"
+    assert rows["subject's share of the picture (sweep)"].verdict == "warn"
+
+
+def test_a_missing_matte_is_named(session: Session) -> None:
+    session.write_mattes("mattes", "static", "cam0")
+    (session.folder / "mattes" / "cam0" / "000003.png").unlink()
+    with pytest.raises(CaptureError, match="cam0: no matte of 1 of the camera's 6 pictures: 000003.png; add"):
+        session.scene("mattes")
+
+
+# --- the box ---
+
+
+def test_a_subject_that_leaves_the_box_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The box is where the ball rests; the ball moves by more than its radius."""
+    session = Session(tmp_path, monkeypatch, step=0.08)
+    rest = [MotionMask(c, ball(c, BALL)) for c in session.sweep]
+    bounds = scene_bounds(session.sweep, [], np.zeros((0, 3)), np.zeros(0), rest)
+    session.write_mattes("mattes", "cam0")
+    config = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}, "mattes": "mattes"}
+    scene = session.scene("mattes")[0]
+    mattes = _mattes(session, config, scene)
+    leaving = box_health(bounds, (), mattes, scene.dynamic)[0]
+    assert leaving.check == "pictures in which the subject leaves the box (cam0)"
+    assert leaving.verdict == "warn" and isinstance(leaving.value, float) and 1 <= leaving.value < 6
+    wide = replace(bounds, aabb=3 * bounds.aabb)
+    assert box_health(wide, (), mattes, scene.dynamic)[0].value == 0
+
+
+def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
+    from devrf.pipelines.scene_mattes import scene_mattes
+
+    config = SceneConfig.model_validate({"name": "ball", "capture": capture})
+    context = StageContext(
+        config, session.folder, session.run, session.folder / "again", lambda done, text: None, "cpu"
+    )
+    context.out.mkdir()
+    frames = FrameSet.read(session.run / "ingest")
+    return scene_mattes(context, frames, scene.static, scene.dynamic, lambda done, text: None)
+
+
+def test_changes_outside_the_box_stray_points_and_blind_corners() -> None:
+    fixed = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
+    masks = [MotionMask(c, ball(c, BALL)) for c in fixed]
+    near = np.full(100, 2.5)
+    bounds = scene_bounds(fixed, fixed, np.zeros((100, 3)), near, masks)
+    frames = session_frames(fixed)
+    assert all(r.verdict == "ok" for r in box_health(bounds, masks, None, frames))
+
+    passer = masks[2].mask.copy()
+    passer[5:40, :20] = True  # somebody walks past one camera
+    outside = box_health(bounds, [*masks[:2], replace(masks[2], mask=passer), masks[3]], None, frames)[0]
+    assert outside.check.startswith("changing pixels outside the box") and outside.verdict == "warn"
+
+    stray = np.concatenate([near, np.full(3, 40.0)])
+    far = box_health(scene_bounds(fixed, fixed, np.zeros((100, 3)), stray, masks), masks, None, frames)[1]
+    assert far.check.startswith("far plane over") and far.verdict == "warn" and "masks" in far.remedy
+
+    away = [fixed[0], *(turned_away(c) for c in fixed[1:])]
+    blind = box_health(bounds, masks, None, session_frames(away))[-1]
+    assert blind.check.startswith("share of the box that fewer than two") and blind.verdict == "warn"
+
+
+def turned_away(camera: Camera) -> Camera:
+    flip = np.diag([-1.0, 1.0, -1.0])
+    return replace(camera, cam_from_world=flip @ camera.cam_from_world)
+
+
+def session_frames(cameras: list[Camera]) -> list[Any]:
+    from devrf.capture.scene import PosedFrame
+
+    return [PosedFrame(Path("p.png"), c, f"cam{n}", 0, 0.0, 0.0, "train") for n, c in enumerate(cameras)]
