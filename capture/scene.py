@@ -209,7 +209,7 @@ def read_corrected(frame: PosedFrame) -> UInt8[np.ndarray, "h w c"]:
 
 
 def read_matted(frame: PosedFrame, background: Background) -> UInt8[np.ndarray, "h w c"]:
-    """The frame's picture at full size, its look applied; before a plain background with its matte, where it has one, as alpha."""
+    """The frame's picture at full size, its look applied; before a plain background its matte is the alpha."""
     image = read_corrected(frame)
     if frame.matte is None or background == "shell":
         return image

@@ -15,7 +15,8 @@ def check_dataset(config: SceneConfig, scene_dir: Path) -> list[str]:
         scene = configured_dataset(config, scene_dir)
     except DevrfError as error:
         return [f"dataset: {error}"]
-    return [f"dataset: {text}" for text in damaged_pictures(f.path for f in scene.frames)]
+    files = [path for f in scene.frames for path in (f.path, f.matte) if path is not None]
+    return [f"dataset: {text}" for text in damaged_pictures(files)]
 
 
 def configured_dataset(config: SceneConfig, scene_dir: Path, notes: list[str] | None = None) -> Scene:

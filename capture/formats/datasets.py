@@ -130,6 +130,11 @@ def _scene(found: Pictures, background: Background | None, notes: list[str]) -> 
     if behind is None:
         alpha = read_header(found.static[0].path).alpha
         behind = "white" if alpha else found.behind if forward else "shell"
+        if not is_plain(behind) and found.own is None and any(f.matte is not None for f in found.static):
+            notes.append(
+                "mask_path is not used: it may name what to leave out, or the subject; where it is the subject set "
+                "dataset.background to white"
+            )
     scene = (frustum_box if forward and is_plain(behind) else box_around)(found, behind)
     if found.own is None:
         return scene

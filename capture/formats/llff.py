@@ -47,7 +47,8 @@ def write_llff(export: Export) -> None:
         )
     pinholes = Pinholes(export, frames)
     camera, near_far = pinholes.pinhole, bounds_of(export.scene)
-    alpha = any(read_header(f.path).alpha for f in frames) or (pinholes.whole and not pinholes.same)
+    alpha = any(read_header(f.path).alpha or (pinholes.whole and f.matte is not None) for f in frames)
+    alpha = alpha or (pinholes.whole and not pinholes.same)
     rows, test = [], []
     for n, frame in enumerate(frames):
         name = f"{n:06d}.png"
