@@ -6,6 +6,7 @@ from typing import Any
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.report_html import absent, figure, number, section, table, text
+from devrf.pipelines.report_mattes import mattes
 from devrf.pipelines.report_pictures import picture_uri, read_picture
 from devrf.pipelines.report_run import RunFolder, evenly
 
@@ -32,12 +33,12 @@ def capture_section(run: RunFolder) -> str:
         body = _cameras_table(cameras) + _strip(_ingest_pictures(run.path, filmed))
         strip = _strip(_ingest_pictures(run.path, boards))
         body += f"<details><summary>Board clips</summary>{strip}</details>" if strip else ""
-        return section("capture", "Capture", lead, body)
+        return section("capture", "Capture", lead, body + mattes(run.scene))
     pictures = _dataset_pictures(run.scene)
     if not pictures:
         return section("capture", "Capture", lead, absent(run.why_absent("ingest")))
     lead = "A finished data set: its pictures came with cameras and times, so nothing was ingested."
-    return section("capture", "Capture", lead, _strip(pictures))
+    return section("capture", "Capture", lead, _strip(pictures) + mattes(run.scene))
 
 
 def _cameras_table(cameras: dict[str, Any]) -> str:

@@ -295,3 +295,64 @@ def session_frames(cameras: list[Camera]) -> list[Any]:
     from devrf.capture.scene import PosedFrame
 
     return [PosedFrame(Path("p.png"), c, f"cam{n}", 0, 0.0, 0.0, "train") for n, c in enumerate(cameras)]
+
+
+# --- what follows ---
+
+
+def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Session) -> None:
+    """The box tightens around the ball, corners stay white, and the ball is where it is."""
+    from devrf.reconstruct.model import DynamicModel, render_view
+    from devrf.reconstruct.options import CanonicalOptions
+    from devrf.reconstruct.train_canonical import train_canonical
+
+    session.write_mattes("mattes", "static", "cam0")
+    scene = session.scene("mattes")[0]
+    options = CanonicalOptions(
+        resolution=20, iterations=50, rays=384, samples=8192, channels=6, mlp_width=16, scale_at=(0.5,), opacity=0.1,
+        alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20, hull_resolution=24,
+    )  # fmt: skip
+    model = train_canonical(scene, options)
+    assert model.shell is None
+    frame = next(f for f in scene.in_box_frame().static if f.split == "test")
+    rendered = render_view(DynamicModel(model), frame.camera, None)
+    true = load_image(frame, 1.0, "white") / 255
+    assert np.mean((rendered - true) ** 2) < 0.01  # 20 dB
+    np.testing.assert_allclose(rendered[0, 0], 1, atol=0.02)
+
+
+def test_the_report_shows_them(session: Session) -> None:
+    from devrf.pipelines.report_mattes import mattes
+
+    session.write_mattes("mattes", "cam0")
+    scene = session.scene("mattes")[0]
+    page = mattes(scene)
+    assert page.count("data:image/jpeg") == 3 and "<h3>cam0</h3>" in page and "static" not in page
+    assert mattes(session.scene(None)[0]) == "" and mattes(None) == ""
+    assert scene.dynamic[0].matte is not None
+    for frame in scene.dynamic:
+        assert frame.matte is not None
+        frame.matte.unlink()  # a run folder that was tidied up by hand
+    assert "data:image" not in mattes(scene)
+
+
+def test_a_man_who_stays_in_his_chair_has_no_clean_plate(data_dir: Path, tmp_path: Path) -> None:
+    """A real clip: he hides what is behind him from the first picture to the last."""
+    import av
+
+    from devrf.capture.mattes.make import Clip, background_mattes
+    from devrf.pipelines.matte_health import matte_health
+    from devrf.pipelines.scene_mattes import SceneMattes
+
+    clip = data_dir / "caliscope_post_optimization" / "calibration" / "extrinsic" / "cam_3.mp4"
+    files = []
+    with av.open(str(clip)) as container:
+        for n, picture in enumerate(container.decode(video=0)):
+            if n % 5 == 0:
+                files.append(tmp_path / f"{n:06d}.png")
+                write_png(files[-1], picture.reformat(width=320, height=180, format="rgb24").to_ndarray())
+    names = {n: None for n in range(len(files))}
+    made = background_mattes(Clip("cam_3", tuple(files), names, ((160, 90),) * len(files)), tmp_path / "out")
+    rows = {r.check: r for r in matte_health(SceneMattes((), (), {"cam_3": made}, {}, False), "background")}
+    row = rows["subject's places without a lasting background (cam_3)"]
+    assert row.verdict == "warn" and "method: command" in row.remedy
