@@ -5,7 +5,7 @@ gradient directly, `kernels/adam.py: add_total_variation`.
 """
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 VARIATION_RESOLUTION, VARIATION_CLAMP = 128, 1.0  # published: differences beyond 1 pull no harder
@@ -29,17 +29,18 @@ def flow_loss(
     moved_px: Float[Tensor, "S 2"],
     target_px: Float[Tensor, "S 2"],
     weights: Float[Tensor, " S"],
-    valid: Bool[Tensor, " S"],
+    confidence: Float[Tensor, " S"],
 ) -> Float[Tensor, ""]:
     """Optical flow supervision, DeVRF Eq. 6: weighted L1 distance between where a point was and where flow says.
 
     As the program has it: divided by twice the number of valid samples instead of the number of rays, weights
     not detached, and only pixels whose flow is consistent forward and backward. Departure: distances are in
-    pixels of a picture 400 wide (the published size), so that the weight does not depend on resolution.
+    pixels of a picture 400 wide (the published size), so that the weight does not depend on resolution; and a vector
+    counts by its confidence, from 0 to 1, where the published program has 0 or 1 (`reference` keeps these).
     """
     apart = (moved_px - target_px).abs().sum(-1)
-    kept = torch.where(valid, weights * apart, 0.0)
-    return kept.sum() / (2 * valid.sum() + 1e-8)
+    kept = torch.where(confidence > 0, confidence * weights * apart, 0.0)
+    return kept.sum() / (2 * confidence.sum() + 1e-8)
 
 
 def variation_weight(weight: float, shape: tuple[int, ...], rays: int) -> float:

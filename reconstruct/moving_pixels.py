@@ -1,6 +1,10 @@
-"""Where pictures of a camera that stands still change over time: the pixels worth drawing."""
+"""Where pictures of a camera that stands still change over time: the pixels worth drawing.
+
+A change of colour tells, and so does flow: what moves over a ground of its own colour changes next to nothing.
+"""
 
 from collections import defaultdict
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -9,10 +13,13 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
 
 NOISE_FACTOR = 5.0  # a change is this many times the noise
 LEAST_CHANGE = 0.04  # of the full range; compression alone changes half as much
+MOVES_PX = 1.0  # of the training size: no method is that wrong where its flow is
+SURE = BEST / 2  # confidence, from which a vector is believed
 GROW = 0.015  # of the picture's width, around what changed: motion that is still to be explained lies there
 
 
@@ -39,8 +46,8 @@ class ChangingPixels:
         return torch.cat(frame), torch.cat(pixel)
 
 
-def changing_pixels(rays: RaySet) -> ChangingPixels:
-    """Find them: pictures with one pose are compared over time, against their own noise.
+def changing_pixels(rays: RaySet, flows: Mapping[str, CameraFlow] | None = None) -> ChangingPixels:
+    """Find them: pictures with one pose are compared over time, against their own noise, and their flow is asked.
 
     Cameras that move while the scene does (every picture another pose) have none: all pixels are alike there.
     """
@@ -51,7 +58,7 @@ def changing_pixels(rays: RaySet) -> ChangingPixels:
     for members in groups.values():
         if len(members) < 2:
             continue
-        pixels = torch.from_numpy(np.flatnonzero(_changes(rays, members))).to(rays.device)
+        pixels = torch.from_numpy(np.flatnonzero(_changes(rays, members, flows or {}))).to(rays.device)
         for n in members:
             of_frame[n] = pixels
     return ChangingPixels(of_frame)
@@ -87,18 +94,33 @@ def _view(camera: Camera) -> bytes:
     return camera.cam_from_world.tobytes() + camera.K.tobytes()
 
 
-def _changes(rays: RaySet, members: list[int]) -> np.ndarray:
-    """True where the pictures of one camera change [H, W], and a little around."""
+def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) -> np.ndarray:
+    """True where the pictures of one camera change or move [H, W], and a little around."""
     camera = rays.cameras[members[0]]
     smooth = np.stack([_smooth(_picture(rays, n)) for n in members]).astype(np.float32) / 255
     blocks = _as_a_whole(np.abs(smooth - np.median(smooth, axis=0)).max(axis=(0, 3)))
+    for name in {rays.frames[n].camera_name for n in members} & flows.keys() if flows else ():
+        if flows[name].flow.shape[1:3] == blocks.shape:
+            blocks |= _moves(flows[name])
     radius = max(1, round(GROW * camera.width))
     return maximum_filter(blocks, size=2 * radius + 2, mode="constant")
 
 
+def _moves(clip: CameraFlow) -> np.ndarray:
+    """Where flow moves at any time, and is sure of it [H, W]."""
+    out = np.zeros(clip.flow.shape[1:3], bool)
+    for n, vectors in enumerate(clip.flow):
+        sure = clip.valid[n] if clip.confidence is None else clip.confidence[n] >= SURE
+        out |= _whole_blocks(sure & (np.hypot(*vectors.astype(np.float32).transpose(2, 0, 1)) > MOVES_PX))
+    return out
+
+
 def _as_a_whole(apart: np.ndarray) -> np.ndarray:
     """Where 2 x 2 pixels differ as a whole, by more than their noise [H, W]."""
-    mask = apart > max(LEAST_CHANGE, NOISE_FACTOR * float(np.median(apart)))
+    return _whole_blocks(apart > max(LEAST_CHANGE, NOISE_FACTOR * float(np.median(apart))))
+
+
+def _whole_blocks(mask: np.ndarray) -> np.ndarray:
     return minimum_filter(mask, size=2, mode="constant", cval=1)
 
 

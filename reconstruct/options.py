@@ -120,6 +120,7 @@ class MotionOptions:
     importance: float = 0.0
     cycle: float = 100.0
     flow: float = 0.005
+    flow_confidence: bool = False
     variation: float = 1.0
     entropy: float = 0.01
     per_point: float = 0.1
@@ -162,6 +163,7 @@ QUICK_MOTION: dict[str, Any] = {
     "lr": 8e-3,
     "importance": 0.8,
     "flow": 0.02,
+    "flow_confidence": True,
     "stepsize": 1.0,
     "alpha_threshold": 5e-3,
     "weight_threshold": 1e-2,

@@ -5,10 +5,10 @@ Positions are in pixels of an ideal pinhole picture PUBLISHED_WIDTH wide, so tha
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from devrf.flow.store import CameraFlow
+from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RaySet
 
 PUBLISHED_WIDTH = 400.0
@@ -17,11 +17,15 @@ PUBLISHED_WIDTH = 400.0
 class PixelFlow:
     """Backward flow of the pictures of a ray set.
 
+    Args:
+        rays: The pictures' rays.
+        flows: By camera.
+        weighted: Tell vectors apart by how far they can be trusted; else all that are valid are alike.
     Attributes:
         pictures: How many pictures have flow.
     """
 
-    def __init__(self, rays: RaySet, flows: dict[str, CameraFlow]) -> None:
+    def __init__(self, rays: RaySet, flows: dict[str, CameraFlow], weighted: bool = False) -> None:
         self.rays = rays
         entry = {
             (name, int(index)): (flow, n)
@@ -29,7 +33,7 @@ class PixelFlow:
             for n, index in enumerate(flow.index)
         }
         number = {(f.camera_name, f.index): n for n, f in enumerate(rays.frames)}
-        previous, first, vectors, valid, size = [], [], [], [], 0
+        previous, first, vectors, confidence, size = [], [], [], [], 0
         for n, (frame, camera) in enumerate(zip(rays.frames, rays.cameras, strict=True)):
             before = max((i for c, i in number if c == frame.camera_name and i < frame.index), default=None)
             found = entry.get((frame.camera_name, frame.index))
@@ -40,13 +44,13 @@ class PixelFlow:
             previous.append(number[(frame.camera_name, before)])
             first.append(size)
             vectors.append(found[0].flow[found[1]].reshape(-1, 2))
-            valid.append(found[0].valid[found[1]].reshape(-1))
+            confidence.append(_confidence(*found, weighted).reshape(-1))
             size += camera.width * camera.height
         self.pictures = len(vectors)
         device = rays.device
         self.previous, self.first = torch.tensor(previous, device=device), torch.tensor(first, device=device)
         self.vectors = torch.from_numpy(np.concatenate(vectors or [np.zeros((1, 2), np.float16)])).to(device)
-        self.valid = torch.from_numpy(np.concatenate(valid or [np.zeros(1, bool)])).to(device)
+        self.confidence = torch.from_numpy(np.concatenate(confidence or [np.zeros(1, np.uint8)])).to(device)
         self.width = torch.tensor([c.width for c in rays.cameras], device=device)
         self.height = torch.tensor([c.height for c in rays.cameras], device=device)
         focal = [[c.K[i, i] * PUBLISHED_WIDTH / c.width for i in (0, 1)] for c in rays.cameras]
@@ -54,8 +58,8 @@ class PixelFlow:
 
     def at(
         self, frame: Int[Tensor, " n"], pixel: Int[Tensor, " n"]
-    ) -> tuple[Float[Tensor, "n 2"], Int[Tensor, " n"], Bool[Tensor, " n"]]:
-        """Where pixels were, in which picture, and whether that can be trusted."""
+    ) -> tuple[Float[Tensor, "n 2"], Int[Tensor, " n"], Float[Tensor, " n"]]:
+        """Where pixels were, in which picture, and how far that can be trusted: from 0, not at all, to 1."""
         has = self.first[frame] >= 0
         index = torch.where(has, self.first[frame] + pixel, 0)
         width, height = self.width[frame], self.height[frame]
@@ -64,7 +68,7 @@ class PixelFlow:
         inside = ((at >= 0) & (at <= torch.stack([width, height], dim=-1) - 1)).all(-1)
         direction = self._direction(frame, at)
         target = direction[:, :2] / direction[:, 2:] * self.focal[frame]
-        return target, self.previous[frame], has & inside & self.valid[index]
+        return target, self.previous[frame], (has & inside) * self.confidence[index].float() / BEST
 
     def project(self, points: Float[Tensor, "S 3"], frame: Int[Tensor, " S"]) -> Float[Tensor, "S 2"]:
         """Pinhole projection into the cameras of pictures, relative to the principal point."""
@@ -82,3 +86,10 @@ class PixelFlow:
         top = table[row] * (1 - u) + table[row + 1] * u
         bottom = table[row + width] * (1 - u) + table[row + width + 1] * u
         return top * (1 - v) + bottom * v
+
+
+def _confidence(flow: CameraFlow, n: int, weighted: bool) -> UInt8[np.ndarray, "height width"]:
+    """Of entry `n`, 0 to 15."""
+    if weighted and flow.confidence is not None:
+        return flow.confidence[n]
+    return BEST * flow.valid[n].astype(np.uint8)

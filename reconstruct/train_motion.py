@@ -182,8 +182,8 @@ class _Recipe:
         self.options = options = levels_for(options, rest.canonical) if options.adapt else options
         self.generator = torch.Generator().manual_seed(options.seed)
         self.around = PixelSurroundings(DynamicModel(rest), rays)
-        self.flow = PixelFlow(rays, flows)
-        self.changing = changing_pixels(rays) if options.importance > 0 else None
+        self.flow = PixelFlow(rays, flows, options.flow_confidence)
+        self.changing = changing_pixels(rays, flows) if options.importance > 0 else None
         times = sorted({f.time for f in rays.frames if f.time is not None})
         clips = Counter(f.camera_name for f in rays.frames)
         keys = max(2, min(options.keys or options.most_keys, len(times), max(clips.values())))
@@ -414,9 +414,9 @@ class _Recipe:
     def _flow_loss(self, batch: RayBatch, ray_id: Tensor, x0: Tensor, weights: Tensor) -> Tensor:
         if self.options.flow == 0 or not self.flow.pictures:
             return x0.new_zeros(())
-        target, previous, valid = self.flow.at(batch.frame, batch.pixel)
+        target, previous, confidence = self.flow.at(batch.frame, batch.pixel)
         was = self.window.from_rest(x0, self._tau(previous)[ray_id])
         if self.rest.canonical.ndc is not None:
             was = self.rest.canonical.ndc.to_world(was)
         moved = self.flow.project(was, batch.frame[ray_id])
-        return flow_loss(moved, target[ray_id], weights, valid[ray_id])
+        return flow_loss(moved, target[ray_id], weights, confidence[ray_id])

@@ -218,6 +218,20 @@ def sync(
     _accuracy("sync", SYNC, data, only, out, json, quiet)
 
 
+@bench.command()
+def flow(
+    data: DataOption = None,
+    only: OnlyOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Every method's error on pairs with truth, seconds per pair, and bytes per pixel on disk."""
+    from devrf.pipelines.bench.accuracy.parts import FLOW
+
+    _accuracy("flow", FLOW, data, only, out, json, quiet)
+
+
 def _accuracy(
     title: str,
     parts: "Mapping[str, Part]",

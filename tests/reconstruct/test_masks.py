@@ -1,5 +1,7 @@
 """Masks of moving pixels and of silhouettes, against words and against OpenCV where it is installed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,6 +9,7 @@ from PIL import Image
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import write_png
 from devrf.capture.scene import PosedFrame
+from devrf.flow.store import CameraFlow
 from devrf.reconstruct.evaluate import _error_map
 from devrf.reconstruct.hull import silhouette
 from devrf.reconstruct.moving_pixels import changing_pixels
@@ -40,6 +43,28 @@ def test_what_passes_is_found_and_what_stands_is_not() -> None:
     mask = mask_of(film())
     assert mask[30:45, 20:90].all()
     assert not mask[:20].any() and not mask[60:75].any() and not mask[:, 110:118].any()
+
+
+def test_what_moves_over_its_own_colour_is_found_by_flow() -> None:
+    """Cloth before cloth of its colour: nothing changes by 4 %, but flow knows."""
+    rng = np.random.default_rng(1)
+    pictures = [rng.integers(100, 104, (HEIGHT, WIDTH, 3)).astype(np.uint8) for _ in range(3)]
+    frames = tuple(PosedFrame(Path(f"{n}.png"), CAMERA, "cam0", n, None, n / 2, "train") for n in range(3))
+    rays = RaySet.from_arrays([CAMERA] * 3, pictures)
+    rays.frames = frames
+    flow = np.zeros((2, HEIGHT, WIDTH, 2), np.float16)
+    flow[0, 30:50, 40:70, 0] = 3.0
+    flow[1, 10:20, 10:20, 1] = 3.0
+    flow[1, 70, 100, 1] = 9.0  # a single pixel is an error
+    confidence = np.full(flow.shape[:3], 15, np.uint8)
+    confidence[1, :25] = 5  # not sure
+    clip = CameraFlow("cam0", np.array([1, 2], np.int32), flow, confidence > 0, confidence)
+    assert not len(changing_pixels(rays).of_frame[0])
+    mask = np.zeros(WIDTH * HEIGHT, bool)
+    mask[changing_pixels(rays, {"cam0": clip}).of_frame[0].numpy()] = True
+    mask = mask.reshape(HEIGHT, WIDTH)
+    assert mask[30:50, 40:70].all() and mask.sum() < 27 * 37  # 1.5 % of the width around
+    assert not mask[:25].any() and not mask[60:].any()
 
 
 def test_changing_pixels_are_those_of_opencv() -> None:

@@ -1,6 +1,6 @@
-"""Which parts `bench calibration` and `bench sync` have; each is a function from `Cases` to rows."""
+"""Which parts `bench calibration`, `bench sync` and `bench flow` have; each is a function from `Cases` to rows."""
 
-from devrf.pipelines.bench.accuracy import sync_flash, sync_motion, sync_sound
+from devrf.pipelines.bench.accuracy import flow_pairs, sync_flash, sync_motion, sync_sound
 from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
 from devrf.pipelines.bench.accuracy.learned_offsets import learned
@@ -17,4 +17,9 @@ SYNC: dict[str, Part] = {
     "learned": learned,
     "motion": sync_motion.rows,
     "sound": sync_sound.rows,
+}
+FLOW: dict[str, Part] = {
+    "accuracy": flow_pairs.accuracy,
+    "speed": flow_pairs.speed,
+    "store": flow_pairs.store,
 }
