@@ -3,16 +3,10 @@
 import json
 from pathlib import Path
 
-from typer.testing import CliRunner
 
-from devrf.pipelines.cli import app
-
-
-def rows_of(data: Path, out: Path, only: str) -> dict[str, dict]:
-    result = CliRunner().invoke(
-        app, ["bench", "flow", "--data", str(data), "--out", str(out), "--only", only]
-    )
-    assert result.exit_code == 0, result.output
+def rows_of(devrf, data: Path, out: Path, only: str) -> dict[str, dict]:
+    done = devrf("bench", "flow", "--data", data, "--out", out, "--only", only)
+    assert done.code == 0, done.said
     return {row["name"]: row for row in json.loads((out / "flow.json").read_text())["rows"]}
 
 
