@@ -99,6 +99,21 @@ def test_flow_loss_is_zero_at_the_true_motion(size: tuple[int, int]) -> None:
     assert exact < 2e-3 * PUBLISHED_WIDTH / min(size) and still > 50 * exact
 
 
+@pytest.mark.parametrize(("weighted", "expected"), [(True, [0.2, 1.0, 0.0]), (False, [1.0, 1.0, 0.0])])
+def test_flow_counts_by_its_confidence(weighted: bool, expected: list[float]) -> None:
+    camera = Camera(8, 6, np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]), np.eye(4)[:3])
+    rays = RaySet.from_arrays([camera] * 2, [np.zeros((6, 8, 3), np.uint8)] * 2, [0.0, 1.0])
+    rays.frames = tuple(PosedFrame(Path(), camera, "cam0", n, float(n), float(n), "train") for n in range(2))
+    confidence = np.full((1, 6, 8), 15, np.uint8)
+    confidence[0, 2, 3:6] = 3, 15, 0
+    flow = CameraFlow(
+        "cam0", np.array([1], np.int32), np.zeros((1, 6, 8, 2), np.float16), confidence > 0, confidence
+    )
+    pixel = torch.tensor([2 * 8 + 3, 2 * 8 + 4, 2 * 8 + 5])
+    _, _, found = PixelFlow(rays, {"cam0": flow}, weighted).at(torch.ones(3, dtype=torch.int64), pixel)
+    torch.testing.assert_close(found, torch.tensor(expected))
+
+
 def test_gradient_of_the_cycle_against_float64() -> None:
     """Through both lookups, with respect to both fields (Eq. 5)."""
     rng = torch.Generator().manual_seed(1)
