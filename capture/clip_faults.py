@@ -4,6 +4,7 @@ Each frame is looked at as a small grey picture, as the sensor reads it. Nothing
 """
 
 import av
+import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -15,9 +16,9 @@ from devrf.capture.video_colour import is_full_range, luma_plane
 # Two frames that differ by less than this (mean of absolute differences, levels of 255) are the same picture. What
 # nine real and simulated cameras film differs by 0.15 and more between frames, a subject that hardly moves included.
 SAME_LEVEL = 0.1
-MOVES_LEVEL = (
-    0.2  # a repeat stands between frames that differ at least so much: a scene at rest repeats nothing
-)
+# A repeat stands between frames in which something moves: a share of the pixels changes by more than noise and than
+# what a key picture changes in a scene at rest, which repeats nothing.
+MOVED_LEVEL, MOVED_SHARE = 12, 3e-4
 LONGEST_REPEAT = 5  # frames; more is a scene at rest
 
 LOOK_EVERY_S = 1.0  # at the tripod and at the levels
@@ -25,8 +26,9 @@ SHIFT_PX = 0.5  # of a fixed camera's full picture; cameras that stand were meas
 ZOOM = 1e-3  # change of size; cameras that stand were measured at 6e-5 and less
 
 BELOW_LIMITED, ABOVE_LIMITED = 8, 247  # limited range is 16 to 235; noise and overshoot stay inside these
-LIMITED_ENDS = 3  # levels next to 16 and 235
-RANGE_SHARE = 1e-3
+LIMITED_ENDS = 5  # levels from 14 to 18 and from 233 to 237: the ends, and what coding adds to them
+RANGE_SHARE = 1e-3  # of the pixels, in each of two places, tells something
+OUTSIDE_SHARE = 1e-5
 LUMA_STEP_PX = 8  # every eighth pixel of every eighth row tells the levels
 
 LEAST_BITS = 0.05  # per pixel, for H.264 and older codecs ...
@@ -37,22 +39,31 @@ class Repeats:
     """Frames that repeat the one before: the camera or the recorder missed a frame and filled its place."""
 
     def __init__(self) -> None:
-        self._changes: list[tuple[int, float]] = []
+        self._frames: list[
+            tuple[int, bool, bool]
+        ] = []  # index, same as the one before, something moved since
 
-    def add(self, index: int, change: float) -> None:
-        """Mean absolute difference between frame `index` and the one before."""
-        self._changes.append((index, change))
+    def add(self, index: int, difference: UInt8[np.ndarray, "h w"]) -> None:
+        """Absolute difference between frame `index` and the one before, grey levels."""
+        moved = (
+            cv2.countNonZero(cv2.compare(difference, MOVED_LEVEL, cv2.CMP_GT)) > MOVED_SHARE * difference.size
+        )
+        self._frames.append((index, not moved and cv2.mean(difference)[0] < SAME_LEVEL, moved))
 
     def frames(self) -> list[int]:
         """Their indices."""
-        same = np.array([change < SAME_LEVEL for _, change in self._changes], dtype=bool)
-        moves = [change >= MOVES_LEVEL for _, change in self._changes]
+        same = np.array([same for _, same, _ in self._frames], dtype=bool)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
         found: list[int] = []
         for start, end in edges.reshape(-1, 2).tolist():
-            between = start > 0 and end < len(moves) and moves[start - 1] and moves[end]
-            if between and end - start <= LONGEST_REPEAT:
-                found += [index for index, _ in self._changes[start:end]]
+            inside = 0 < start and end < len(same)
+            if (
+                inside
+                and end - start <= LONGEST_REPEAT
+                and self._frames[start - 1][2]
+                and self._frames[end][2]
+            ):
+                found += [index for index, _, _ in self._frames[start:end]]
         return found
 
 
@@ -89,8 +100,10 @@ class Levels:
         below, above = share[:BELOW_LIMITED].sum(), share[ABOVE_LIMITED + 1 :].sum()
         if not self._full and min(below, above) > RANGE_SHARE:
             return [_range_fault("limited range (16 to 235), but they run from 0 to 255", 1)]
-        at_ends = min(share[16 : 16 + LIMITED_ENDS].sum(), share[236 - LIMITED_ENDS : 236].sum())
-        if self._full and share[:16].sum() + share[236:].sum() == 0 and at_ends > RANGE_SHARE:
+        # Full range that stays within the limited one is just soft light, unless it ends where that one ends.
+        at_ends = min(share[14 : 14 + LIMITED_ENDS].sum(), share[238 - LIMITED_ENDS : 238].sum())
+        outside = share[:14].sum() + share[238:].sum()
+        if self._full and outside < OUTSIDE_SHARE and at_ends > RANGE_SHARE:
             return [_range_fault("full range (0 to 255), but they end at 16 and 235", 0)]
         return []
 

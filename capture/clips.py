@@ -40,7 +40,7 @@ from devrf.capture.frames import (
 from devrf.capture.light import SMALL_SIDE_PX, LightCourse, LightMeter, clipped_share, highlight_faults
 from devrf.capture.packets import scan_packets
 from devrf.capture.picture_writer import SUFFIX, PictureWriter
-from devrf.capture.pictures import copy_upright, list_pictures, probe_picture, read_picture
+from devrf.capture.pictures import copy_upright, list_pictures, numbering, probe_picture, read_picture
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.raw import is_raw
 from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions, develop_set
@@ -218,7 +218,7 @@ class _Seen:
         self.levels.append(float(np.median(small)))
         if self._last is not None:
             last_grey, last_small = self._last
-            self.repeats.add(frame.index, float(cv2.mean(cv2.absdiff(grey, last_grey))[0]))
+            self.repeats.add(frame.index, cv2.absdiff(grey, last_grey))
             difference = float(cv2.mean(cv2.absdiff(small, last_small))[0])
             self.motion.append(((time_s + self.times_s[-1]) / 2, difference))
         self.brightness.append(np.concatenate([[time_s], _row_bands(grey)]))
@@ -244,6 +244,7 @@ class _Unused:
 
     def __init__(self) -> None:
         self._damaged: list[tuple[int, float]] = []
+        self._tainted = False  # damage stays in the pictures up to the next key picture
         self._resized: list[tuple[int, float, tuple[int, int]]] = []
         self._size = (0, 0)
         self._backwards: list[int] = []
@@ -256,9 +257,11 @@ class _Unused:
         place = (frame.index, frame.time_s if time_s is None else time_s)
         if frame.size != self._size:
             self._resized.append((*place, frame.size))
-        elif frame.damaged:
+        elif frame.damaged or (self._tainted and not frame.picture.key_frame):
+            self._tainted = True
             self._damaged.append(place)
         else:
+            self._tainted = False
             return False
         return True
 
@@ -369,7 +372,7 @@ def extract_folder(
             if linear is not None:
                 (out / linear).unlink()
         records.append(FrameRecord(i, None, sharp[i], used, file if used else None, exifs[i]))
-    notes = []
+    notes = numbering(pictures)
     if turned:
         notes.append(f"{turned} photos turned as their EXIF tag says")
     if len(taken) > 1:

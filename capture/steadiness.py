@@ -8,16 +8,19 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 CORNERS = 200
 CORNER_QUALITY = 0.01
 CORNER_DISTANCE_PX = 10  # corners all over the picture, not all on one poster
-WINDOW_PX = 21
+WINDOW_PX = 15
+PYRAMID_LEVELS = 2  # backgrounds move by a few pixels; coarser windows would follow a large subject
 ROUND_TRIP_PX = 0.5  # a corner that does not come back was lost
 AGREE_PX = 0.5  # of the small picture; followed corners are good to about 0.1
 FEWEST_CORNERS = 20
-AGREEING_SHARE = 0.4  # fewer: the subject fills the picture, or everything moves in its own way
+AGREEING_SHARE = (
+    0.5  # of those that come back; fewer: the subject fills the picture, or everything moves in its own way
+)
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,16 @@ def follow(
     corners: Float[np.ndarray, "n 1 2"],
 ) -> BackgroundMotion | None:
     """Motion of the background, from where `corners` of `first` are found in `other`."""
-    window = (WINDOW_PX, WINDOW_PX)
-    there, found, _ = cv2.calcOpticalFlowPyrLK(first, other, corners, None, winSize=window)  # type: ignore
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(other, first, there, None, winSize=window)  # type: ignore
+    there, found = _followed(first, other, corners)
+    back, returned = _followed(other, first, there)
     missed = np.linalg.norm((back - corners)[:, 0], axis=1)
-    kept = (found.ravel() == 1) & (returned.ravel() == 1) & (missed < ROUND_TRIP_PX)
+    kept = found & returned & (missed < ROUND_TRIP_PX)
     if kept.sum() < FEWEST_CORNERS:
         return None
     similarity, agree = cv2.estimateAffinePartial2D(
         corners[kept], there[kept], ransacReprojThreshold=AGREE_PX
     )
-    if similarity is None or agree.sum() < max(FEWEST_CORNERS, AGREEING_SHARE * len(corners)):
+    if similarity is None or agree.sum() < max(FEWEST_CORNERS, AGREEING_SHARE * kept.sum()):
         return None
     scale = float(np.hypot(similarity[0, 0], similarity[1, 0]))
     height, width = first.shape
@@ -74,3 +76,15 @@ def follow(
         12
     )  # root mean square distance of a picture's pixels from its centre
     return BackgroundMotion(float(np.hypot(np.linalg.norm(moved), turn * radius)), scale)
+
+
+def _followed(
+    first: UInt8[np.ndarray, "height width"],
+    other: UInt8[np.ndarray, "height width"],
+    corners: Float[np.ndarray, "n 1 2"],
+) -> tuple[Float[np.ndarray, "n 1 2"], Bool[np.ndarray, " n"]]:
+    """Where corners went, and which were found."""
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        first, other, corners, np.empty_like(corners), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=PYRAMID_LEVELS
+    )
+    return np.asarray(there), found.ravel() == 1

@@ -232,6 +232,20 @@ def flow(
     _accuracy("flow", FLOW, data, only, out, json, quiet)
 
 
+@bench.command()
+def ingest(
+    data: DataOption = None,
+    only: OnlyOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Speed of ingest against plain decoding, memory against length, and what storing pictures costs."""
+    from devrf.pipelines.bench.ingest import INGEST
+
+    _accuracy("ingest", INGEST, data, only, out, json, quiet)
+
+
 def _accuracy(
     title: str,
     parts: "Mapping[str, Part]",

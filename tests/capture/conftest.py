@@ -14,7 +14,11 @@ TIME_BASE = Fraction(1, 90_000)
 
 @pytest.fixture
 def make_clip(tmp_path: Path) -> MakeClip:
-    """Writes a clip: `make_clip(name, pictures, times_s, sound=, rate_hz=, rotation=, codec=)`."""
+    """Writes a clip: `make_clip(name, pictures, times_s, sound=, rate_hz=, rotation=, pix_fmt=, colour=, …)`.
+
+    `colour` are H.273's numbers of matrix, transfer and primaries and libav's of the range. `flagged` is the range
+    that the file names, where that is not the one its levels have.
+    """
 
     def make(
         name: str,
@@ -24,6 +28,10 @@ def make_clip(tmp_path: Path) -> MakeClip:
         rate_hz: int = 48_000,
         rotation: int = 0,
         faststart: bool = False,
+        pix_fmt: str = "yuv420p",
+        colour: tuple[int, int, int, int] | None = None,
+        flagged: int | None = None,
+        crf: int = 10,
     ) -> Path:
         path = tmp_path / name
         when = [i / 25 for i in range(len(pictures))] if times_s is None else times_s
@@ -31,14 +39,25 @@ def make_clip(tmp_path: Path) -> MakeClip:
         options = {"movflags": "+faststart"} if faststart else {}
         with av.open(str(path), "w", options=options) as container:
             video = container.add_stream("libx264", rate=25)
-            video.width, video.height, video.pix_fmt = width, height, "yuv420p"
+            video.width, video.height, video.pix_fmt = width, height, pix_fmt
             video.time_base = video.codec_context.time_base = TIME_BASE
-            video.options = {"crf": "10", "g": "5"}
+            video.options = {"crf": str(crf), "g": "5"}
+            if colour is not None:
+                coder = video.codec_context
+                coder.colorspace, coder.color_trc, coder.color_primaries, levels = colour
+                coder.color_range = levels if flagged is None else flagged
             if rotation:
                 video.set_display_rotation(rotation)
             audio = None if sound is None else container.add_stream("aac", rate=rate_hz, layout="mono")
             for picture, time_s in zip(pictures, when, strict=True):
-                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+                deep = "rgb48le" if picture.dtype == np.uint16 else "rgb24"
+                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format=deep)
+                if colour is not None:
+                    frame = frame.reformat(
+                        format=pix_fmt, dst_colorspace=colour[0], dst_color_range=colour[3]
+                    )
+                    if flagged is not None:
+                        frame.color_range = flagged
                 frame.pts, frame.time_base = round(time_s / TIME_BASE), TIME_BASE
                 container.mux(video.encode(frame))
             container.mux(video.encode(None))

@@ -1,0 +1,156 @@
+"""`bench ingest`: speed against plain decoding, memory against length, and what storing pictures costs."""
+
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.capture.ingest import write_frames
+from devrf.capture.picture_files import read_pixels
+from devrf.capture.session import CaptureSession
+from devrf.capture.video import VideoReader
+from devrf.pipelines.bench.accuracy.cases import Cases, Part
+from devrf.pipelines.bench.ingest_clips import film, filmed
+from devrf.pipelines.bench.rows import Row, with_goal
+
+REPETITIONS = 9  # in turns; the fastest of each counts: what else the machine does only slows
+SHORT_FRAMES, LONGER = 60, 4
+SPEED_GOAL = 0.6
+MEMORY_GOAL = 1.05  # a list of times and sharpnesses grows; pictures must not
+LOSS_GOAL_DB = 0.1  # a tenth of what a doubling of the bit rate changes
+REAL_CLIPS = ("pose2sim_single/videos/cam03.mp4", "pose2sim_single/videos/cam04.mp4")
+INGEST_ONE = (
+    "import sys; from pathlib import Path; from devrf.capture.ingest import write_frames; "
+    "from devrf.capture.session import CaptureSession; clip, out = map(Path, sys.argv[1:]); "
+    "write_frames(CaptureSession(cameras={'cam0': clip}), {}, out, clip.parent); "
+    "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"  # getrusage has the parent's too
+)
+
+
+def speed(cases: Cases) -> list[Row]:
+    """Pictures a second of ingest, all of them stored, over those of decoding to RGB by PyAV, in the same run."""
+    folder = _folder(cases, "speed")
+    clips = {"1080p, 16 Mbit/s": film(folder / "short.mp4", SHORT_FRAMES)}
+    for name in REAL_CLIPS:
+        capture, _, clip = name.partition("/")
+        real = cases.real(capture)
+        if real is not None:
+            clips[name] = real / clip
+    rows = []
+    for name, clip in clips.items():
+        plain, ours = [], []
+        for _ in range(REPETITIONS):
+            plain.append(_seconds(_decode, clip))
+            shutil.rmtree(folder / "ingest", ignore_errors=True)
+            ours.append(_seconds(_ingest, clip, folder))
+        (plain_s, plain_cpu_s), (ours_s, ours_cpu_s) = np.min([plain, ours], axis=1).tolist()
+        spread = float(np.std([p[0] / o[0] for p, o in zip(plain, ours, strict=True)]))
+        pictures = sorted((folder / "ingest/frames/cam0").iterdir())
+        count, size = len(pictures), float(np.mean([p.stat().st_size for p in pictures]))
+        ratio = Row(f"ingest/{name}, speed over decoding to RGB", plain_s / ours_s, "", spread)
+        rows += [
+            with_goal(ratio, SPEED_GOAL),
+            Row(f"ingest/{name}, the same in processor time", plain_cpu_s / ours_cpu_s, ""),
+            Row(f"ingest/{name}, decoding to RGB", count / plain_s, "pictures/s"),
+            Row(f"ingest/{name}, ingest", count / ours_s, "pictures/s"),
+            Row(f"ingest/{name}, stored", size / 1e3, "kB/picture"),
+        ]
+    return rows
+
+
+def memory(cases: Cases) -> list[Row]:
+    """Peak resident memory of a process that ingests a clip, and one four times as long."""
+    folder = _folder(cases, "memory")
+    peaks = []
+    for name, frames in (("short", SHORT_FRAMES), ("long", LONGER * SHORT_FRAMES)):
+        clip, out = film(folder / f"{name}.mp4", frames), folder / "ingest"
+        shutil.rmtree(out, ignore_errors=True)
+        said = subprocess.run(
+            [sys.executable, "-c", INGEST_ONE, str(clip), str(out)],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        peaks.append(int(said.stdout) * 1024 / 1e6)  # kibibytes
+    return [
+        Row(f"ingest/1080p, {SHORT_FRAMES} frames, peak memory", peaks[0], "MB"),
+        Row(f"ingest/1080p, {LONGER * SHORT_FRAMES} frames, peak memory", peaks[1], "MB"),
+        with_goal(
+            Row("ingest/peak memory of the longer clip over the shorter one's", peaks[1] / peaks[0], ""),
+            MEMORY_GOAL,
+            low_is_good=True,
+        ),
+    ]
+
+
+def quality(cases: Cases) -> list[Row]:
+    """How far pictures are from what was filmed: decoded, and decoded and stored; and the flow between them."""
+    folder = _folder(cases, "quality")
+    clip = film(folder / "short.mp4", SHORT_FRAMES)
+    _ingest(clip, folder)
+    decoded_db, stored_db, between_db, flow_px = [], [], [], []
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    last: tuple[np.ndarray, np.ndarray] | None = None
+    with VideoReader(clip) as reader:
+        for truth, frame in zip(filmed(SHORT_FRAMES), reader, strict=True):
+            stored = read_pixels(folder / f"ingest/frames/cam0/{frame.index:06d}.jpg")
+            rgb = frame.rgb
+            decoded_db.append(_psnr(rgb, truth))
+            stored_db.append(_psnr(stored, truth))
+            between_db.append(_psnr(stored, rgb))
+            greys = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.cvtColor(stored, cv2.COLOR_RGB2GRAY)
+            if last is not None and frame.index % 10 == 0:
+                a, b = (flow.calc(now, before, None) for now, before in zip(greys, last, strict=True))  # type: ignore
+                flow_px.append(float(np.linalg.norm(a - b, axis=-1).mean()))
+            last = greys
+    loss = float(np.mean(decoded_db) - np.mean(stored_db))
+    return [
+        Row("ingest/1080p, decoded against what was filmed", float(np.mean(decoded_db)), "dB"),
+        Row("ingest/1080p, stored against what was filmed", float(np.mean(stored_db)), "dB"),
+        with_goal(Row("ingest/1080p, loss by storing", loss, "dB"), LOSS_GOAL_DB, low_is_good=True),
+        Row("ingest/1080p, stored against decoded", float(np.mean(between_db)), "dB"),
+        Row(
+            "ingest/1080p, flow of stored against flow of decoded pictures, mean",
+            float(np.mean(flow_px)),
+            "px",
+        ),
+    ]
+
+
+INGEST: dict[str, Part] = {"speed": speed, "memory": memory, "quality": quality}
+
+
+def _folder(cases: Cases, part: str) -> Path:
+    folder = cases.out / part
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _decode(clip: Path) -> None:
+    """What anyone writes who wants RGB pictures, with all threads."""
+    with av.open(str(clip)) as container:
+        container.streams.video[0].thread_type = "AUTO"
+        for frame in container.decode(video=0):
+            frame.to_ndarray(format="rgb24")
+
+
+def _ingest(clip: Path, folder: Path) -> None:
+    write_frames(CaptureSession(cameras={"cam0": clip}), {}, folder / "ingest", folder)
+
+
+def _seconds(work: Callable[..., None], *arguments: Path) -> tuple[float, float]:
+    """Seconds on the clock, and of processors."""
+    clock, used = time.perf_counter(), time.process_time()
+    work(*arguments)
+    return time.perf_counter() - clock, time.process_time() - used
+
+
+def _psnr(a: UInt8[np.ndarray, "h w 3"], b: UInt8[np.ndarray, "h w 3"]) -> float:
+    return float(cv2.PSNR(a, b))

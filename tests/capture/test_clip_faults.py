@@ -1,0 +1,251 @@
+"""Clips as crews bring them home: each fault is made, found, and named with its place and a remedy."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from devrf.capture.clips import Extract, Keep, extract_clip, extract_folder
+from devrf.capture.pictures import write_picture
+from devrf.capture.video import VideoReader
+
+SIZE = (320, 240)
+
+
+def scenery(seed: int = 0, margin: int = 40) -> np.ndarray:
+    """A textured wall, larger than the picture."""
+    rng = np.random.default_rng(seed)
+    width, height = SIZE[0] + 2 * margin, SIZE[1] + 2 * margin
+    picture = np.zeros((height, width, 3), np.float32)
+    for cells in (10, 30, 80):
+        colours = rng.random((cells, cells, 3)).astype(np.float32)
+        picture += cv2.resize(colours, (width, height), interpolation=cv2.INTER_CUBIC)
+    picture -= picture.min()
+    return (40 + 170 * picture / picture.max()).astype(np.uint8)
+
+
+def view(wall: np.ndarray, n: int, shift: float = 0.0, zoom: float = 1.0, subject: bool = True) -> np.ndarray:
+    """What a camera before the wall sees in frame n: a disc that moves, and its own shift and zoom about the middle."""
+    height, width = wall.shape[:2]
+    middle = np.array([width / 2, height / 2])
+    offset = np.array(SIZE) / 2 - zoom * middle + [shift, 0]
+    matrix = np.array([[zoom, 0, offset[0]], [0, zoom, offset[1]]])
+    picture = cv2.warpAffine(wall, matrix, SIZE, flags=cv2.INTER_CUBIC)
+    if subject:
+        cv2.circle(picture, (60 + 6 * (n % 30), 120), 30, (250, 240, 30), -1)
+    return picture
+
+
+def extract(path: Path, out: Path, keep: Keep | None = None) -> Extract:
+    return extract_clip(path, out, path.stem, "camera", path.name, keep or Keep())
+
+
+def found(got: Extract) -> dict[str, str]:
+    """Check -> what was found; without the bit rate, because drawn pictures in which little moves need few bits."""
+    return {fault.check: fault.found for fault in got.frames.faults if fault.check != "bit rate"}
+
+
+def test_a_healthy_clip_has_no_faults(make_clip, tmp_path):
+    wall = scenery()
+    rng = np.random.default_rng(3)  # noise of a sensor, two levels
+    pictures = [np.clip(view(wall, n) + rng.normal(0, 2, (240, 320, 1)), 0, 255) for n in range(60)]
+    got = extract(make_clip("a.mp4", [p.astype(np.uint8) for p in pictures]), tmp_path)
+    assert got.frames.faults == () and got.frames.notes == () and len(got.frames.used) == 60
+
+
+# --- A4: doubled frames ---
+
+
+def test_repeated_frames_are_left_out_and_their_times_kept(make_clip, tmp_path):
+    wall = scenery()
+    shown = [0, 1, 2, 3, 3, 5, 6, 7, 7, 7, 10, 11, 12, 13, 14]
+    got = extract(make_clip("a.mp4", [view(wall, n) for n in shown]), tmp_path)
+    left_out = [f for f in got.frames.frames if not f.used]
+    assert [f.index for f in left_out] == [4, 8, 9] and all(f.file is None for f in left_out)
+    assert [f.time_s for f in left_out] == pytest.approx([4 / 25, 8 / 25, 9 / 25])
+    assert len(list((tmp_path / "frames/a").iterdir())) == len(shown) - 3
+    assert found(got) == {
+        "repeated frames": "3 of 15 frames repeat the one before: 4, 8, 9; they are not used"
+    }
+
+
+def test_a_scene_at_rest_repeats_nothing(make_clip, tmp_path):
+    """Where nothing moves, pictures are alike and all of them are true; motion begins and ends with such."""
+    wall = scenery()
+    shown = [0] * 8 + list(range(10)) + [10] * 8
+    got = extract(make_clip("a.mp4", [view(wall, n) for n in shown]), tmp_path)
+    assert len(got.frames.used) == len(shown) and found(got) == {}
+
+
+# --- A5, A6: stabilisation, tripod, zoom, focus ---
+
+
+@pytest.mark.parametrize("shift, zoom, check", [(1.5, 1.0, "fixed camera"), (0.0, 1.004, "zoom and focus")])
+def test_a_fixed_camera_whose_picture_moves(make_clip, tmp_path, shift, zoom, check):
+    wall = scenery()
+    still, moved = range(55), range(55, 80)
+    pictures = [view(wall, n) for n in still] + [view(wall, n, shift, zoom) for n in moved]
+    got = extract(make_clip("a.mp4", pictures), tmp_path)
+    # 1.5 px and 0.4 % as made; followed corners are good to 0.1 px, so to 0.1 % over half the picture and more.
+    words = {"fixed camera": ("up to 1.", "px, at 3.0 s"), "zoom and focus": ("up to 0.4", "%, at 3.0 s")}[
+        check
+    ]
+    assert list(found(got)) == [check] and all(w in found(got)[check] for w in words), found(got)
+
+
+def test_a_sweep_may_move(make_clip, tmp_path):
+    wall = scenery()
+    path = make_clip("a.mp4", [view(wall, n, 0.5 * n, subject=False) for n in range(60)])
+    assert found(extract_clip(path, tmp_path, "static", "sweep", "a.mp4", Keep(most=5))) == {}
+
+
+# --- A12: sizes that change within a clip; A24: damage ---
+
+
+def film_of_two_sizes(path: Path, first: list[np.ndarray], second: list[np.ndarray]) -> Path:
+    """One stream, 25 pictures a second, in which the second pictures follow the first."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        stream.width, stream.height = first[0].shape[1::-1]
+        other = av.CodecContext.create("libx264", "w")
+        assert isinstance(other, av.VideoCodecContext)
+        other.width, other.height = second[0].shape[1::-1]
+        other.pix_fmt, other.time_base, other.framerate = "yuv420p", Fraction(1, 25), Fraction(25)
+        n = 0
+        for coder, pictures in ((stream.codec_context, first), (other, second)):
+            coder.options = {"tune": "zerolatency"}  # no picture waits for a later one
+            for picture in [*pictures, None]:
+                frame = None if picture is None else av.VideoFrame.from_ndarray(picture, format="rgb24")
+                if frame is not None:
+                    frame.pts, frame.time_base, n = n, Fraction(1, 25), n + 1
+                for packet in coder.encode(frame):
+                    packet.stream = stream
+                    container.mux(packet)
+    return path
+
+
+def test_a_clip_that_changes_its_size(make_clip, tmp_path):
+    wall = scenery()
+    large = [view(wall, n) for n in range(10)]
+    small = [cv2.resize(view(wall, n), (160, 120)) for n in range(10, 16)]
+    got = extract(film_of_two_sizes(tmp_path / "both.ts", large, small), tmp_path)
+    assert (got.frames.width, got.frames.height) == SIZE
+    assert {f.used for f in got.frames.frames[:9]} == {True} and len(got.frames.used) == 10
+    text = found(got)["size of the pictures"]
+    assert "6 frames from 10 at 0.40 s on are 160x120, the first ones 320x240; not used" in text
+
+
+def damaged(path: Path, at: float, count: int, seed: int = 2) -> Path:
+    """Overwrite bytes of the pictures' data; the index, in front, stays whole."""
+    data = bytearray(path.read_bytes())
+    start = int(at * len(data))
+    noise = np.random.default_rng(seed).integers(0, 255, count).astype(np.uint8)
+    data[start : start + count] = noise.tobytes()
+    path.write_bytes(data)
+    return path
+
+
+def test_damaged_frames_and_those_made_of_them_are_left_out(make_clip, tmp_path):
+    rng = np.random.default_rng(5)
+    pictures = [rng.integers(0, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
+    for at in np.linspace(0.3, 0.8, 12):  # some damage ends a clip, some cannot be seen
+        path = damaged(make_clip("a.mp4", pictures, faststart=True), float(at), 300)
+        with VideoReader(path) as reader:
+            marked = [f.index for f in reader if f.damaged]
+        got = extract(path, tmp_path)
+        used = {f.index for f in got.frames.used}
+        if not marked:
+            continue
+        with VideoReader(path) as reader:
+            keys = [f.index for f in reader if f.picture.key_frame and f.index > marked[0]]
+        after = min(keys, default=len(got.frames.frames))
+        assert not used & set(range(marked[0], after)) and marked[0] - 1 in used
+        assert f"the first is {marked[0]} at {marked[0] / 25:.2f} s" in found(got)["damaged frames"]
+        return
+    pytest.fail("no damage that the decoder marks was made")
+
+
+# --- A19, A23: levels and bits ---
+
+
+@pytest.mark.parametrize("levels, says", [(2, 1), (1, 2), (1, 1), (2, 2)])
+def test_a_range_that_contradicts_its_flag(make_clip, tmp_path, levels, says):
+    ramp = np.repeat(np.linspace(0, 255, SIZE[0] // 16).astype(np.uint8), 16)[None, :, None]
+    ramp = np.tile(ramp, (SIZE[1], 1, 3))
+    path = make_clip("a.mp4", [ramp] * 30, colour=(1, 1, 1, levels), flagged=says, crf=1)
+    faults = found(extract(path, tmp_path))
+    if levels == says:
+        assert faults == {}
+    else:
+        assert ("they run from 0 to 255" if levels == 2 else "they end at 16 and 235") in faults[
+            "range of levels"
+        ]
+
+
+def test_too_few_bits(make_clip, tmp_path):
+    wall = scenery()
+    got = extract(make_clip("a.mp4", [view(wall, n) for n in range(40)], crf=45), tmp_path)
+    text = next(fault.found for fault in got.frames.faults if fault.check == "bit rate")
+    assert "bits per pixel (h264), expected at least 0.050" in text and float(text.split()[0]) < 0.05
+
+
+# --- A2: seeking; long clips ---
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.avi"])
+def test_reading_from_a_time_gives_the_same_frames(make_clip, name):
+    wall = scenery()
+    times = np.cumsum([0.5, *np.random.default_rng(1).uniform(0.03, 0.06, 39)])
+    if name == "a.avi":  # knows frame numbers, no times
+        times = np.arange(40) / 25
+    path = make_clip(name, [view(wall, n) for n in range(40)], times)
+    with VideoReader(path) as reader:
+        whole = [(f.index, f.time_s, f.rgb) for f in reader]
+    for from_s in (-1.0, whole[0][1], whole[17][1], whole[18][1] - 1e-3, whole[39][1], 99.0):
+        with VideoReader(path, from_s) as reader:
+            part = [(f.index, f.time_s, f.rgb) for f in reader]
+        expected = [f for f in whole if f[1] >= from_s]
+        assert [f[:2] for f in part] == [f[:2] for f in expected], (name, from_s)
+        assert all(np.array_equal(a[2], b[2]) for a, b in zip(part, expected, strict=True))
+
+
+def test_a_range_is_jumped_to_and_nothing_else_is_decoded(make_clip, tmp_path):
+    wall = scenery()
+    path = make_clip("a.mp4", [view(wall, n) for n in range(60)])
+    span = (1.0, 1.4)
+    whole = extract(path, tmp_path / "whole", Keep(range_s=span))
+    part = extract(path, tmp_path / "part", Keep(range_s=span, only_range=True))
+    assert [(f.index, f.time_s, f.file) for f in part.frames.used] == [
+        (f.index, f.time_s, f.file) for f in whole.frames.used
+    ]
+    for frame in part.frames.used:
+        files = [(tmp_path / kind / str(frame.file)).read_bytes() for kind in ("whole", "part")]
+        assert files[0] == files[1]
+    assert len(whole.frames.frames) == 60 and len(part.frames.frames) == len(part.frames.used) == 11
+    with pytest.raises(Exception, match="a.mp4: no frame between 7.00 and 8.00 s .it is 2.40 s long"):
+        extract(path, tmp_path / "none", Keep(range_s=(7.0, 8.0), only_range=True))
+
+
+# --- A25: names ---
+
+
+@pytest.mark.parametrize(
+    "names, notes",
+    [
+        (["f1", "f2", "f10"], ["do not sort by number"]),
+        ([f"IMG_{n:04d}" for n in (7, 8, 9, 11, 12, 14)], ["2 numbers are missing between 7 and 14: 10, 13"]),
+        ([f"{n:03d}" for n in range(5)], []),
+        (["a", "b", "c"], []),
+        (["00100", "00200", "00300"], []),
+    ],
+)
+def test_numbers_in_names(tmp_path, names, notes):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name in names:
+        write_picture(folder / f"{name}.png", np.zeros((8, 8, 3), np.uint8))
+    got = extract_folder(folder, tmp_path, "static", "sweep", "in").notes
+    assert len(got) == len(notes) and all(n in g for n, g in zip(notes, got, strict=True)), got
