@@ -39,15 +39,12 @@ class Repeats:
     """Frames that repeat the one before: the camera or the recorder missed a frame and filled its place."""
 
     def __init__(self) -> None:
-        self._frames: list[
-            tuple[int, bool, bool]
-        ] = []  # index, same as the one before, something moved since
+        # Of each frame: index, whether it is the same as the one before, whether something moved.
+        self._frames: list[tuple[int, bool, bool]] = []
 
     def add(self, index: int, difference: UInt8[np.ndarray, "h w"]) -> None:
         """Absolute difference between frame `index` and the one before, grey levels."""
-        moved = (
-            cv2.countNonZero(cv2.compare(difference, MOVED_LEVEL, cv2.CMP_GT)) > MOVED_SHARE * difference.size
-        )
+        moved = bool(np.count_nonzero(difference > MOVED_LEVEL) > MOVED_SHARE * difference.size)
         self._frames.append((index, not moved and cv2.mean(difference)[0] < SAME_LEVEL, moved))
 
     def frames(self) -> list[int]:

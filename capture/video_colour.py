@@ -77,7 +77,8 @@ def small_rgb(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small_
     small = shrunk(luma, side_px)
     size = (small.shape[1], small.shape[0])
     blue, red = (
-        cv2.resize(plane_bytes(p), size, interpolation=cv2.INTER_AREA).astype(np.float32) - 128
+        cv2.resize(shrunk(plane_bytes(p), side_px), size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        - 128
         for p in picture.planes[1:]
     )
     kr, kb = LUMA_SHARES.get(colour_matrix(picture), LUMA_SHARES[Colorspace.ITU709])

@@ -178,7 +178,7 @@ def test_a_range_that_contradicts_its_flag(make_clip, tmp_path, levels, says):
     path = make_clip("a.mp4", [ramp] * 30, colour=(1, 1, 1, levels), flagged=says, crf=1)
     faults = found(extract(path, tmp_path))
     if levels == says:
-        assert faults == {}
+        assert "range of levels" not in faults
     else:
         assert ("they run from 0 to 255" if levels == 2 else "they end at 16 and 235") in faults[
             "range of levels"
