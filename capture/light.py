@@ -76,7 +76,7 @@ class LightMeter:
 
     def add(self, index: int, time_s: float, small: UInt8[np.ndarray, "h w 3"]) -> None:
         """Measure one frame, R, G, B, as stored: not turned. `SMALL_SIDE_PX` are enough."""
-        cells = cv2.resize(LINEAR_OF_LEVEL[small], CELLS[::-1], interpolation=cv2.INTER_AREA)
+        cells = cv2.resize(cv2.LUT(small, LINEAR_OF_LEVEL), CELLS[::-1], interpolation=cv2.INTER_AREA)
         if self._first is None and _comparable(cells).sum() >= FEWEST_CELLS:
             self._first = cells
         stops, bands = np.full(3, np.nan), np.full(BANDS, np.nan)
@@ -131,14 +131,10 @@ def _against(
     agrees = usable & (np.abs(grey - middle) <= AGREE_STOPS + AGREE_SHARE * abs(middle))
     if agrees.sum() < max(FEWEST_CELLS, FEWEST_AGREEING * usable.sum()):
         return nothing
-    bands = np.array([_median(grey[rows][agrees[rows]]) for rows in _bands()])
+    by_band = np.sort(
+        np.where(agrees, grey, np.inf).reshape(BANDS, -1), axis=-1
+    )  # a band is whole rows of cells
+    last = np.arange(BANDS), np.maximum(agrees.reshape(BANDS, -1).sum(axis=-1) - 1, 0)
+    lower, upper = by_band[last[0], last[1] // 2], by_band[last[0], (last[1] + 1) // 2]
+    bands = np.where(np.isfinite(upper), (lower + upper) / 2, np.nan)
     return np.median(ratio[agrees], axis=0), bands
-
-
-def _bands() -> list[slice]:
-    step = CELLS[0] // BANDS
-    return [slice(step * k, step * (k + 1)) for k in range(BANDS)]
-
-
-def _median(values: np.ndarray) -> float:
-    return float(np.median(values)) if len(values) else float("nan")

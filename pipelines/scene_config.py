@@ -46,8 +46,18 @@ def _background(value: Any) -> Any:
     return tuple(float(n) for n in numbers)
 
 
-Multiplier = Annotated[float, Field(gt=0, le=100)]
-WhiteBalance = tuple[Multiplier, Multiplier, Multiplier, Multiplier]
+def _white_balance(value: Any) -> Any:
+    """A word, or multipliers as a tuple of floats."""
+    if value == "auto":
+        return value
+    numbers = list(value) if isinstance(value, list | tuple) else []
+    good = all(isinstance(n, int | float) and not isinstance(n, bool) and 0 < n <= 100 for n in numbers)
+    if len(numbers) != 4 or not good:
+        raise ValueError(f"{value!r}; expected auto or [r, g, b, g2] with numbers above 0, at most 100")
+    return tuple(float(n) for n in numbers)
+
+
+WhiteBalance = Literal["auto"] | tuple[float, float, float, float]
 AutoBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
 
 
@@ -124,7 +134,7 @@ class BoardConfig(_Section):
 class RawConfig(_Section):
     """How RAW photos are developed; one recipe for all photos of a folder."""
 
-    white_balance: Annotated[Literal["auto"] | WhiteBalance, BeforeValidator(_as_tuple)] = "auto"
+    white_balance: Annotated[WhiteBalance, BeforeValidator(_white_balance)] = "auto"
     """Multipliers [r, g, b, g2] for all of them; auto: daylight by the sensor of each folder's first photo."""
     keep_linear: bool = False
     """Keep the pictures in linear light with 16 bits too."""

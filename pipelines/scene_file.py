@@ -337,9 +337,15 @@ def _check_together(config: SceneConfig, raw: dict, say: Any) -> None:
     given = raw.get("capture")
     if isinstance(given, dict) and not given.get("static") and not capture.all_cameras:
         say("capture", "names no material; give static (the sweep), cameras, or both")
-    if capture.static is None and capture.board is not None and "static" in capture.board.clips:
-        if not (isinstance(given, dict) and given.get("static")):  # else that is said already
-            say("capture.board.clips.static", "is of the sweep's camera; give capture.static, or remove it")
+    of_the_sweep = {"white": capture.white, "board.clips": capture.board.clips if capture.board else {}}
+    if capture.static is None and not (
+        isinstance(given, dict) and given.get("static")
+    ):  # else that is said already
+        for section, clips in of_the_sweep.items():
+            if "static" in clips:
+                say(
+                    f"capture.{section}.static", "is of the sweep's camera; give capture.static, or remove it"
+                )
     _check_names(config, say)
     if config.kind == "cameras" and capture.cameras:
         rig = config.calibration.rig

@@ -168,6 +168,22 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
             "joint_clips: {a: cam0.mp4}}}",
             "capture.board.clips.static: is of the sweep's camera; give capture.static, or remove it",
         ),
+        (
+            "{cameras: {a: cam0.mp4}, white: {static: cam1.mp4}}",
+            "capture.white.static: is of the sweep's camera; give capture.static, or remove it",
+        ),
+        (
+            "{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}",
+            "capture.white.cam1: no camera has this name, did you mean cam0?",
+        ),
+        (
+            "{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}",
+            "capture.raw.white_balance: [2, 1, 0, 1]; expected auto or [r, g, b, g2] with numbers above 0",
+        ),
+        (
+            "{static: static.mp4, raw: {white_balance: camera}}",
+            "capture.raw.white_balance: 'camera'; expected auto or",
+        ),
         ("{}", "capture: names no material"),
         ("null", "capture: is missing"),
     ],
