@@ -13,12 +13,16 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.srgb import LEVEL_OF_LINEAR
+
+if TYPE_CHECKING:
+    from rawpy import RawPy
 
 RAW_SUFFIXES = frozenset(
     ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .k25 .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf "
@@ -198,7 +202,7 @@ def develop(path: Path, recipe: Recipe | None = None) -> Development:
     return Development(upright, header, matrix, clipped, *sensor)
 
 
-def _open(path: Path):
+def _open(path: Path) -> "RawPy":
     import rawpy
 
     if not path.is_file():
@@ -215,7 +219,7 @@ def _damaged(path: Path, error: Exception) -> CaptureError:
     return CaptureError(f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again")
 
 
-def _header(path: Path, file) -> RawHeader:
+def _header(path: Path, file: "RawPy") -> RawHeader:
     import rawpy
 
     try:
@@ -237,7 +241,7 @@ def _header(path: Path, file) -> RawHeader:
     )
 
 
-def _sensor_values(file, header: RawHeader) -> tuple[float, float, int, float]:
+def _sensor_values(file: "RawPy", header: RawHeader) -> tuple[float, float, int, float]:
     """Share below black, floor, highest value and how many more pixels have it than its neighbours; see Development."""
     values = file.raw_image_visible
     pattern = file.raw_pattern

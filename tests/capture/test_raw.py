@@ -1,6 +1,9 @@
 """RAW: one recipe for a set, nothing adapted to the single picture."""
 
 import json
+import os
+import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -9,10 +12,11 @@ import pytest
 from jaxtyping import Float
 from tests.capture.dng import mosaic, write_dng
 
+from devrf.capture import raw_set
 from devrf.capture.clips import extract_folder
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.pictures import probe_picture, read_picture
-from devrf.capture.raw import develop, is_raw, recipe_for
+from devrf.capture.raw import Development, Recipe, develop, is_raw, recipe_for
 from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
 from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
 
@@ -150,6 +154,29 @@ def test_set_on_disk(tmp_path):
     (out / "raw" / "static.json").write_text(json.dumps({"files": []}))
     with pytest.raises(CaptureError, match="static.json: cannot be read.*--from ingest"):
         read_raw_sidecar(out / "raw" / "static.json")
+
+
+def test_side_by_side_and_no_more(tmp_path, monkeypatch):
+    """As many photos at once as there are cores, however many there are."""
+    write_dng(tmp_path / "a.dng", mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    cores = len(os.sched_getaffinity(0))
+    at_once, most, guard = 0, 0, threading.Lock()
+
+    def slow(path: Path, recipe: Recipe) -> Development:
+        nonlocal at_once, most
+        with guard:
+            at_once += 1
+            most = max(most, at_once)
+        time.sleep(0.1)  # long against the start of a thread
+        with guard:
+            at_once -= 1
+        return develop(path, recipe)
+
+    monkeypatch.setattr(raw_set, "develop", slow)
+    jobs = [(n, tmp_path / "a.dng") for n in range(3 * cores)]
+    done: list[float] = []
+    develop_set(jobs, tmp_path / "out", "static", RawOptions(), lambda share, _: done.append(share))
+    assert most == cores and done == sorted(done) and done[-1] == 1
 
 
 def test_folder(tmp_path):
