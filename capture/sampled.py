@@ -3,7 +3,7 @@
 Only what is asked for is decoded, from the nearest key picture before it. `video.py` is for whole clips.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import av
@@ -19,6 +19,7 @@ from devrf.capture.video import VideoFrame, VideoReader
 MOST_AHEAD = (
     60  # pictures decoded to get from a key picture to the place asked for; then what is there is taken
 )
+NEAR = 12  # pictures; this near ahead, going on is faster than seeking
 SAME_TIME_S = 1e-4
 
 
@@ -55,50 +56,46 @@ def spread_starts(times_s: Float[np.ndarray, " n"], count: int, length: int = 1)
 
 def read_runs(
     path: Path, times_s: Float[np.ndarray, " n"], starts_s: Sequence[float], length: int = 1
-) -> list[list[VideoFrame]]:
-    """Runs of `length` successive pictures, upright, that begin at the given times.
+) -> Iterator[list[VideoFrame]]:
+    """Runs of `length` successive pictures, upright, that begin at the given times; one is held at a time.
 
     Args:
         path: The clip.
         times_s: What `picture_times` returned.
         starts_s: Increasing file times. A run whose key picture is far before it begins earlier than asked for.
         length: Pictures of a run.
-    Returns:
+    Yields:
         A run for each start; shorter or empty where the file is damaged or the run was read already.
     Raises:
         InputError: The file is not a video, or no picture decodes.
     """
     with VideoReader(path) as reader:
         turns = reader.info.rotation_deg // 90
-    runs: list[list[VideoFrame]] = []
-    read_to_s = -np.inf
     with open_media(path) as container:
         stream = container.streams.best("video")
         assert isinstance(stream, VideoStream) and stream.time_base is not None
         stream.thread_type = "AUTO"
         offset_s = origin_s(container)
+        pictures: Iterator[av.VideoFrame] = iter(())
+        last = -NEAR - 1  # number of the picture that was read last
         for start_s in starts_s:
             run: list[VideoFrame] = []
+            first = int(np.searchsorted(times_s, start_s - SAME_TIME_S))
             try:
-                container.seek(int((start_s + offset_s) / stream.time_base), stream=stream)
-                for n, picture in enumerate(container.decode(stream)):
+                if not 0 <= first - last <= NEAR:
+                    container.seek(int((start_s + offset_s) / stream.time_base), stream=stream)
+                    pictures = container.decode(stream)
+                for n, picture in enumerate(pictures):
                     if picture.pts is None:
                         continue
                     time_s = float(picture.pts * stream.time_base) - offset_s
-                    early = time_s < start_s - SAME_TIME_S and n < MOST_AHEAD
-                    if early or time_s <= read_to_s + SAME_TIME_S:
+                    index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
+                    if (index < first and n < MOST_AHEAD) or index <= last:
                         continue
-                    run.append(_frame(picture, time_s, times_s, turns))
+                    run.append(VideoFrame(index, time_s, picture, turns))
+                    last = index
                     if len(run) == length:
                         break
             except FFmpegError:
-                pass  # the rest of a damaged file
-            if run:
-                read_to_s = run[-1].time_s
-            runs.append(run)
-    return runs
-
-
-def _frame(picture: av.VideoFrame, time_s: float, times_s: Float[np.ndarray, " n"], turns: int) -> VideoFrame:
-    index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
-    return VideoFrame(index, time_s, picture, turns)
+                pictures = iter(())  # the rest of a damaged file
+            yield run

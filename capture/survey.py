@@ -211,6 +211,6 @@ def _level(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> float:
 def still_ends(look: Look, length: int = 4) -> tuple[float | None, float | None]:
     """Largest share of the picture that changes between successive pictures at the start and at the end of a clip."""
     starts = spread_starts(look.times_s, 2, length)
-    runs = read_runs(look.path, look.times_s, starts, length)
+    runs = list(read_runs(look.path, look.times_s, starts, length))
     shares = [moving_share([smooth_grey(frame.rgb) for frame in run]) for run in runs]
     return shares[0], shares[-1]

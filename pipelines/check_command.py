@@ -6,6 +6,7 @@ The rows are those of the stages where a stage has one; the stages look at all p
 import json
 import shutil
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from devrf.pipelines.stages import ingest
 
 SWEEP_PICTURES = 40  # that are looked at
 SHARP_OF = 3  # successive pictures, of which the sharpest counts, as ingest takes the sharpest of a window
+SIZE_PICTURES = 4  # that tell its size and brightness
 CAMERA_PICTURES = 12
 REST_PICTURES = 4
 WORDS = {"ok": "go", "warn": "warn", "fail": "no-go"}
@@ -48,7 +50,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     """
     begin = time.monotonic()
     with talk.progress("checking") as progress:
-        rows = look(config, scene_dir, run_dir, progress)
+        rows = field_rows(config, scene_dir, run_dir, progress)
     verdicts = [row.verdict for row in rows]
     go = "fail" not in verdicts
     for row in rows:
@@ -69,7 +71,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     return go
 
 
-def look(config: SceneConfig, scene_dir: Path, run_dir: Path, progress: Progress) -> list[HealthRow]:
+def field_rows(config: SceneConfig, scene_dir: Path, run_dir: Path, progress: Progress) -> list[HealthRow]:
     """All rows of a scene made of raw files."""
     session = capture_session(config, scene_dir)
     rows: list[HealthRow] = []
@@ -105,33 +107,34 @@ def look(config: SceneConfig, scene_dir: Path, run_dir: Path, progress: Progress
 
 def _sweep(path: Path, progress: Progress) -> tuple[Look, CameraFrames, list[Features], list[HealthRow]]:
     """The sweep: what ingest will use of it, features of some pictures, and rows."""
-    look = look_at_photos(path, SWEEP_PICTURES) if path.is_dir() else look_at_clip(path, SWEEP_PICTURES)
+    look = look_at_photos(path, SIZE_PICTURES) if path.is_dir() else look_at_clip(path, SIZE_PICTURES)
     used = sweep_pictures(look)
     chosen = used[np.unique(np.linspace(0, len(used) - 1, SWEEP_PICTURES).round().astype(int))]
+    length = min(SHARP_OF, int(np.diff(chosen).min(initial=look.count)))  # runs that do not overlap
     photos = list_pictures(path) if path.is_dir() else []
 
-    def read(index: int) -> list[Picture]:
+    def read(indices: Sequence[int]) -> Iterator[list[Picture]]:
         if photos:
-            return [small(read_picture(photos[index])[:, :, :3])]
-        runs = read_runs(path, look.times_s, [float(look.times_s[index])], min(SHARP_OF, look.count))
-        return [small(frame.rgb) for frame in runs[0]]
+            yield from ([small(read_picture(photos[n])[:, :, :3])] for n in indices)
+        else:
+            starts = [float(look.times_s[n]) for n in indices]
+            for run in read_runs(path, look.times_s, starts, length):
+                yield [small(frame.rgb) for frame in run]
 
     found: list[Features] = []
     sharp: list[float] = []
     kept: list[int] = []
-    for n, index in enumerate(chosen.tolist()):
-        progress(0.4 * n / len(chosen), f"the sweep, picture {index}")
-        pictures = read(index)
-        if not pictures:
-            continue
-        sharpest = max(pictures, key=lambda picture: sharpness(grey_small(picture)))
-        sharp.append(sharpness(grey_small(sharpest)))
-        found.append(features(sharpest))
-        kept.append(index)
+    for n, (index, pictures) in enumerate(zip(chosen.tolist(), read(chosen.tolist()), strict=True)):
+        progress(0.4 * n / len(chosen), "the sweep")
+        if pictures:
+            sharpest = max(pictures, key=_sharpness)
+            sharp.append(_sharpness(sharpest))
+            found.append(features(sharpest))
+            kept.append(index)
 
     def between(n: int) -> Picture | None:
         inside = used[(used > kept[n]) & (used < kept[n + 1])]
-        pictures = read(int(inside[len(inside) // 2])) if len(inside) else []
+        pictures = next(read([int(inside[len(inside) // 2])])) if len(inside) else []
         return pictures[0] if pictures else None
 
     progress(0.4, "overlap of the sweep")
@@ -151,7 +154,7 @@ def _camera(name: str, look: Look, session: CaptureSession, sweep: list[Features
     if session.rest != "none":
         starts = spread_starts(look.times_s, 2, REST_PICTURES)
         at = starts[0] if session.rest == "start" else starts[-1]
-        rest = [small(frame.rgb) for frame in read_runs(look.path, look.times_s, [at], REST_PICTURES)[0]]
+        rest = [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], REST_PICTURES))]
     at_rest = features(rest[0]) if rest else features(look.pictures[0])
     glance = glance_at_fixed(look.pictures, rest, at_rest, sweep)
     return check_rows.camera_rows(name, glance, steady, look.black, session.rest, has_sweep=bool(sweep))
@@ -163,6 +166,10 @@ def _sound(path: Path) -> Sound | None:
     except DevrfError:
         return None  # preflight has said what is wrong with it, or the stage will
     return None if sound is None or sound.silent else sound
+
+
+def _sharpness(picture: Picture) -> float:
+    return sharpness(grey_small(picture))
 
 
 def _place(look: Look, index: int) -> str:

@@ -93,7 +93,7 @@ class Found:
 
 def called(name: str) -> str:
     """The role that a name tells, by its last part first: `room/cam0.mp4` is a camera."""
-    for part in reversed(Path(name.lower()).with_suffix("").parts):
+    for part in reversed(_without_suffix(name.lower()).split("/")):
         for role, words in WORDS.items():
             if any(token.startswith(words) for token in re.findall(r"[a-z]+", part)):
                 return role
@@ -291,7 +291,11 @@ def _camera_name(name: str, taken: set[str]) -> str:
 
 
 def _words(name: str) -> list[str]:
-    return re.findall(r"[a-z]+|\d+", str(Path(name).with_suffix("")).lower())
+    return re.findall(r"[a-z]+|\d+", _without_suffix(name.lower()))
+
+
+def _without_suffix(name: str) -> str:
+    return re.sub(r"\.\w+$", "", name)
 
 
 def _relative(path: Path, root: Path) -> str:

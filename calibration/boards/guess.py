@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from devrf.calibration.boards.layout import FIT_SQUARES, TRIAL_MARKERS, Markers, layout_error
 from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_places
 
-Grey = UInt8[np.ndarray, "h w"]
+Grey = UInt8[np.ndarray, "_ _"]  # pictures of different cameras have different sizes
 
 FAMILIES = (  # larger dictionaries of a family begin with the smaller ones
     *((f"DICT_{n}X{n}_50", f"DICT_{n}X{n}_100", f"DICT_{n}X{n}_250", f"DICT_{n}X{n}_1000") for n in (4, 5, 6, 7)),
@@ -65,7 +65,8 @@ def board_pictures(greys: Sequence[Grey], guess: BoardGuess) -> int:
     count = 0
     for grey in greys:
         _, ids, _ = finder.detectMarkers(255 - grey if spec.inverted is True else grey)
-        count += ids is not None and (np.asarray(ids) <= guess.largest_id).sum() >= TRIAL_MARKERS
+        if ids is not None:
+            count += int((np.asarray(ids) <= guess.largest_id).sum() >= TRIAL_MARKERS)
     return count
 
 

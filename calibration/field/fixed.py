@@ -4,19 +4,16 @@ this view, did the light change."""
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.field.matching import Features, match, scale_of
-from devrf.capture.frames import grey_small
-from devrf.capture.srgb import linear_from_srgb
+from devrf.capture.light import LightMeter
 from devrf.capture.stillness import SIDE_PX, moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import Picture
 
 VERIFIED = 12  # matches of two pictures that are no chance
 ALIKE_ENOUGH = 40  # matches by looks, of which it can be told whether they agree
-NEAR_WHITE, NEAR_BLACK = 245, 10  # levels whose ratio says nothing about light
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ def glance_at_fixed(
         sweep: Features of the sweep's pictures; empty without a sweep.
     """
     moves = moving_mask([smooth_grey(picture) for picture in pictures])
-    stops, balance = light_course(pictures)
+    stops, balance = light_range(pictures)
     shared = subject = elsewhere = None
     if at_rest is not None and sweep:
         alike, agree = _votes(at_rest, sweep)
@@ -78,24 +75,17 @@ def glance_at_fixed(
     )
 
 
-def light_course(pictures: Sequence[Picture]) -> tuple[float, float]:
-    """Largest change of brightness (stops) and of colour balance (relative) between pictures of a camera that stands.
-
-    By the median over the pixels, so that a subject that covers less than half of the picture has no say.
-    """
-    small = np.stack([_small(picture) for picture in pictures]).astype(np.float32)
-    good = ((small < NEAR_WHITE) & (small > NEAR_BLACK)).all(axis=(0, 3))
-    if good.sum() < good.size / 20:
+def light_range(pictures: Sequence[Picture]) -> tuple[float, float]:
+    """Largest change of brightness (stops) and of colour balance (relative) between pictures; NaN where hidden."""
+    meter = LightMeter()
+    for n, picture in enumerate(pictures):
+        meter.add(n, float(n), picture)
+    stops = meter.course().stops
+    stops = stops[np.isfinite(stops).all(axis=1)]
+    if len(stops) < 2:
         return np.nan, np.nan
-    stops = np.log2(linear_from_srgb(small[:, good] / 255))
-    course = np.median(stops - np.median(stops, axis=0), axis=1)
-    against_green = course[:, [0, 2]] - course[:, 1:2]
-    return float(np.ptp(course[:, 1])), float(2 ** np.ptp(against_green, axis=0).max() - 1)
-
-
-def _small(picture: Picture) -> Picture:
-    height, width = grey_small(picture, SIDE_PX // 2).shape
-    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    against_green = stops[:, [0, 2]] - stops[:, 1:2]
+    return float(np.ptp(stops[:, 1])), float(2 ** np.ptp(against_green, axis=0).max() - 1)
 
 
 def _votes(

@@ -1,0 +1,22 @@
+"""Pictures that several tests of the command line draw on."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="session")
+def textures() -> Callable[[int], np.ndarray]:
+    """`textures(seed)`: a picture 640x480 (RGB) in which every place looks different, from near and from far."""
+
+    def draw(seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        picture = np.zeros((480, 640, 3))
+        for cells in (6, 18, 50, 140):
+            picture += cv2.resize(rng.random((cells, cells, 3)), (640, 480), interpolation=cv2.INTER_CUBIC)
+        picture -= picture.min()
+        return (255 * picture / picture.max()).astype(np.uint8)
+
+    return draw

@@ -1,0 +1,256 @@
+"""`devrf-pipeline check`: a healthy session is a go, and each way to bring home a useless one is named."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from devrf.calibration.field.fixed import FixedGlance, glance_at_fixed
+from devrf.calibration.field.matching import features
+from devrf.calibration.field.steady import steadiness
+from devrf.calibration.field.sweep import glance_at_sweep
+from devrf.capture.planned import planned_frames, sweep_pictures
+from devrf.capture.sampled import picture_times, read_runs, spread_starts
+from devrf.capture.session import CaptureSession
+from devrf.capture.survey import look_at_clip
+from devrf.capture.video import VideoReader
+from devrf.capture.video_writer import write_video
+from devrf.pipelines import check_rows
+from devrf.pipelines.check_clocks import clock_rows
+from devrf.pipelines.estimate import estimate_rows
+from devrf.pipelines.health import HealthRow
+from devrf.pipelines.scene_config import SceneConfig
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
+LIMIT_S = 60.0
+
+
+def verdict(rows: list[HealthRow], check: str) -> str:
+    found = [row for row in rows if check in row.check]
+    assert found, [row.check for row in rows]
+    return found[0].verdict
+
+
+def view(room: np.ndarray, objects: np.ndarray, x: float, light: float = 1.0) -> np.ndarray:
+    """A wall and three posters before it, four times nearer, from a place at x: 320x240."""
+    far = cv2.warpAffine(room, np.array([[1.0, 0, -x], [0, 1, -100]]), (320, 240))
+    for n in range(3):
+        left = round(60 + 130 * n - 4 * x)
+        for column in range(max(0, left), min(320, left + 60)):
+            far[60:200, column] = objects[60:200, (column - left + 150 * n) % 640]
+    return np.clip(far * light, 0, 255).astype(np.uint8)
+
+
+def turned(room: np.ndarray, degrees: float) -> np.ndarray:
+    """The room from one place, the camera turned: 320x240, 60 degrees wide."""
+    K = np.array([[277.0, 0, 160], [0, 277, 120], [0, 0, 1]])
+    R = cv2.Rodrigues(np.array([0.0, np.radians(degrees), 0.0]))[0]
+    base = np.array(
+        [[1.6, 0, 64], [0, 1.6, 48], [0, 0, 1]]
+    )  # the picture of the straight view in the texture
+    return cv2.warpPerspective(room, base @ K @ R @ np.linalg.inv(K), (320, 240), flags=cv2.WARP_INVERSE_MAP)
+
+
+# --- the example ---
+
+
+def test_the_example_is_a_go_in_a_minute(devrf: Callable, tmp_path: Path) -> None:
+    result = devrf("check", EXAMPLE, "--set", f"output={tmp_path / 'run'}", "--json", tmp_path / "rows.json")
+    assert result.code == 0, result.said
+    found = json.loads((tmp_path / "rows.json").read_text())
+    assert found["go"] and {row["verdict"] for row in found["rows"]} == {"ok"}
+    assert found["seconds"] <= LIMIT_S
+    assert not (tmp_path / "run").exists()
+    assert "GO" in result.out
+
+
+def test_what_cannot_be_read_is_bad_input(devrf: Callable, tmp_path: Path) -> None:
+    (tmp_path / "sweep.mp4").write_text("This is no video.\n" * 50)
+    (tmp_path / "scene.yaml").write_text("name: x\ncapture: {static: sweep.mp4}\n")
+    result = devrf("check", tmp_path)
+    assert result.code == 2 and "sweep.mp4: not a video" in result.err
+
+
+# --- pictures by seeking ---
+
+
+def test_pictures_by_seeking_are_those_of_reading_everything(tmp_path: Path, textures: Callable) -> None:
+    """A clip with several key pictures; every picture says its number in its brightness."""
+    pictures = [np.full((48, 64, 3), 20 + 2 * n, np.uint8) for n in range(100)]
+    path = tmp_path / "long.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"g": "10", "bf": "2", "crf": "5"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+    times = picture_times(path)
+    with VideoReader(path) as reader:
+        whole = {frame.index: (frame.time_s, float(frame.rgb.mean())) for frame in reader}
+    np.testing.assert_allclose(times, [time_s for time_s, _ in whole.values()])
+    runs = list(read_runs(path, times, spread_starts(times, 7, 3), 3))
+    assert [run[0].index for run in runs] == [0, 16, 32, 48, 65, 81, 97]
+    for frame in (frame for run in runs for frame in run):
+        time_s, level = whole[frame.index]
+        assert frame.time_s == pytest.approx(time_s)
+        assert frame.rgb.mean() == pytest.approx(level, abs=0.5)  # the numbers are 2 levels apart
+    look = look_at_clip(path, 5)
+    assert sweep_pictures(look).tolist() == list(range(100))
+    frames = planned_frames(look, "camera", "long.mp4")
+    assert len(frames.used) == 100 and frames.fps_mean == pytest.approx(25.0)
+
+
+def test_a_damaged_clip_gives_what_decodes(tmp_path: Path, textures: Callable) -> None:
+    path = tmp_path / "cut.mp4"
+    write_video(path, [textures(n)[:240, :320] for n in range(12)], 25.0)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 2 // 3])
+    times = picture_times(path)
+    runs = list(read_runs(path, times, spread_starts(times, 12)))
+    assert 3 <= sum(map(bool, runs)) <= 12
+
+
+# --- sweeps ---
+
+
+def test_a_walk_shows_depth_and_a_turn_does_not(textures: Callable) -> None:
+    room, posters = textures(0), textures(1)
+    walk = [features(view(room, posters, 6.0 * n)) for n in range(10)]
+    rows = check_rows.sweep_rows(glance_at_sweep(walk, lambda n: None), [str(n) for n in range(10)])
+    assert (
+        verdict(rows, "overlap") == "ok"
+        and verdict(rows, "depth") == "ok"
+        and verdict(rows, "exposure") == "ok"
+    )
+    turn = [features(turned(room, 3.0 * n - 15)) for n in range(10)]
+    rows = check_rows.sweep_rows(glance_at_sweep(turn, lambda n: None), [str(n) for n in range(10)])
+    assert verdict(rows, "overlap") == "ok" and verdict(rows, "depth") == "fail"
+
+
+def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -> None:
+    room, posters = np.hstack([textures(0), textures(2)]), textures(1)
+    places = [0.0, 6.0, 12.0, 700.0, 706.0, 712.0]
+    walk = [features(view(room, posters, x)) for x in places]
+    open_gap = glance_at_sweep(walk, lambda n: None)
+    assert open_gap.breaks == (2,)
+    rows = check_rows.sweep_rows(open_gap, [f"{n} s" for n in range(6)])
+    assert "2 s to 3 s" in next(row.remedy for row in rows if "overlap" in row.check)
+    assert open_gap.linked == pytest.approx(0.8)
+    far, between = [0.0, 310.0], 155.0  # of a picture 320 wide
+    ends = [features(view(room, posters, x)) for x in far]
+    assert glance_at_sweep(ends, lambda n: None).linked == 0.0
+    assert glance_at_sweep(ends, lambda n: view(room, posters, between)).linked == 1.0
+
+
+def test_exposure_that_changes_over_the_sweep(textures: Callable) -> None:
+    room, posters = textures(0), textures(1)
+    walk = [features(view(room, posters, 6.0 * n, light=1.0 if n < 5 else 0.6)) for n in range(10)]
+    glance = glance_at_sweep(walk, lambda n: None)
+    rows = check_rows.sweep_rows(glance, [str(n) for n in range(10)])
+    assert verdict(rows, "exposure") == "warn"
+    # sRGB levels times 0.6: light changes by 0.6 ** 2.4 to 0.6 ** 2.0 (the curve is steeper where it is dark).
+    assert 2.0 * np.log2(1 / 0.6) <= np.ptp(glance.light_stops[:, 1]) <= 2.4 * np.log2(1 / 0.6)
+
+
+# --- fixed cameras ---
+
+
+def healthy() -> dict:
+    return {
+        "subject_share": 0.2, "rest_share": 0.0, "shared": 500, "subject_agrees": 0.9, "rest_agrees": 0.9,
+        "light_stops": 0.0, "balance": 0.0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wrong", "check", "expected"),
+    [
+        ({}, "", "ok"),
+        ({"subject_share": 0.0}, "something moves", "warn"),
+        ({"rest_share": 0.05}, "moves at the start", "warn"),
+        ({"shared": 3}, "shares with the sweep", "fail"),
+        ({"shared": 50}, "shares with the sweep", "warn"),
+        ({"subject_agrees": 0.5}, "against the sweep", "warn"),
+        ({"light_stops": 0.4}, "exposure", "warn"),
+        ({"balance": 0.1}, "white balance", "warn"),
+    ],
+)
+def test_a_fixed_camera_is_judged(wrong: dict, check: str, expected: str, textures: Callable) -> None:
+    still = steadiness([textures(0)[:, :, 0]] * 6)
+    rows = check_rows.camera_rows(
+        "cam1", FixedGlance(**healthy() | wrong), still, False, "start", has_sweep=True
+    )
+    assert verdict(rows, check) == expected
+    assert [row.verdict for row in rows].count("ok") == len(rows) - (expected != "ok")
+    assert all(
+        "cam1" in row.remedy for row in rows if row.verdict != "ok" and "against the sweep" not in row.check
+    )
+
+
+def test_a_camera_that_moves_and_one_with_its_cap_on(textures: Callable) -> None:
+    room = np.tile(textures(0)[:, :, 0], (1, 3))
+    hand_held = steadiness([room[:, 40 * n : 40 * n + 480] for n in range(8)])
+    glance = FixedGlance(**healthy())
+    rows = check_rows.camera_rows("cam1", glance, hand_held, False, "start", has_sweep=True)
+    assert verdict(rows, "movement of cam1") == "fail"
+    rows = check_rows.camera_rows("cam1", glance, hand_held, True, "start", has_sweep=True)
+    assert [row.verdict for row in rows] == ["fail"] and "lens cap" in rows[0].remedy
+
+
+def test_what_a_fixed_camera_shares_with_the_sweep(textures: Callable) -> None:
+    """The subject is a poster that is at its place, then away from it; sweep and camera see the rest alike."""
+    room, posters = textures(0), textures(1)
+    sweep = [features(view(room, posters, 6.0 * n)) for n in range(8)]
+    here = view(room, posters, 20.0)
+    moved = here.copy()
+    moved[60:200, 110:170] = here[60:200, 110:170][::-1, ::-1]
+    clip = [here, here, moved, moved, here]
+    good = glance_at_fixed(clip, [here] * 4, features(here), sweep)
+    assert good.shared is not None and good.shared > 100
+    assert good.rest_share == 0.0 and good.subject_share > 0.02
+    assert good.light_stops == pytest.approx(
+        0.0, abs=0.01
+    )  # most of the picture is the same to the last level
+    elsewhere = glance_at_fixed(clip, [here] * 4, features(textures(5)[:240, :320]), sweep)
+    assert elsewhere.shared is not None and elsewhere.shared < check_rows.SHARED_FAIL
+
+
+# --- clocks, disk ---
+
+
+def test_silent_clips_in_which_nothing_moves_have_no_clock(tmp_path: Path, textures: Callable) -> None:
+    picture = textures(0)[:120, :160]
+    cameras = {}
+    for name in ("cam0", "cam1"):
+        cameras[name] = tmp_path / f"{name}.mp4"
+        write_video(cameras[name], [picture] * 25, 25.0)
+    moving = {n: planned_frames(look_at_clip(path, 3), "camera", path.name) for n, path in cameras.items()}
+    clips = {name: path.name for name, path in cameras.items()}
+    config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4", "cameras": clips}})
+    rows = clock_rows(config, CaptureSession(cameras=cameras), moving, {})
+    assert "fail" in {row.verdict for row in rows}
+    assert any("clap" in row.remedy for row in rows)
+
+
+def test_a_full_disk_and_a_short_time_are_said(tmp_path: Path) -> None:
+    clip = tmp_path / "cam0.mp4"
+    shutil.copy(EXAMPLE / "cam0.mp4", clip)
+    looks = {"cam0": look_at_clip(clip, 3)}
+    planned = {"cam0": planned_frames(looks["cam0"], "camera", "cam0.mp4")}
+    capture = {"static": "s.mp4", "cameras": {"cam0": "cam0.mp4"}}
+
+    def rows(free: float, **budget: float) -> list[HealthRow]:
+        config = SceneConfig.model_validate(
+            {"name": "x", "preset": "tiny", "capture": capture, "budget": budget}
+        )
+        return estimate_rows(config, tmp_path / "run", planned, looks, int(free))
+
+    assert [row.verdict for row in rows(100e9)] == ["ok", "ok"]
+    assert verdict(rows(10e6), "room") == "fail"
+    assert verdict(rows(100e9, disk_gb=0.01), "room") == "fail"
+    assert verdict(rows(100e9, time_minutes=1.0), "time") == "warn"
