@@ -1,0 +1,78 @@
+"""Points that the sweep and a fixed camera both see.
+
+The sweep's sparse points are projected into the fixed camera's clean picture. Each is compared with the sweep picture
+that shows it from the most similar place; whether both really show it is told by their patches.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from devrf.calibration.colour.surface import Pairs, View, shared_colours
+from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.capture.camera import Camera
+from devrf.capture.frames import SWEEP
+
+MOST_POINTS = 3000  # of a camera, those that the sweep's model knows best
+MOST_PICTURES = 40  # of the sweep that are read for a camera: a second or two
+WIDEST_DEG = 40.0  # between the two lines of sight; beyond, even matt surfaces change
+DISTANCE_PER_OCTAVE_DEG = 10.0  # twice the distance counts as much as so many degrees
+MAX_ERROR_PX = 2.0  # mean reprojection error of a point
+
+
+def sweep_pairs(
+    name: str,
+    view: View,
+    model: SweepModel,
+    factor: float,
+    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]],
+) -> Pairs:
+    """Colours of a fixed camera's points in the sweep (first) and in its clean picture (second).
+
+    Args:
+        name: Of the camera.
+        view: Its clean picture.
+        model: The sweep.
+        factor: From the sweep's unit to the camera's.
+        read: The picture of a name in the model.
+    """
+    unit = np.diag([factor, factor, factor, 1.0])
+    cameras = [camera.moved(unit) for camera in model.cameras]
+    points, picture, seen = _best_views(view.camera, model, factor, cameras)
+    counts = np.bincount(picture, minlength=len(cameras))
+    colours, place = [np.zeros((0, 2, 3))], [np.zeros((0, 2))]
+    for n in np.argsort(counts)[::-1][:MOST_PICTURES]:
+        mine = picture == n
+        if not mine.any():
+            break
+        xyz = points[mine]
+        found, usable = shared_colours(xyz, View(cameras[n], read(model.names[n])), view, (seen[mine], None))
+        colours.append(found[usable])
+        place.append(view.camera.project(xyz[usable]) / view.camera.width)
+    return Pairs(SWEEP, name, np.concatenate(colours), np.concatenate(place))
+
+
+def _best_views(
+    camera: Camera, model: SweepModel, factor: float, cameras: list[Camera]
+) -> tuple[Float[np.ndarray, "n 3"], np.ndarray, Float[np.ndarray, "n 2"]]:
+    """Points in view, for each the most similar of the sweep's pictures, and where that shows it."""
+    xyz = factor * model.xyz
+    at = camera.project(xyz)
+    inside = ((at > 0) & (at < [camera.width, camera.height])).all(axis=1) & (model.error_px < MAX_ERROR_PX)
+    track = np.bincount(model.obs_point, minlength=len(xyz))
+    kept = np.zeros(len(xyz), dtype=bool)
+    kept[np.flatnonzero(inside)[np.argsort(-track[inside], kind="stable")[:MOST_POINTS]]] = True
+    of = np.flatnonzero(kept[model.obs_point])
+    centres, focal = np.array([c.centre for c in cameras]), np.array([c.K[0, 0] for c in cameras])
+    point, picture = model.obs_point[of], model.obs_image[of]
+    theirs, ours = centres[picture] - xyz[point], camera.centre - xyz[point]
+    far = [np.linalg.norm(v, axis=1) for v in (theirs, ours)]
+    cosine = (theirs * ours).sum(axis=1) / np.maximum(far[0] * far[1], 1e-12)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    octaves = np.abs(np.log2((far[0] / focal[picture]) / (far[1] / camera.K[0, 0])))
+    cost = np.where(angle < WIDEST_DEG, angle + DISTANCE_PER_OCTAVE_DEG * octaves, np.inf)
+    order = np.lexsort((cost, point))
+    best = order[np.flatnonzero(np.diff(point[order], prepend=-1))]  # the first of each point
+    best = best[np.isfinite(cost[best])]
+    return xyz[point[best]], picture[best], model.obs_xy[of[best]].astype(np.float64)
