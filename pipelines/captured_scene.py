@@ -1,6 +1,7 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from devrf.calibration.bounds import (
 )
 from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.colour.result import read_colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
@@ -51,6 +53,8 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
+    if frames.moving:
+        static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if model is None else _points(model, factor)
     mattes = scene_mattes(
@@ -119,6 +123,15 @@ def _sweep_frames(model: SweepModel, ingest: Path, factor: float, every: int) ->
             )
         )
     return tuple(out)
+
+
+def _with_looks(folder: Path, *parts: tuple[PosedFrame, ...]) -> tuple[tuple[PosedFrame, ...], ...]:
+    """The frames with what stage `colour` found of their colours."""
+    colours = read_colours(folder)
+    return tuple(
+        tuple(replace(frame, look=colours.look(frame.camera_name, frame.index)) for frame in part)
+        for part in parts
+    )
 
 
 def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Clock]:

@@ -291,6 +291,15 @@ class RigConfig(_Section):
     """Distance between the centres of the first two cameras, metres: gives the metric scale."""
 
 
+class ColourConfig(_Section):
+    """Cameras brought to one look."""
+
+    method: Literal["auto", "chart", "points", "none"] = "auto"
+    """From a chart, or from surface points that two cameras see; auto: the chart where one is given, else points."""
+    chart: dict[str, str] = {}
+    """Camera name, or static for the sweep's -> photo or clip of one colour chart (24 patches) in one light."""
+
+
 class CalibrationConfig(_Section):
     """How cameras and clocks are recovered."""
 
@@ -300,6 +309,8 @@ class CalibrationConfig(_Section):
     """Clocks."""
     rig: RigConfig = RigConfig()
     """Fixed cameras."""
+    colour: ColourConfig = ColourConfig()
+    """Colours."""
 
 
 class FlowConfig(_Section):

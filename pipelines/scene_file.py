@@ -375,8 +375,30 @@ def _check_together(config: SceneConfig, raw: dict, say: Any) -> None:
         )
     if rig.method == "sweep" and capture.static is None:
         say("capture.static", "is missing; rig.method: sweep needs the sweep")
+    _check_charts(config, say)
     if config.calibration.sync.method == "timestamps" and capture.timestamps is None:
         say("capture.timestamps", "is missing; sync.method: timestamps needs the CSV file")
+
+
+def _check_charts(config: SceneConfig, say: Any) -> None:
+    capture, colour = config.capture, config.calibration.colour
+    assert capture is not None
+    if colour.method == "chart" and not colour.chart:
+        say(
+            "calibration.colour.chart",
+            "is missing; colour.method: chart needs a picture of the chart by each camera",
+        )
+    known = [*(["static"] if capture.static is not None else []), *capture.all_cameras]
+    for name in colour.chart:
+        if name not in known:
+            text = f"no camera has this name{_suggestion(name, known)} (cameras: {', '.join(known)})"
+            say(f"calibration.colour.chart.{name}", text)
+    reference = "static" if capture.static is not None else next(iter(capture.training_cameras), None)
+    if colour.chart and reference is not None and reference not in colour.chart:
+        say(
+            f"calibration.colour.chart.{reference}",
+            "is missing; all cameras are brought to the look of this one, so film the chart with it too",
+        )
 
 
 def _check_names(config: SceneConfig, say: Any) -> None:
@@ -452,6 +474,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
         paths |= {f"calibration.rig.given.{name}": path for name, path in given.items()}
     else:
         paths["calibration.rig.given"] = given
+    paths |= {f"calibration.colour.chart.{n}": path for n, path in config.calibration.colour.chart.items()}
     if config.evaluate.lpips_weights != "download":
         paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
     paths["evaluate.truth"] = config.evaluate.truth

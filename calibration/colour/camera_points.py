@@ -4,19 +4,21 @@ Features (SIFT; Lowe, IJCV 2004) of pictures of one moment are matched. Two matc
 of sight meet: that is the epipolar constraint of the calibrated cameras.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import combinations
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from devrf.calibration.colour.surface import Pairs, View, shared_colours
 from devrf.capture.camera import Camera
 
 SIDE_PX = 1280  # of the longer side; finer features find no partner in another view
 FEATURES = 4000
-CONTRAST = 0.01  # below OpenCV's 0.04: walls and cloth are plain; wrong matches fail the ratio and the geometry
+CONTRAST = (
+    0.01  # below OpenCV's 0.04: walls and cloth are plain; wrong matches fail the ratio and the geometry
+)
 EQUALISED = (3.0, (8, 8))  # CLAHE, for matching only: cameras of other exposure find the same features
 RATIO = 0.85  # second best to best descriptor
 MISS_SHARE = 2.5e-3  # of the longer side, 3 px at 1280: by how much a match may miss its epipolar line
@@ -25,7 +27,7 @@ NARROW = 1e-4  # squared sine of the angle between two lines of sight, 0.6 degre
 Features = tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"]]
 
 
-def camera_pairs(moments: Sequence[Mapping[str, View]]) -> list[Pairs]:
+def camera_pairs(moments: Iterable[Mapping[str, View]]) -> list[Pairs]:
     """Colours of the common points of all pairs of cameras.
 
     Args:
@@ -73,9 +75,7 @@ def _meeting(
     return points[good], xy_a[good], xy_b[good]
 
 
-def _matched(
-    a: Float[np.ndarray, "n 128"], b: Float[np.ndarray, "m 128"]
-) -> tuple[np.ndarray, np.ndarray]:
+def _matched(a: Float[np.ndarray, "n 128"], b: Float[np.ndarray, "m 128"]) -> tuple[np.ndarray, np.ndarray]:
     """Each other's nearest, clearly nearer than the next."""
     if min(len(a), len(b)) < 2:
         return np.zeros(0, int), np.zeros(0, int)

@@ -20,13 +20,15 @@ from devrf.capture.srgb import srgb_from_linear
 Kind = Literal["none", "gain", "diagonal", "matrix"]
 
 FLOOR = 0.01  # added to linear light before the logarithm: 8-bit steps and black levels below it do not count
-LOSS_SCALE = 0.1  # 10 % of the light: what angle of view and shading leave between two views of a matt surface
+LOSS_SCALE = (
+    0.1  # 10 % of the light: what angle of view and shading leave between two views of a matt surface
+)
 FOLDS = 4
 WORTH = 0.05  # a richer correction must lower the error by this share ...
 MIXING = 0.1  # share of one channel in another by which sRGB cameras differ: prior of a matrix
-ALIKE = 10  # points that count as one against that prior: neighbours share their shading
 SIGMAS = 2.0  # ... and by this many standard errors of the difference
-FEWEST = {"none": 0, "gain": 12, "diagonal": 24, "matrix": 72}  # points: 12 for each number
+UNKNOWNS = {"none": 0, "gain": 1, "diagonal": 3, "matrix": 9}
+SPARE = 1.2  # points that say something of their own, for each unknown
 
 
 @dataclass(frozen=True)
@@ -36,39 +38,45 @@ class Correction:
     Attributes:
         kind: What was fitted.
         matrix: It [3, 3].
-        stops: By how much the camera is brighter than the reference (log2 of green light), before.
-        stops_std: Standard deviation of that.
     """
 
     kind: Kind
     matrix: Float[np.ndarray, "3 3"]
-    stops: float
-    stops_std: float
 
 
 def fit_correction(
     colours: Float[np.ndarray, "n 3"],
     wanted: Float[np.ndarray, "n 3"],
     place: Float[np.ndarray, "n 2"],
+    alike: int,
 ) -> Correction:
     """Fit the correction that takes `colours` to `wanted`.
 
     Args:
         colours, wanted: Linear light of the same points in the camera and in the reference.
         place: Where the camera sees them, shares of its width: neighbours are held back together.
+        alike: Points that say as much as one alone.
     """
-    kinds = [kind for kind in get_args(Kind) if len(colours) >= FEWEST[kind]]
+    kinds = [kind for kind in get_args(Kind) if len(colours) >= SPARE * alike * UNKNOWNS[kind]]
     fold = folds(place, FOLDS)
-    seen_not = {kind: _predicted_error(colours, wanted, fold, kind) for kind in kinds}
+    seen_not = {kind: _predicted_error(colours, wanted, fold, kind, alike) for kind in kinds}
     best: Kind = "none"
     for kind in kinds[1:]:
         gained = seen_not[best] - seen_not[kind]
         needed = max(WORTH * seen_not[best].mean(), SIGMAS * gained.std() / np.sqrt(max(len(gained), 1)))
         if gained.mean() > needed:
             best = kind
-    brighter = (_log(colours[:, 1]) - _log(wanted[:, 1])) / np.log(2)
-    stops, std = (0.0, np.inf) if not len(colours) else (float(np.median(brighter)), _std(brighter))
-    return Correction(best, _fitted(colours, wanted, best), stops, std)
+    return Correction(best, _fitted(colours, wanted, best, alike))
+
+
+def brighter_by(
+    colours: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "n 3"], alike: int
+) -> tuple[float, float]:
+    """By how much a camera is brighter, stops (log2 of green light, the median), and its standard deviation."""
+    stops = (_log(colours[:, 1]) - _log(wanted[:, 1])) / np.log(2)
+    spread = 1.4826 * np.median(np.abs(stops - np.median(stops)))
+    independent = max(1.0, len(stops) / alike)
+    return float(np.median(stops)), float(spread * np.sqrt(np.pi / 2 / independent))
 
 
 def difference(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
@@ -88,16 +96,20 @@ def _predicted_error(
     wanted: Float[np.ndarray, "n 3"],
     fold: Int[np.ndarray, " n"],
     kind: Kind,
+    alike: int,
 ) -> Float[np.ndarray, " n"]:
     """Error of each point under a fit to the points of the other folds."""
     error = np.zeros(len(colours))
     for held in np.unique(fold):
         out = fold == held
-        error[out] = difference(colours[out] @ _fitted(colours[~out], wanted[~out], kind).T, wanted[out])
+        matrix = _fitted(colours[~out], wanted[~out], kind, alike)
+        error[out] = difference(colours[out] @ matrix.T, wanted[out])
     return error
 
 
-def _fitted(colours: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "n 3"], kind: Kind) -> np.ndarray:
+def _fitted(
+    colours: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "n 3"], kind: Kind, alike: int
+) -> Float[np.ndarray, "3 3"]:
     """The matrix of one kind."""
     if kind == "none" or not len(colours):
         return np.eye(3)
@@ -106,7 +118,8 @@ def _fitted(colours: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "n 3"],
         start = np.exp(np.median(shift, keepdims=True))
     else:
         start = np.exp(shift) if kind == "diagonal" else np.diag(np.exp(shift)).ravel()
-    weight = np.sqrt(len(colours) / ALIKE) * LOSS_SCALE / MIXING
+    noise = 1.4826 * float(np.median(np.abs(_log(wanted) - _log(colours) - shift)))
+    weight = np.sqrt(alike) * noise / MIXING  # a point is worth 1 / (alike · noise²), the prior 1 / MIXING²
 
     def residual(values: np.ndarray) -> np.ndarray:
         matrix = _matrix(values)
@@ -115,7 +128,7 @@ def _fitted(colours: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "n 3"],
         mixing = matrix / np.maximum(np.diag(matrix), 1e-3)[:, None] - np.eye(3)
         return np.concatenate([forth.ravel(), back.ravel(), weight * mixing.ravel()])
 
-    return _matrix(least_squares(residual, start, loss=_loss, f_scale=LOSS_SCALE).x)
+    return _matrix(least_squares(residual, start, loss=_loss, f_scale=LOSS_SCALE).x)  # pyright: ignore[reportArgumentType]: a function will do
 
 
 def _loss(z: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3 m"]:
@@ -131,8 +144,3 @@ def _matrix(values: np.ndarray) -> np.ndarray:
 
 def _log(light: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
     return np.log(np.maximum(light, 0) + FLOOR)
-
-
-def _std(values: Float[np.ndarray, " n"]) -> float:
-    """Of a median of values with outliers."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))) * np.sqrt(np.pi / 2 / len(values)))

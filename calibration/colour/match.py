@@ -5,13 +5,13 @@ reference is reached over others. A quarter of the points (whole tiles of the pi
 is measured, before and after.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from devrf.calibration.colour.fit import Correction, difference, fit_correction, folds
+from devrf.calibration.colour.fit import Correction, brighter_by, difference, fit_correction, folds
 from devrf.calibration.colour.surface import Pairs
 
 HELD_BACK = 4  # one in so many tiles
@@ -39,6 +39,7 @@ class Matched:
         reference: Camera that all others are brought to.
         corrections: Camera -> correction; the reference and cameras that share no points are not in it.
         fitted: Camera -> points that its correction was fitted to.
+        brightness: Camera -> by how much it is brighter than the reference, stops, and the standard deviation.
         apart: Camera -> how far it lies from all others that it shares points with.
         total: The same over all pairs of cameras.
     """
@@ -46,11 +47,12 @@ class Matched:
     reference: str
     corrections: dict[str, Correction]
     fitted: dict[str, int]
+    brightness: dict[str, tuple[float, float]]
     apart: dict[str, Apart]
     total: Apart
 
 
-def match_cameras(pairs: Sequence[Pairs], reference: str, measured: Iterable[str] = ()) -> Matched:
+def match_cameras(pairs: Sequence[Pairs], reference: str, measured: Collection[str] = ()) -> Matched:
     """Match all cameras of some pairs.
 
     Args:
@@ -59,20 +61,33 @@ def match_cameras(pairs: Sequence[Pairs], reference: str, measured: Iterable[str
         measured: Cameras that are measured and not corrected, nor used for others (test cameras).
     """
     corrections: dict[str, Correction] = {}
-    fitted = {reference: 0}
-    waiting = {name for p in pairs for name in (p.first, p.second)} - {reference} - set(measured)
+    fitted, brightness = {reference: 0}, {}
+    names = {name for p in pairs for name in (p.first, p.second)} - {reference}
+    waiting = names - set(measured)
+    alike = max((p.alike for p in pairs), default=1)
     while waiting:
         found = {name: _against(pairs, name, fitted, corrections) for name in sorted(waiting)}
         name = max(found, key=lambda n: len(found[n][0]))
         colours, wanted, place = found[name]
         if not len(colours):
             break
-        corrections[name], fitted[name] = fit_correction(colours, wanted, place), len(colours)
+        corrections[name], fitted[name] = fit_correction(colours, wanted, place, alike), len(colours)
+        brightness[name] = brighter_by(colours, wanted, alike)
         waiting.remove(name)
+    for name in sorted(names & set(measured)):
+        colours, wanted, _ = _against(pairs, name, fitted, corrections)
+        if len(colours):
+            brightness[name] = brighter_by(colours, wanted, alike)
     kept = [p for p in pairs if not {p.first, p.second} & set(measured)]
-    names = {name for p in pairs for name in (p.first, p.second)}
-    apart = {n: _apart([p for p in pairs if n in (p.first, p.second)], corrections) for n in sorted(names)}
-    return Matched(reference, corrections, fitted, apart, _apart(kept, corrections))
+    apart = {n: _apart([p for p in pairs if _about(p, n, measured)], corrections) for n in sorted(names)}
+    del fitted[reference]
+    return Matched(reference, corrections, fitted, brightness, apart, _apart(kept, corrections))
+
+
+def _about(pairs: Pairs, name: str, measured: Collection[str]) -> bool:
+    """Whether these pairs tell of a camera, the other one being no camera that is only measured."""
+    other = {pairs.first, pairs.second} - {name}
+    return len(other) == 1 and not other & set(measured)
 
 
 def _held(pairs: Pairs) -> Bool[np.ndarray, " n"]:
@@ -80,7 +95,7 @@ def _held(pairs: Pairs) -> Bool[np.ndarray, " n"]:
 
 
 def _against(
-    pairs: Sequence[Pairs], name: str, done: Iterable[str], corrections: dict[str, Correction]
+    pairs: Sequence[Pairs], name: str, done: Collection[str], corrections: dict[str, Correction]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
     """Colours in a camera, the corrected ones of the cameras done, and places, of points that may be fitted."""
     colours, wanted, place = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 2))]

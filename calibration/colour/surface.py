@@ -14,7 +14,9 @@ from jaxtyping import Bool, Float, UInt8
 from devrf.capture.camera import Camera
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 
-SIDE = 9  # samples of a patch, a pixel apart in the coarser picture: enough texture, and small against the scene
+SIDE = (
+    9  # samples of a patch, a pixel apart in the coarser picture: enough texture, and small against the scene
+)
 LIKE = 0.8  # normalised correlation: accidental likeness of 81 samples with this much texture stays below 0.6
 PLAIN = 0.02  # standard deviation of log light below which a patch's texture is noise
 FLOOR = 0.01  # linear light; below it 8 bits are steps of 10 % and more
@@ -38,12 +40,14 @@ class Pairs:
         first, second: Names of the cameras.
         colours: In the first and in the second camera [n, 2, 3].
         place: Where the second camera sees them, as shares of its picture's width [n, 2].
+        alike: Points that say as much as one alone: neighbours share their shading and their errors.
     """
 
     first: str
     second: str
     colours: Float[np.ndarray, "n 2 3"]
     place: Float[np.ndarray, "n 2"]
+    alike: int = 10
 
 
 def shared_colours(
@@ -93,7 +97,9 @@ def _sampled(
     if seen is not None:
         at += (seen - at[:, patches.shape[1] // 2])[:, None]
     x, y = np.moveaxis(at.astype(np.float32) - np.float32(0.5), -1, 0)  # OpenCV's first pixel is at 0
-    inside = (x >= 0) & (x <= view.camera.width - 1) & (y >= 0) & (y <= view.camera.height - 1)  # false for NaN
+    inside = (
+        (x >= 0) & (x <= view.camera.width - 1) & (y >= 0) & (y <= view.camera.height - 1)
+    )  # false for NaN
     x, y = np.where(inside, x, -1), np.where(inside, y, -1)
     light = cv2.remap(LINEAR_OF_LEVEL[view.rgb], x, y, cv2.INTER_LINEAR)
     levels = cv2.remap(view.rgb, x, y, cv2.INTER_NEAREST)

@@ -73,6 +73,10 @@ def _beside_given(config: SceneConfig, scene_dir: Path) -> list[Path]:
     return [path.with_name(PAIRS[path.stem]).with_suffix(path.suffix)]
 
 
+def _charts(config: SceneConfig, scene_dir: Path) -> list[Path]:
+    return [config.path(scene_dir, chart) for chart in config.calibration.colour.chart.values()]
+
+
 def _masks(config: SceneConfig, scene_dir: Path) -> list[Path]:
     masks = config.calibration.static_poses.masks
     return [] if masks is None else sorted(config.path(scene_dir, masks).glob("*.png"))
@@ -131,8 +135,16 @@ STAGES = (
         inputs=_beside_given,
     ),
     Stage(
-        name="scene",
+        name="colour",
         reads=("ingest", "static_poses", "sync", "rig"),
+        config_keys=("calibration.colour", "capture.rest"),
+        applies=_from_fixed_cameras,
+        run=_glue("colour"),
+        inputs=_charts,
+    ),
+    Stage(
+        name="scene",
+        reads=("ingest", "static_poses", "sync", "rig", "colour"),
         config_keys=(
             "preset",
             "dataset",
@@ -196,6 +208,7 @@ STAGES = (
             "static_poses",
             "sync",
             "rig",
+            "colour",
             "scene",
             "flow",
             "canonical",

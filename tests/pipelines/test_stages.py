@@ -15,7 +15,7 @@ from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.training_options import training_options
 
 CONTRACT = (
-    "ingest static_poses sync rig scene flow canonical deformation evaluate render report".split()  # noqa: SIM905
+    "ingest static_poses sync rig colour scene flow canonical deformation evaluate render report".split()  # noqa: SIM905
 )
 BY_NAME = {stage.name: stage for stage in STAGES}
 
@@ -48,10 +48,10 @@ def test_every_stage_reads_only_what_was_made_before() -> None:
 
 def test_what_applies() -> None:
     assert applying(DYNAMIC) == CONTRACT
-    rest = [name for name in CONTRACT if name not in ("sync", "rig", "flow", "deformation")]
+    rest = [name for name in CONTRACT if name not in ("sync", "rig", "colour", "flow", "deformation")]
     assert applying(SWEEP) == rest
-    assert applying(CAMERAS) == ["ingest", "sync", "rig", "scene", "flow"]
-    assert applying(DATASET) == CONTRACT[4:]
+    assert applying(CAMERAS) == ["ingest", "sync", "rig", "colour", "scene", "flow"]
+    assert applying(DATASET) == CONTRACT[5:]
     assert applying(AT_REST) == ["scene", "canonical", "evaluate", "render", "report"]
     for scene in (SWEEP, CAMERAS, DATASET, AT_REST):
         assert all(stage.applies(scene) is None or len(str(stage.applies(scene))) > 10 for stage in STAGES)

@@ -1,0 +1,183 @@
+"""Stage `colour`: every camera brought to the look of the sweep's, or of the first camera where there is no sweep."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import UInt8
+
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.colour.camera_points import camera_pairs
+from devrf.calibration.colour.chart import chart_pairs, read_chart
+from devrf.calibration.colour.match import Apart, Matched, match_cameras
+from devrf.calibration.colour.result import CameraColour, Colours, Source
+from devrf.calibration.colour.surface import Pairs, View
+from devrf.calibration.colour.sweep_points import sweep_pairs
+from devrf.calibration.flicker import steady_gains
+from devrf.calibration.rigs.clean_picture import REST_FRAMES
+from devrf.calibration.rigs.rig import read_rig
+from devrf.calibration.sweep.static_poses import read_static_poses
+from devrf.calibration.vignetting import flat_field
+from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
+from devrf.capture.light import LightCourse
+from devrf.capture.look import Look, as_matrix
+from devrf.capture.picture_files import read_pixels
+from devrf.pipelines.clocks import read_sync
+from devrf.pipelines.colour_health import colour_rows
+from devrf.pipelines.stage import StageContext
+
+MOMENTS = (
+    8  # at which cameras are compared without a sweep: the subject shows several sides, in a minute's work
+)
+
+
+def run(context: StageContext) -> None:
+    """Write `colour.json`, and where needed `gains_<camera>.npy` and `flat_<camera>.npy`."""
+    job = _Job(context)
+    colours = job.colours()
+    colours.write()
+    context.health.extend(colour_rows(colours, job.test_cameras))
+
+
+class _Job:
+    """What is compared with what."""
+
+    def __init__(self, context: StageContext) -> None:
+        self.context = context
+        self.settings = context.config.calibration.colour
+        self.ingest = context.run_dir / "ingest"
+        self.frames = FrameSet.read(self.ingest)
+        self.moving = self.frames.moving
+        self.test_cameras = {name for name, camera in self.moving.items() if camera.role == "test"}
+        self.rig = read_rig(context.run_dir / "rig" / "rig.json")
+        poses = context.run_dir / "static_poses"
+        in_sweep = (poses / "static_poses.json").is_file() and self.rig.route != "board"
+        self.model = read_static_poses(poses) if in_sweep else None
+        trained = [name for name in self.moving if name not in self.test_cameras]
+        self.reference = SWEEP if self.model is not None else trained[0]
+        self.base = self._before_matching()
+
+    def colours(self) -> Colours:
+        """All cameras with what corrects them."""
+        if self.settings.method == "none":
+            return self.base
+        charts: list[Pairs] = []
+        if self.settings.chart and self.settings.method != "points":
+            charts = self._chart_pairs()
+        by_chart = {pair.second for pair in charts}
+        cameras = self._with(self.base.cameras, match_cameras(charts, self.reference), "chart")
+        total = Apart(0, None, None)
+        if self.settings.method != "chart":
+            # of test pictures nothing is fitted; what a chart says of a camera is surer than points
+            matched = match_cameras(self._surface_pairs(), self.reference, self.test_cameras | by_chart)
+            cameras, total = self._with(cameras, matched, "points"), matched.total
+        return replace(self.base, reference=self.reference, cameras=cameras, total=total)
+
+    def _before_matching(self) -> Colours:
+        """Fall-off and unsteady light, as ingest measured them."""
+        out, cameras = self.context.out, {}
+        for name in [*([SWEEP] if SWEEP in self.frames.cameras else []), *self.moving]:
+            camera = CameraColour("reference" if name == self.reference else "none")
+            white, light = self.ingest / "white" / f"{name}.npy", self.ingest / "light" / f"{name}.npy"
+            if white.is_file():
+                np.save(out / f"flat_{name}.npy", flat_field(np.load(white)))
+                camera = replace(camera, flat=f"flat_{name}.npy")
+            if light.is_file() and name not in self.test_cameras:
+                course = LightCourse.read(light)
+                gains = steady_gains(course)
+                if gains is not None:
+                    np.save(out / f"gains_{name}.npy", np.column_stack([course.index, gains]))
+                    camera = replace(camera, gains=f"gains_{name}.npy")
+            cameras[name] = camera
+        return Colours(out, None, cameras, Apart(0, None, None))
+
+    def _with(
+        self, cameras: dict[str, CameraColour], matched: Matched, source: Source
+    ) -> dict[str, CameraColour]:
+        """The cameras with what a match has found of them."""
+        out = dict(cameras)
+        for name, apart in matched.apart.items():
+            if out[name].source == "chart":
+                continue
+            out[name] = replace(out[name], apart=apart)
+            if name in matched.corrections:
+                found = matched.corrections[name]
+                out[name] = replace(
+                    out[name],
+                    source=source,
+                    kind=found.kind,
+                    matrix=as_matrix(found.matrix),
+                    fitted=matched.fitted[name],
+                )
+            if name in matched.brightness:
+                stops, std = matched.brightness[name]
+                out[name] = replace(out[name], stops=stops, stops_std=std)
+        return out
+
+    def _chart_pairs(self) -> list[Pairs]:
+        """The chart as the reference and the other cameras show it."""
+        files = {
+            n: self.context.config.path(self.context.scene_dir, f) for n, f in self.settings.chart.items()
+        }
+        charts = {}
+        for n, (name, file) in enumerate(files.items()):
+            self.context.progress(0.2 * n / len(files), f"chart of {name}")
+            charts[name] = read_chart(file, self.base.before_matching(name, None))
+        own = charts.pop(self.reference)
+        return [chart_pairs(self.reference, own, name, chart) for name, chart in charts.items()]
+
+    def _surface_pairs(self) -> list[Pairs]:
+        """Surface points that two cameras see."""
+        if self.model is None:
+            return camera_pairs(self._moments())
+        model, pairs = self.model, []
+        sweep = self.base.before_matching(SWEEP, None)
+
+        def read(name: str) -> UInt8[np.ndarray, "_ _ 3"]:
+            return sweep.apply(read_pixels(self.ingest / "frames" / name)[..., :3])
+
+        for n, name in enumerate(self.moving):
+            self.context.progress(0.2 + 0.8 * n / len(self.moving), f"points of {name}")
+            view = View(self.rig.cameras[name].camera, self._clean(name))
+            pairs.append(sweep_pairs(name, view, model, self.rig.scale.factor, read))
+        return pairs
+
+    def _clean(self, name: str) -> UInt8[np.ndarray, "_ _ 3"]:
+        """The picture that was registered into the sweep, in steady light."""
+        folder = self.context.run_dir / "rig" / "clean"
+        rest = folder / f"{name}_rest.png"
+        frame = None  # a median of the whole clip has the clip's usual light
+        if rest.is_file():
+            capture = self.context.config.capture
+            at_end = capture is not None and capture.rest == "end"
+            used = self.moving[name].used
+            frame = used[-1 - REST_FRAMES // 2 if at_end else min(REST_FRAMES // 2, len(used) - 1)].index
+        path = rest if rest.is_file() else folder / f"{name}_clip.png"
+        return self.base.before_matching(name, frame).apply(read_pixels(path)[..., :3])
+
+    def _moments(self) -> Iterator[dict[str, View]]:
+        """Pictures of all cameras at a few moments that all of them saw."""
+        clocks = read_sync(self.context.run_dir)
+        shown = {
+            n: [f for f in c.used if f.file is not None and f.time_s is not None]
+            for n, c in self.moving.items()
+        }
+        times = {name: _true_times(clocks[name], frames) for name, frames in shown.items() if frames}
+        if len(times) < 2:
+            return
+        from_s, to_s = max(t[0] for t in times.values()), min(t[-1] for t in times.values())
+        moments_s = np.linspace(from_s, to_s, MOMENTS + 2)[1:-1]  # clips begin and end with hands on cameras
+        for n, time_s in enumerate(moments_s):
+            self.context.progress(0.2 + 0.8 * n / MOMENTS, f"what cameras share at {time_s:.1f} s")
+            near = {name: shown[name][int(np.argmin(np.abs(t - time_s)))] for name, t in times.items()}
+            yield {name: self._view(name, frame) for name, frame in near.items()}
+
+    def _view(self, name: str, frame: FrameRecord) -> View:
+        assert frame.file is not None
+        look: Look = self.base.before_matching(name, frame.index)
+        rgb = look.apply(read_pixels(self.ingest / frame.file)[..., :3])
+        return View(self.rig.cameras[name].camera, rgb)
+
+
+def _true_times(clock: Clock, frames: list[FrameRecord]) -> np.ndarray:
+    return clock.true_time(np.array([f.time_s for f in frames], dtype=np.float64))
