@@ -13,6 +13,7 @@ from typing import Any
 from devrf.pipelines.report_calibration import rig_section
 from devrf.pipelines.report_capture import capture_section
 from devrf.pipelines.report_clocks import sync_section
+from devrf.pipelines.report_colour import colour_section
 from devrf.pipelines.report_evidence import evidence_section
 from devrf.pipelines.report_flow import flow_section
 from devrf.pipelines.report_html import absent, duration, link, number, readable, section, table, text
@@ -33,6 +34,7 @@ SECTIONS = (
     ("space", "Cameras in space", space_section),
     ("rig", "Rig", rig_section),
     ("evidence", "Evidence", evidence_section),
+    ("colour", "Colours", colour_section),
     ("sync", "Clocks", sync_section),
     ("flow", "Flow", flow_section),
     ("training", "Training", training_section),

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
+from devrf.capture.look import Look
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import BEST, pair_path, write_pair
 from devrf.pipelines.report import SECTIONS, build_report
@@ -176,6 +177,14 @@ def full_run(tmp_path_factory) -> Path:
     _write_evaluate(run, rng)
     (run / "render").mkdir()
     (run / "render/orbit.mp4").write_bytes(b"not really a film")
+    _json(
+        run / "colour/colour.json",
+        {"reference": "static", "total": {"points": 40, "before": 0.0625, "after": 0.015625}, "cameras": {
+            "cam0": {"source": "points", "kind": "gain", "stops": -0.375, "fitted": 120,
+                     "apart": {"points": 40, "before": 0.0625, "after": 0.015625}},
+            "wit<b>ness": {"source": "none", "kind": "none", "stops": 0.125, "fitted": 0,
+                           "apart": {"points": 30, "before": 0.03125, "after": 0.03125}}}},
+    )  # fmt: skip
     for stage in stage_names():
         if (run / stage).is_dir():
             _json(run / stage / "stamp.json", {"id": "1", "identity": {}, "seconds": 12.5})
@@ -189,7 +198,8 @@ def _scene(frames: dict[str, list[Path]]) -> Scene:
     def posed(name: str, n: int, split: str, time: float | None) -> PosedFrame:
         pose = np.column_stack([np.eye(3), [0.1 * n, 0.0, 2.0]])
         camera = Camera(WIDTH, HEIGHT, K, pose)
-        return PosedFrame(frames[name][n], camera, name, n, time, time, split)  # type: ignore[arg-type]
+        look = Look(gains=(1.25, 1.25, 1.25)) if name == "cam0" else None
+        return PosedFrame(frames[name][n], camera, name, n, time, time, split, look=look)  # type: ignore[arg-type]
 
     return Scene(
         static=tuple(posed("static", n, "test" if n == 0 else "train", None) for n in range(6)),
@@ -354,6 +364,19 @@ def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
     _, page = _page(tmp_path)
     assert "views: 147. " in page.text and "error: 0.500. " in page.text
     assert "147.000" not in page.text and "200.00" not in page.text and "0.25" in page.text
+
+
+def test_colours_are_shown_before_and_after(full_run):
+    _, page = _page(full_run)
+    for said in (
+        "−0.38 EV",
+        "surface points",
+        "one gain",
+        "cam0, as filmed",
+        "cam0, as used",
+        "not corrected",
+    ):
+        assert said in page.text, said
 
 
 def test_what_has_not_run_is_said_of_one_stage_and_of_several(full_run, tmp_path):

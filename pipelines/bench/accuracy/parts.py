@@ -3,12 +3,14 @@
 from devrf.pipelines.bench.accuracy import flow_pairs, sync_flash, sync_motion, sync_sound
 from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
+from devrf.pipelines.bench.accuracy.colour import colour
 from devrf.pipelines.bench.accuracy.learned_offsets import learned
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
 CALIBRATION: dict[str, Part] = {
     "boards": boards,
+    "colour": colour,
     "sweeps": sweeps,
     "rigs": rigs,
 }

@@ -92,7 +92,7 @@ def _joint_views(cases: Cases, name: str, folder: Path) -> JointViews:
     work = cases.out / "rigs" / name
     work.mkdir(parents=True, exist_ok=True)
     clips = {f"cam{n}": str(folder / "calibration" / "extrinsic" / f"cam_{n}.mp4") for n in range(4)}
-    _write_times(folder / "calibration" / "extrinsic" / "timestamps.csv", work / "times.csv")
+    write_times(folder / "calibration" / "extrinsic" / "timestamps.csv", work / "times.csv")
     board = {"type": "charuco", "squares": [4, 5], "square_m": 0.054, "marker_m": 0.0405}
     board |= {"dictionary": "DICT_4X4_1000", "joint_clips": clips}
     capture = {"cameras": clips, "timestamps": "times.csv", "board": board}
@@ -109,7 +109,7 @@ def _joint_views(cases: Cases, name: str, folder: Path) -> JointViews:
     return read_joint_views(BoardClips(run.run_dir, frames, spec), list(frames.moving), {})
 
 
-def _write_times(table: Path, out: Path) -> None:
+def write_times(table: Path, out: Path) -> None:
     """caliscope's columns sync_index (one per frame), cam_id, frame_time as our table of timestamps."""
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
