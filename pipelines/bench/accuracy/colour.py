@@ -1,8 +1,8 @@
 """Colours of four webcams with different exposure and white balance brought to the first one's look.
 
 `caliscope_post_optimization` goes through the pipeline's own stages up to `colour`, with caliscope's own calibration:
-only colours are measured. The error is the root mean square difference of sRGB channels in [0, 1] between two cameras, over
-the surface points that both see and no fit has seen (a quarter of the picture's tiles).
+only colours are measured. The error is the root mean square difference of sRGB channels in [0, 1] between two cameras,
+over the surface points that both see and no fit has seen (a quarter of the picture's tiles).
 """
 
 import yaml
