@@ -16,7 +16,7 @@ import numpy as np
 from devrf.capture.mattes.make import CameraMattes, Clip, background_mattes, chroma_mattes
 from devrf.capture.mattes.tidy import eroded
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.simulate_passing import simulate_passing
+from devrf.capture.simulate.passing import simulate_passing
 
 SCREENS = {"green screen": (30, 160, 70), "blue screen": (20, 60, 190)}
 

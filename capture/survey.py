@@ -1,6 +1,6 @@
 """What lies in a folder that a crew brought home: clips, folders of photos, sound, tables; and a look into each.
 
-Nothing is written and nothing is decided here: roles are guessed by `pipelines/init_roles.py`.
+Nothing is written and nothing is decided here: roles are guessed by `pipelines/init/roles.py`.
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 from devrf.calibration.boards.calibrate import LensChoice
 from devrf.calibration.boards.spec import BoardSpec
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 
 
 def board_spec(config: SceneConfig) -> BoardSpec | None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from devrf.capture.raw_set import RawOptions
 from devrf.capture.session import CaptureSession
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 
 
 def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:

@@ -29,10 +29,10 @@ from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
-from devrf.pipelines.box_health import box_health
 from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync
-from devrf.pipelines.matte_health import matte_health
+from devrf.pipelines.health.box import box_health
+from devrf.pipelines.health.matte import matte_health
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
 

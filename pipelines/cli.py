@@ -60,7 +60,7 @@ def init(
 ) -> None:
     """Look at a folder of raw files and write a commented scene.yaml."""
     talk = talk_of(quiet)
-    from devrf.pipelines import init_command
+    from devrf.pipelines.init import command as init_command
 
     try:
         init_command.init(talk, folder, name, force)
@@ -91,7 +91,7 @@ def check(
         if job.config.dataset is not None:
             talk.say("GO: a finished data set, whose files can be read; the rest of check is for raw files")
             raise typer.Exit(DONE)
-        from devrf.pipelines import check_command
+        from devrf.pipelines.check import command as check_command
 
         go = check_command.check(talk, job.config, job.scene_dir, job.run_dir, as_json)
     except InputError as error:

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Loudness, Talk
-from devrf.pipelines.scene_config import SceneConfig
-from devrf.pipelines.scene_file import load_scene
 
 SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
 PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]

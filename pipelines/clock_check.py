@@ -23,9 +23,9 @@ from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
 from devrf.capture.progress import Progress
-from devrf.pipelines.clock_health import REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health import HealthRow, note, row
+from devrf.pipelines.health.clock import REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
+from devrf.pipelines.health.rows import HealthRow, note, row
 
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
 MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower

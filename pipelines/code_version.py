@@ -12,10 +12,8 @@ from pathlib import Path
 
 ROOMS = ("capture", "calibration", "flow", "reconstruct")
 RUNNER = (
-    "scene_config",
-    "scene_file",
     "stage",
-    "health",
+    "health.rows",
     "runner",
     "stamp",
     "console",
@@ -58,7 +56,7 @@ def _counts(name: str) -> bool:
     if len(parts) < 3 or parts[0] != "devrf":
         return False
     if parts[1] == "pipelines":
-        return parts[2] not in RUNNER or (parts[2] == "stages" and len(parts) > 3)
+        return parts[2] != "config" and ".".join(parts[2:]) not in RUNNER
     return parts[1] in ROOMS
 
 

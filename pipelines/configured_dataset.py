@@ -6,7 +6,7 @@ from devrf.capture.errors import DevrfError
 from devrf.capture.formats import read_dataset
 from devrf.capture.picture_files import damaged_pictures
 from devrf.capture.scene import Scene, background_of
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 
 
 def check_dataset(config: SceneConfig, scene_dir: Path) -> list[str]:

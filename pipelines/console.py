@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.progress import TimeRemainingColumn as TimeLeftColumn
 
 from devrf.capture.progress import Progress as ProgressCallback
-from devrf.pipelines.health import HealthRow
+from devrf.pipelines.health.rows import HealthRow
 
 Loudness = Literal["quiet", "normal", "verbose"]
 

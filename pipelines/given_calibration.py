@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from devrf.calibration.rigs.given import Given, read_given
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 
 
 def given_calibration(

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from devrf.pipelines.health import HealthRow
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamp import HEALTH, Digests, identity, read_stamp, why_stale
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from devrf.capture.errors import DevrfError
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.capture_session import capture_session
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -21,8 +21,9 @@ from types import FrameType
 import devrf
 from devrf.capture.errors import DevrfError, HealthError, InputError
 from devrf.capture.progress import Progress
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, duration, log_file
-from devrf.pipelines.health import HealthRow
+from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.plan import (
     Choice,
     Standing,
@@ -33,7 +34,6 @@ from devrf.pipelines.plan import (
     standing,
     standings,
 )
-from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamp import HEALTH, STAMP, Digests, files_of, identity, write_json
 from devrf.pipelines.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of

@@ -24,7 +24,7 @@ from devrf.capture.mattes.make import (
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
-from devrf.pipelines.scene_config import MattesConfig
+from devrf.pipelines.config.scene import MattesConfig
 from devrf.pipelines.stage import StageContext
 
 KEPT = ".mattes"  # in the run folder: what a program has made

@@ -11,11 +11,11 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from devrf.capture.errors import InputError
-from devrf.capture.simulate import simulate_session
-from devrf.capture.simulate_dataset import simulate_dataset
-from devrf.capture.simulate_dataset_options import DatasetOptions, ForwardOptions
-from devrf.capture.simulate_forward import simulate_forward
-from devrf.capture.simulate_options import SessionOptions
+from devrf.capture.simulate.dataset import simulate_dataset
+from devrf.capture.simulate.dataset_options import DatasetOptions, ForwardOptions
+from devrf.capture.simulate.forward import simulate_forward
+from devrf.capture.simulate.session import simulate_session
+from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.console import Talk
 
 Options = TypeVar("Options", bound=BaseModel)

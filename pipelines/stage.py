@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from devrf.capture.progress import Progress
-from devrf.pipelines.health import HealthRow
+from devrf.pipelines.health.rows import HealthRow
 
 if TYPE_CHECKING:
-    from devrf.pipelines.scene_config import SceneConfig
+    from devrf.pipelines.config.scene import SceneConfig
 
 
 @dataclass

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from devrf.pipelines.code_version import code_version
+from devrf.pipelines.config.files import input_paths
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import LOG_FILE
-from devrf.pipelines.scene_config import SceneConfig
-from devrf.pipelines.scene_file import input_paths
 from devrf.pipelines.stage import Stage
 
 STAMP = "stamp.json"

@@ -6,9 +6,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import COLOUR, describe, duration
 from devrf.pipelines.plan import Standing
-from devrf.pipelines.scene_config import SceneConfig
 
 STYLE = {"fresh": "green", "stale": "yellow", "missing": "red", "not applicable": "dim"}
 

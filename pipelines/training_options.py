@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from devrf.capture.scene import Scene
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 
 if TYPE_CHECKING:
     from devrf.reconstruct.options import Options

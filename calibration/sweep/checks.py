@@ -1,5 +1,5 @@
 """What a finished sweep model says of its own faults: residuals with a pattern, lenses beyond their model, loops that
-did not close. Measures only; how much is too much is in `pipelines/sweep_health.py`.
+did not close. Measures only; how much is too much is in `pipelines/health/sweep.py`.
 """
 
 from dataclasses import dataclass

@@ -10,7 +10,7 @@ from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.published import PUBLISHED
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name, score_rows
-from devrf.pipelines.scene_config import ReconstructConfig
+from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.health import row
+from devrf.pipelines.health.rows import row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.model_io import FILE, save_rest

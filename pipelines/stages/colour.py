@@ -23,7 +23,7 @@ from devrf.capture.light import LightCourse
 from devrf.capture.look import Look, as_matrix
 from devrf.capture.picture_files import read_pixels
 from devrf.pipelines.clocks import read_sync
-from devrf.pipelines.colour_health import colour_rows
+from devrf.pipelines.health.colour import colour_rows
 from devrf.pipelines.stage import StageContext
 
 MOMENTS = (

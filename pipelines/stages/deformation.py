@@ -9,7 +9,7 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.code_version import code_version
-from devrf.pipelines.health import HealthRow, row
+from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamp import STAMP
 from devrf.pipelines.training_options import training_options

@@ -12,8 +12,8 @@ from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clock
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks_in_use import clocks_in_use
-from devrf.pipelines.health import HealthRow, row
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_renderer, model_files
 from devrf.reconstruct.evaluate import LpipsNets, evaluate

@@ -23,8 +23,8 @@ from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
 from devrf.pipelines.code_version import code_version
-from devrf.pipelines.flow_health import health
-from devrf.pipelines.health import note
+from devrf.pipelines.health.flow import health
+from devrf.pipelines.health.rows import note
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamp import STAMP
 

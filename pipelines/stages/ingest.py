@@ -12,8 +12,8 @@ from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.session import CaptureSession
 from devrf.capture.srgb import linear_from_srgb
 from devrf.pipelines.capture_session import capture_session
-from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.light_health import light_rows
+from devrf.pipelines.health.light import light_rows
+from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from devrf.pipelines.health import note
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.rows import note
 from devrf.pipelines.plan import last_error
-from devrf.pipelines.report import build_report
-from devrf.pipelines.report_run import RunFolder
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.report.page import build_report
+from devrf.pipelines.report.run import RunFolder
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 

@@ -25,12 +25,10 @@ from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import FrameSet
 from devrf.pipelines.board_clips import BoardClips, files_of
-from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.given_calibration import given_calibration
-from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.joint_clips import JointViews, read_joint_views
-from devrf.pipelines.rig_health import (
+from devrf.pipelines.health.board import board_rows
+from devrf.pipelines.health.rig import (
     bump_row,
     graph_rows,
     joint_rows,
@@ -38,6 +36,8 @@ from devrf.pipelines.rig_health import (
     scale_rows,
     sweep_rows,
 )
+from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.stage import StageContext
 
 MIN_CAMERAS = 2  # of a rig from a board

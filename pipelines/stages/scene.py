@@ -7,9 +7,9 @@ import numpy as np
 
 from devrf.capture.formats.scene_files import write_scene
 from devrf.capture.scene import PosedFrame, Scene, image_scale_for
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.configured_dataset import configured_dataset
-from devrf.pipelines.health import HealthRow, note, row
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
 if TYPE_CHECKING:

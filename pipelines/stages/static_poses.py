@@ -15,11 +15,11 @@ from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions, recov
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
-from devrf.pipelines.board_health import board_rows
 from devrf.pipelines.board_spec import board_spec, lens_choice
-from devrf.pipelines.scene_config import SceneConfig, StaticPosesConfig
+from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
+from devrf.pipelines.health.board import board_rows
+from devrf.pipelines.health.sweep import board_focal_row, mask_rows, sweep_rows
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.sweep_health import board_focal_row, mask_rows, sweep_rows
 
 
 def run(context: StageContext) -> None:

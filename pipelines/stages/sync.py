@@ -15,9 +15,9 @@ from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
-from devrf.pipelines.clock_health import UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health import HealthRow, note, row
+from devrf.pipelines.health.clock import UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
+from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
 MIN_SHARED_FRAMES = 2

@@ -294,6 +294,7 @@ def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
     job = object.__new__(rig_stage._Job)
     job.rows, job.scales = [], []
     seen = JointViews(SPEC, {}, known, known, {})
+    monkeypatch.setattr(rig_stage._Job, "board_is_measured", property(lambda self: True))
     monkeypatch.setattr(rig_stage._Job, "_board_rig", lambda self, names, progress: (seen, board))
     together = job._together(swept, swept.cameras, list(truth), lambda fraction, message: None)
     assert together is not None and together[1] == graph

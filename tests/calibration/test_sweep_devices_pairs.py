@@ -18,8 +18,8 @@ from devrf.capture.errors import InputError
 from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
 from devrf.capture.pictures import probe_picture
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.preflight import check_raw_files
-from devrf.pipelines.scene_config import SceneConfig
 from devrf.pipelines.stages.static_poses import recover_sweep
 
 

@@ -18,8 +18,8 @@ from devrf.calibration.sweep.two_views import TwoViews, against_model
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
-from devrf.pipelines.health import HealthRow
-from devrf.pipelines.sweep_health import board_focal_row, loop_rows, mask_rows, sweep_rows
+from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.sweep import board_focal_row, loop_rows, mask_rows, sweep_rows
 
 FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
 

@@ -11,9 +11,9 @@ import yaml
 from pydantic import ValidationError
 
 from devrf.capture.errors import InputError
-from devrf.capture.simulate import SCENES, simulate_session
-from devrf.capture.simulate_options import SessionOptions
-from devrf.capture.simulate_sound import SAMPLE_RATE_HZ, SPEED_OF_SOUND_M_S
+from devrf.capture.simulate.session import SCENES, simulate_session
+from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.simulate.sound import SAMPLE_RATE_HZ, SPEED_OF_SOUND_M_S
 
 SIZE = (96, 72)
 TINY = SessionOptions(

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ValidationError
 from devrf.capture.errors import InputError
 from devrf.capture.formats import read_dataset
 from devrf.capture.scene import load_image
-from devrf.capture.simulate_dataset import simulate_dataset
-from devrf.capture.simulate_dataset_options import DatasetOptions, ForwardOptions
+from devrf.capture.simulate.dataset import simulate_dataset
+from devrf.capture.simulate.dataset_options import DatasetOptions, ForwardOptions
 
 SIZE = (48, 40)
 TINY = DatasetOptions(static_views=4, static_test_views=2, times=4, test_views_per_time=2, spp=4)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from devrf.capture.simulate_models import MODELS
-from devrf.capture.simulate_shapes import Model
+from devrf.capture.simulate.models import MODELS
+from devrf.capture.simulate.shapes import Model
 
 IN_VIEW = 4 * np.sin(0.6911 / 2)  # the largest ball that a camera at distance 4 sees all of
 TIMES = np.linspace(0, 1, 50)

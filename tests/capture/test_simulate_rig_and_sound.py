@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from devrf.capture.simulate import clapper_distance_m
-from devrf.capture.simulate_options import SessionOptions
-from devrf.capture.simulate_rig import board_pose, fixed_cameras, look_at, sweep_cameras
-from devrf.capture.simulate_scenes import CENTRE, ROOM_HALF_M
-from devrf.capture.simulate_sound import (
+from devrf.capture.simulate.rig import board_pose, fixed_cameras, look_at, sweep_cameras
+from devrf.capture.simulate.scenes import CENTRE, ROOM_HALF_M
+from devrf.capture.simulate.session import clapper_distance_m
+from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.simulate.sound import (
     SAMPLE_RATE_HZ,
     SPEED_OF_SOUND_M_S,
     Microphone,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devrf.capture.simulate_scenes import (
+from devrf.capture.simulate.scenes import (
     CENTRE,
     OBJECTS,
     ROOM_HALF_M,

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate_mitsuba import linear_to_srgb, srgb_to_linear
-from devrf.capture.simulate_options import SessionOptions
-from devrf.capture.simulate_rig import board_pose, look_at
-from devrf.capture.simulate_scenes import picture_on_quad
-from devrf.capture.simulate_sensor import (
+from devrf.capture.simulate.mitsuba import linear_to_srgb, srgb_to_linear
+from devrf.capture.simulate.rig import board_pose, look_at
+from devrf.capture.simulate.scenes import picture_on_quad
+from devrf.capture.simulate.sensor import (
     BoardCamera,
     ClipWriter,
     Renderer,
@@ -22,6 +21,7 @@ from devrf.capture.simulate_sensor import (
     charuco_board,
     expose,
 )
+from devrf.capture.simulate.session_options import SessionOptions
 
 SQUARES, SQUARE_M = (8, 6), 0.06
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate_mitsuba import linear_to_srgb
-from devrf.capture.simulate_rig import look_at
-from devrf.capture.simulate_scenes import Mesh
-from devrf.capture.simulate_studio import Studio, straight_srgb
+from devrf.capture.simulate.mitsuba import linear_to_srgb
+from devrf.capture.simulate.rig import look_at
+from devrf.capture.simulate.scenes import Mesh
+from devrf.capture.simulate.studio import Studio, straight_srgb
 
 SIZE = 32
 K = np.array([[40.0, 0, SIZE / 2], [0, 40.0, SIZE / 2], [0, 0, 1.0]])

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate_rig import look_at
-from devrf.capture.simulate_scenes import WOOD, Mesh, texture
-from devrf.capture.simulate_shapes import turn, turned
-from devrf.capture.simulate_studio import Studio
-from devrf.capture.simulate_truth import Surface, corners_of, flow_bwd
+from devrf.capture.simulate.rig import look_at
+from devrf.capture.simulate.scenes import WOOD, Mesh, texture
+from devrf.capture.simulate.shapes import turn, turned
+from devrf.capture.simulate.studio import Studio
+from devrf.capture.simulate.truth import Surface, corners_of, flow_bwd
 
 pytest.importorskip("mitsuba")
 SIZE, FOCAL = 48, 60.0

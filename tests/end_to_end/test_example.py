@@ -12,9 +12,7 @@ RIG_POSITION_PERCENT = 0.4  # of a camera's distance from the scene
 SYNC_MS = 1.0
 MEMORY_GB = 4.0  # resident, of the program or of one of its workers
 MOTION_GAIN_DB = 3.0  # over the canonical model rendered as if nothing moved
-STAGES = (
-    "ingest static_poses sync rig scene flow canonical deformation evaluate render report".split()  # noqa: SIM905
-)
+STAGES = "ingest static_poses sync rig colour scene flow canonical deformation evaluate render report".split()
 
 
 def read(path: Path) -> Any:

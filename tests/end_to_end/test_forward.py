@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from devrf.capture.simulate_dataset_options import ForwardOptions
-from devrf.capture.simulate_forward import simulate_forward
+from devrf.capture.simulate.dataset_options import ForwardOptions
+from devrf.capture.simulate.forward import simulate_forward
 
 GAIN_DB = 3.0  # of the motion over the scene at rest, where it moves
 

@@ -189,7 +189,7 @@ def test_portrait_clips_of_two_sizes(devrf: Callable, data_dir: Path, tmp_path: 
     assert {name: (c["width"], c["height"]) for name, c in ingest.items()} == {
         name: (width, 1920) for name, width in sizes.items()
     }
-    assert {path.stem for path in (tmp_path / "run/flow").glob("*.npz")} == set(sizes)
+    assert {path.parent.name for path in (tmp_path / "run/flow").glob("*/*.npz")} == set(sizes)
 
 
 def upright(width: int, x: float) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from devrf.capture.simulate_dataset import simulate_dataset
-from devrf.capture.simulate_dataset_options import DatasetOptions
+from devrf.capture.simulate.dataset import simulate_dataset
+from devrf.capture.simulate.dataset_options import DatasetOptions
 
 SIZE, TIMES = 64, 6
 SETTINGS = {"resolution": 32, "rays": 512, "canonical_iterations": 800, "motion_iterations": 500}

@@ -15,7 +15,7 @@ from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.dis import DisFlow
 from devrf.flow.store import read_flows
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import flow
 

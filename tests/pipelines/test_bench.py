@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devrf.capture.simulate_dataset import simulate_dataset
-from devrf.capture.simulate_dataset_options import DatasetOptions
+from devrf.capture.simulate.dataset import simulate_dataset
+from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.bench.speed import Case, Measured, pareto
-from devrf.pipelines.scene_config import ReconstructConfig
+from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.ablation import VARIANTS, ablated
 from devrf.reconstruct.options import PRESETS
 

@@ -8,8 +8,8 @@ import pytest
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
 from devrf.calibration.boards.simulated import LENS, SIZE, SPEC, board_views, camera
 from devrf.calibration.boards.spec import BoardView
-from devrf.pipelines.board_health import board_rows
-from devrf.pipelines.health import HealthRow
+from devrf.pipelines.health.board import board_rows
+from devrf.pipelines.health.rows import HealthRow
 
 
 def calibrated(views: list[BoardView], spec=SPEC) -> BoardCalibration:

@@ -20,11 +20,11 @@ from devrf.capture.session import CaptureSession
 from devrf.capture.survey import look_at_clip
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
-from devrf.pipelines import check_rows
-from devrf.pipelines.check_clocks import clock_rows
-from devrf.pipelines.estimate import estimate_rows
-from devrf.pipelines.health import HealthRow
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.check import rows as check_rows
+from devrf.pipelines.check.clocks import clock_rows
+from devrf.pipelines.check.estimate import estimate_rows
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.rows import HealthRow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
 LIMIT_S = 60.0

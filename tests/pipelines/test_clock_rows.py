@@ -16,9 +16,9 @@ from devrf.capture.audio import Sound
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord
 from devrf.capture.recorded import Recorded, timecode_s
-from devrf.capture.simulate_flash import RollingShutter, exposed
+from devrf.capture.simulate.flash import RollingShutter, exposed
 from devrf.pipelines.clock_check import check_rows, sound_travel, unknown_rows
-from devrf.pipelines.health import HealthRow
+from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stages.sync import health
 
 RATE_HZ, FPS = 48_000, 30.0

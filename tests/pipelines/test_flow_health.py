@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from devrf.flow.checks import FlowChecks
-from devrf.pipelines.flow_health import health
+from devrf.pipelines.health.flow import health
 
 HEALTHY = FlowChecks(
     pairs=30,

@@ -16,11 +16,11 @@ from devrf.calibration.field.steady import Steadiness, steadiness
 from devrf.capture.errors import InputError
 from devrf.capture.survey import Look
 from devrf.capture.video_writer import write_video
+from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.init_command import init
-from devrf.pipelines.init_roles import Found, Roles, Seen, guess_roles
-from devrf.pipelines.init_yaml import scene_yaml
-from devrf.pipelines.scene_file import load_scene
+from devrf.pipelines.init.command import init
+from devrf.pipelines.init.roles import Found, Roles, Seen, guess_roles
+from devrf.pipelines.init.yaml import scene_yaml
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
 STANDS, MOVES, UNKNOWN = (

@@ -14,8 +14,8 @@ from devrf.capture.pictures import write_picture
 from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
-from devrf.pipelines.health import HealthRow
-from devrf.pipelines.light_health import clip_rows, exposure_rows, raw_rows
+from devrf.pipelines.health.light import clip_rows, exposure_rows, raw_rows
+from devrf.pipelines.health.rows import HealthRow
 
 LEVELS = {"black": (512, 512, 512, 512), "white": 16383}
 

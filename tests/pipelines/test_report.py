@@ -20,9 +20,9 @@ from devrf.capture.formats import write_scene
 from devrf.capture.look import Look
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import BEST, pair_path, write_pair
-from devrf.pipelines.report import SECTIONS, build_report
-from devrf.pipelines.report_run import RunFolder
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.report.page import SECTIONS, build_report
+from devrf.pipelines.report.run import RunFolder
 from devrf.pipelines.stages import STAGES, stage_names
 
 NASTY = "<script>alert('x')</script> & \"friends\""

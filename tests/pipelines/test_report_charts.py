@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
-from devrf.pipelines.report_charts import Series, line_chart, ticks
-from devrf.pipelines.report_pictures import flow_picture
-from devrf.pipelines.report_space import frustum
+from devrf.pipelines.report.charts import Series, line_chart, ticks
+from devrf.pipelines.report.pictures import flow_picture
+from devrf.pipelines.report.space import frustum
 
 WIDTH, HEIGHT = 48, 36
 

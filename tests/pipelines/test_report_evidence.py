@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devrf.pipelines.report_calibration import rig_section
-from devrf.pipelines.report_clocks import sync_section
-from devrf.pipelines.report_evidence import evidence_section
-from devrf.pipelines.report_plots import arrows, cell_grid, cloud, ellipses, link_graph, nice, rose
-from devrf.pipelines.report_run import RunFolder
+from devrf.pipelines.report.calibration import rig_section
+from devrf.pipelines.report.clocks import sync_section
+from devrf.pipelines.report.evidence import evidence_section
+from devrf.pipelines.report.plots import arrows, cell_grid, cloud, ellipses, link_graph, nice, rose
+from devrf.pipelines.report.run import RunFolder
 
 STAGES = ("ingest", "static_poses", "sync", "rig", "scene", "evaluate")
 RESIDUALS = [[10.0, 20.0, 0.1, -0.2], [300.0, 200.0, -0.3, 0.4]]

@@ -18,8 +18,10 @@ import torch
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
 from devrf.pipelines import plan, stamp
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
-from devrf.pipelines.health import row
+from devrf.pipelines.health.rows import row
 from devrf.pipelines.plan import Choice, standings
 from devrf.pipelines.runner import (
     BAD_INPUT,
@@ -32,8 +34,6 @@ from devrf.pipelines.runner import (
     dry_run,
     execute,
 )
-from devrf.pipelines.scene_config import SceneConfig
-from devrf.pipelines.scene_file import load_scene
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.workspace import Workspace
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from devrf.capture.errors import InputError
-from devrf.pipelines.scene_config import SceneConfig
-from devrf.pipelines.scene_file import ConfigError, load_scene
+from devrf.pipelines.config.error import ConfigError
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.config.scene import SceneConfig
 
 GOOD = """
 name: kuka
@@ -272,7 +273,7 @@ def test_every_field_is_described() -> None:
     import ast
     import inspect
 
-    from devrf.pipelines import scene_config
+    from devrf.pipelines.config import scene as scene_config
 
     tree = ast.parse(inspect.getsource(scene_config))
     for section in (node for node in tree.body if isinstance(node, ast.ClassDef)):

@@ -20,8 +20,8 @@ from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
 from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.scene import Scene, load_image
 from devrf.pipelines import captured_scene
-from devrf.pipelines.box_health import box_health
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.box import box_health
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import scene as stage
 
@@ -322,7 +322,7 @@ def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Sessi
 
 
 def test_the_report_shows_them(session: Session) -> None:
-    from devrf.pipelines.report_mattes import mattes
+    from devrf.pipelines.report.mattes import mattes
 
     session.write_mattes("mattes", "cam0")
     scene = session.scene("mattes")[0]
@@ -341,7 +341,7 @@ def test_a_man_who_stays_in_his_chair_has_no_clean_plate(data_dir: Path, tmp_pat
     import av
 
     from devrf.capture.mattes.make import Clip, background_mattes
-    from devrf.pipelines.matte_health import matte_health
+    from devrf.pipelines.health.matte import matte_health
     from devrf.pipelines.scene_mattes import SceneMattes
 
     clip = data_dir / "caliscope_post_optimization" / "calibration" / "extrinsic" / "cam_3.mp4"

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from devrf.capture.errors import InputError
-from devrf.capture.simulate_dataset import Made
-from devrf.capture.simulate_dataset_options import DatasetOptions, ForwardOptions
-from devrf.capture.simulate_options import SessionOptions
+from devrf.capture.simulate.dataset import Made
+from devrf.capture.simulate.dataset_options import DatasetOptions, ForwardOptions
+from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines import simulate_command
 from devrf.pipelines.console import Talk
 

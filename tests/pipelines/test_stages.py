@@ -9,7 +9,7 @@ import pytest
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.code_version import code_version, sources
-from devrf.pipelines.scene_config import ReconstructConfig, SceneConfig
+from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.training_options import training_options
@@ -127,7 +127,7 @@ def test_what_goes_into_a_session_or_a_board_is_declared() -> None:
 def test_code_version_follows_imports() -> None:
     flow = sources("devrf.pipelines.stages.flow")
     assert {"devrf.pipelines.stages.flow", "devrf.flow.dis", "devrf.capture.scene"} <= flow.keys()
-    assert not any(name.startswith(("devrf.reconstruct", "devrf.pipelines.scene_config")) for name in flow)
+    assert not any(name.startswith(("devrf.reconstruct", "devrf.pipelines.config.scene")) for name in flow)
     report = sources("devrf.pipelines.stages.report")
     assert any(name.endswith(":report.css") for name in report)  # a file beside the code counts too
 

@@ -14,7 +14,7 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, Fault, FrameRecord, FrameSet
 from devrf.capture.progress import no_progress
 from devrf.capture.session import CaptureSession
-from devrf.pipelines.health import HealthRow
+from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import ingest, sync
 

@@ -13,7 +13,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import evaluate, render
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from devrf.capture.scene import Scene
-from devrf.capture.simulate_dataset import simulate_dataset
-from devrf.capture.simulate_dataset_options import DatasetOptions
+from devrf.capture.simulate.dataset import simulate_dataset
+from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.pipelines.bench.accuracy.cases import Cases
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.bench.trainings import Bench

@@ -19,7 +19,7 @@ from devrf.capture.pictures import list_pictures
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row, with_goal
-from devrf.pipelines.scene_config import StaticPosesConfig
+from devrf.pipelines.config.scene import StaticPosesConfig
 from devrf.pipelines.stages.static_poses import recover_sweep
 
 FOX = "instant-ngp's COLMAP model of data/nerf/fox (transforms.json)"

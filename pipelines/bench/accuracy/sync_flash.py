@@ -4,7 +4,7 @@ import numpy as np
 
 from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
 from devrf.capture.clips import Keep, extract_clip
-from devrf.capture.simulate_flash import RollingShutter, film_flashes
+from devrf.capture.simulate.flash import RollingShutter, film_flashes
 from devrf.pipelines.bench.accuracy.cases import Cases
 from devrf.pipelines.bench.rows import Row, with_goal
 

@@ -21,8 +21,8 @@ from devrf.capture.camera import Camera
 from devrf.capture.frames import FrameSet
 from devrf.capture.ingest import read_motion, write_frames
 from devrf.capture.session import CaptureSession
-from devrf.capture.simulate import simulate_session
-from devrf.capture.simulate_options import SessionOptions
+from devrf.capture.simulate.session import simulate_session
+from devrf.capture.simulate.session_options import SessionOptions
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there

@@ -1,0 +1,1 @@
+"""Sessions and data sets rendered with known truth (Mitsuba, optional extra)."""

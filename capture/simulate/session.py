@@ -1,0 +1,358 @@
+"""Render a raw session, as a crew would bring it home, with known truth.
+
+A textured room with an object that deforms: at rest for one moving camera (the sweep), then in motion for
+fixed, free-running cameras and a witness, with claps, a ChArUco board, lens distortion, noise and unequal
+exposure. `simulate_session` writes
+
+    static.mp4, cam0.mp4, ..., witness.mp4      pictures (H.264) with their own clocks' times, and sound (AAC)
+    charuco_static.mp4, charuco_cam0.mp4, ...   the board before each camera alone
+    ground_truth.json                           what is true; OpenCV's conventions, metres, seconds
+    scene.yaml                                  ready for `devrf-pipeline run`
+
+`ground_truth.json` holds, besides what docs/formats.md promises: `sweep` (K, k1 of the moving camera), per
+camera `K`, `k1`, `gain`, `clapper_distance_m` and `file_times_s`, `claps` (place and times), `object` (some
+of the object's surface points at times on cam0's clock) and `made_by` (scene, seed, options). K's have the
+centre of the first pixel at 0, unlike `Camera`, which has it at 0.5. The same arguments give the same
+session, up to what the video encoder makes of the same pictures.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.simulate import sound as sound
+from devrf.capture.simulate.mitsuba import load_mitsuba
+from devrf.capture.simulate.rig import CLAPPER, FixedCamera, board_pose, fixed_cameras, sweep_cameras
+from devrf.capture.simulate.scenes import (
+    WOOD,
+    Mesh,
+    MovingObject,
+    make_object,
+    picture_on_quad,
+    room,
+    texture,
+)
+from devrf.capture.simulate.sensor import (
+    BoardCamera,
+    ClipWriter,
+    Renderer,
+    board_corners,
+    board_picture,
+    board_poses,
+    expose,
+)
+from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.writable import check_folder
+
+SCENES = {
+    "sheet": "a cloth sheet that hangs from a bar and waves",
+    "column": "a soft column that bends, twists and is squashed",
+}
+BOARD_FPS = 2.0
+BOARD_THICKNESS_M = 0.012
+TRACKED_POINTS = 60  # surface points whose way is written to the truth
+TRACK_FPS = 16.0
+CLAP_MARGIN_S = 0.03  # between a clap and the ends of what all cameras record
+
+
+def simulate_session(
+    out: Path,
+    scene: str,
+    *,
+    cameras: int = 4,
+    seed: int = 0,
+    size: tuple[int, int] = (480, 360),
+    options: SessionOptions | None = None,
+    progress: Progress = no_progress,
+) -> Path:
+    """Render a raw session with known truth.
+
+    Args:
+        out: Folder to write; new or empty.
+        scene: A name out of `SCENES`.
+        cameras: Number of fixed cameras, without the witness.
+        seed: Different seeds give other textures, places, offsets, drifts, gains and claps.
+        size: Width and height of the pictures, even numbers of pixels.
+        options: Everything else.
+        progress: Told after every picture.
+    Returns:
+        The scene.yaml.
+    Raises:
+        InputError: Unknown scene, odd size, folder not empty, or mitsuba not installed.
+    """
+    options = options or SessionOptions()
+    _check(out, scene, cameras, size, options)
+    load_mitsuba()
+    seeds = np.random.default_rng(seed).spawn(6)
+    contrast = options.texture_contrast
+    still = room(seeds[0], contrast)
+    thing = make_object(scene, seeds[1], contrast, options.motion_scale)
+    still += thing.stand
+    if options.board:
+        still += _standing_board(seeds[2], options)
+    fixed = fixed_cameras(seeds[3], cameras, size, options)
+    sweep = sweep_cameras(seeds[4], size, options)
+    renderer = Renderer(still, options.spp)
+
+    out.mkdir(parents=True, exist_ok=True)
+    work = _Work(out, renderer, thing, options, size, seeds[5], progress)
+    work.total = len(sweep) + sum(len(camera.file_times_s) for camera in fixed)
+    work.total += (len(fixed) + 1) * options.board_frames * options.board
+    work.sweep(sweep)
+    claps = _clap_times(seeds[2], fixed, options)
+    burst = sound.make_burst(seeds[2])
+    for camera in fixed:
+        work.clip(camera, claps, burst)
+    if options.board:
+        for name, camera in [
+            ("static", _away_from_board(sweep, options)),
+            *((c.name, c.camera) for c in fixed),
+        ]:
+            work.board_clip(name, camera)
+    truth = _ground_truth(size, sweep, fixed, claps, thing, options, scene, seed)
+    (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
+    path = out / "scene.yaml"
+    path.write_text(_scene_yaml(scene, fixed, options), encoding="utf-8")
+    return path
+
+
+def _check(out: Path, scene: str, cameras: int, size: tuple[int, int], options: SessionOptions) -> None:
+    if scene not in SCENES:
+        raise InputError(
+            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
+        )
+    if not 1 <= cameras <= 64:
+        raise InputError(f"simulate --cameras {cameras}: expected 1 to 64")
+    if any(n < 16 or n % 2 for n in size):
+        raise InputError(
+            f"simulate --size {size[0]}x{size[1]}: expected even numbers of at least 16 (H.264 in yuv420p)"
+        )
+    if options.duration_s <= 2 * options.offset_range_s:
+        raise InputError(
+            f"simulate: duration_s {options.duration_s} is not more than twice offset_range_s "
+            f"{options.offset_range_s}; the clips would not overlap, raise duration_s"
+        )
+    check_folder(out, "simulate")
+    if out.exists() and any(out.iterdir()):
+        raise InputError(f"simulate {out}: not an empty folder; give a new one or empty it")
+
+
+class _Work:
+    """Renders and writes clips, and counts pictures."""
+
+    def __init__(
+        self,
+        out: Path,
+        renderer: Renderer,
+        thing: MovingObject,
+        options: SessionOptions,
+        size: tuple[int, int],
+        rng: np.random.Generator,
+        progress: Progress,
+    ) -> None:
+        self.out, self.renderer, self.thing, self.options = out, renderer, thing, options
+        self.size, self.rng, self.progress = size, rng, progress
+        self.total, self.done = 1, 0
+
+    def sweep(self, path: list[Camera]) -> None:
+        clip = ClipWriter(self.out / "static.mp4", self.size, self.options.sweep_fps, self.options.crf)
+        for i, camera in enumerate(path):
+            radiance = self.renderer(camera, [self.thing.rest], self._seed())
+            clip.picture(expose(radiance, 1.0, self.options.noise, self.rng), i / self.options.sweep_fps)
+            self._tick("static.mp4")
+        clip.close()
+
+    def clip(self, camera: FixedCamera, claps_s: np.ndarray, burst: np.ndarray) -> None:
+        rate = sound.SAMPLE_RATE_HZ if self.options.sound else None
+        name = f"{camera.name}.mp4"
+        clip = ClipWriter(self.out / name, self.size, self.options.fps, self.options.crf, rate)
+        if self.options.sound:
+            microphone = sound.Microphone(
+                distance_m=clapper_distance_m(camera),
+                offset_s=camera.offset_s,
+                drift_ppm=camera.drift_ppm,
+                gain=float(self.rng.uniform(0.4, 1.0)),
+            )
+            duration_s = float(camera.file_times_s[-1]) + 1 / self.options.fps
+            clip.sound(
+                sound.record(
+                    self.rng,
+                    burst,
+                    claps_s,
+                    microphone,
+                    duration_s,
+                    self.options.sound_noise,
+                    self.options.reverb,
+                )
+            )
+        for file_time_s in camera.file_times_s:
+            moment = camera.true_time(float(file_time_s))
+            radiance = self.renderer(
+                camera.camera, [object_at(self.thing, moment, self.options)], self._seed()
+            )
+            clip.picture(expose(radiance, camera.gain, self.options.noise, self.rng), float(file_time_s))
+            self._tick(name)
+        clip.close()
+
+    def board_clip(self, name: str, camera: Camera) -> None:
+        options = self.options
+        backdrop = self.renderer(camera, [self.thing.rest], self._seed())
+        show = BoardCamera(camera, backdrop, options.board_squares, options.board_square_m)
+        poses = board_poses(
+            self.rng, camera, options.board_squares, options.board_square_m, options.board_frames
+        )
+        clip = ClipWriter(self.out / f"charuco_{name}.mp4", self.size, BOARD_FPS, options.crf)
+        for i, pose in enumerate(poses):
+            clip.picture(expose(show(pose), 1.0, options.noise, self.rng), i / BOARD_FPS)
+            self._tick(f"charuco_{name}.mp4")
+        clip.close()
+
+    def _seed(self) -> int:
+        return int(self.rng.integers(2**31))
+
+    def _tick(self, name: str) -> None:
+        self.done += 1
+        self.progress(self.done / self.total, f"{name}: picture {self.done} of {self.total}")
+
+
+def object_at(thing: MovingObject, time_s: float, options: SessionOptions) -> Mesh:
+    """The object at a time on cam0's clock."""
+    since = options.motion_speed * (time_s - options.rest_s)
+    rest = thing.rest
+    return Mesh(thing.vertices_at(since), rest.faces, rest.uv, rest.texture, rest.smooth, rest.thickness_m)
+
+
+def clapper_distance_m(camera: FixedCamera) -> float:
+    """From the clapping hands to the camera's microphone."""
+    return float(np.linalg.norm(camera.camera.centre - CLAPPER))
+
+
+def _standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:
+    """The board in the room during everything, and a textured back so that it does not glow through."""
+    pose = board_pose(options)
+    front = board_corners(options.board_squares, options.board_square_m, pose)
+    back = (front + BOARD_THICKNESS_M * pose[:3, 2])[[1, 0, 3, 2]]
+    paper = texture(
+        rng, 120, 160, 0.004, options.texture_contrast, paint=WOOD, largest_m=0.2, smallest_m=0.03
+    )
+    return [
+        picture_on_quad(front, board_picture(options.board_squares)),
+        picture_on_quad(back, paper),
+    ]
+
+
+def _away_from_board(sweep: list[Camera], options: SessionOptions) -> Camera:
+    """A pose that does not see the standing board's face: in its own clip the board must be there once."""
+    pose = board_pose(options)
+    return min(sweep, key=lambda camera: float((pose[:3, 3] - camera.centre) @ pose[:3, 2]))
+
+
+def _clap_times(rng: np.random.Generator, fixed: list[FixedCamera], options: SessionOptions) -> np.ndarray:
+    """Claps within what all cameras record; their sound needs a few milliseconds to arrive."""
+    from_s = max(camera.offset_s for camera in fixed) + CLAP_MARGIN_S
+    to_s = min(camera.true_time(float(camera.file_times_s[-1])) for camera in fixed) - 2 * CLAP_MARGIN_S
+    return sound.clap_times(rng, options.claps, from_s, to_s)
+
+
+def _ground_truth(
+    size: tuple[int, int],
+    sweep: list[Camera],
+    fixed: list[FixedCamera],
+    claps_s: np.ndarray,
+    thing: MovingObject,
+    options: SessionOptions,
+    scene: str,
+    seed: int,
+) -> dict[str, Any]:
+    chosen = np.linspace(0, len(thing.rest.vertices) - 1, TRACKED_POINTS).round().astype(int)
+    last_s = max(camera.true_time(float(camera.file_times_s[-1])) for camera in fixed)
+    times_s = np.arange(0.0, last_s, 1 / TRACK_FPS)
+    tracks = [object_at(thing, float(t), options).vertices[chosen] for t in times_s]
+    truth: dict[str, Any] = {
+        "width": size[0],
+        "height": size[1],
+        "fps": options.fps,
+        **_lens_truth(fixed[0].camera),
+        "static": [camera.world_from_cam.tolist() for camera in sweep],
+        "cams": {
+            c.name: {
+                "pose": c.camera.world_from_cam.tolist(),
+                "offset_s": c.offset_s,
+                "drift_ppm": c.drift_ppm,
+                **_lens_truth(c.camera),
+                "gain": c.gain,
+                "clapper_distance_m": round(clapper_distance_m(c), 6),
+                "file_times_s": c.file_times_s.round(7).tolist(),
+            }
+            for c in fixed
+        },
+        "board": None,
+        "sweep": {"fps": options.sweep_fps, **_lens_truth(sweep[0])},
+        "claps": {"position_m": CLAPPER.tolist(), "times_s": claps_s.round(7).tolist()},
+        "object": {
+            "rest_until_s": options.rest_s,
+            "times_s": times_s.tolist(),
+            "points_m": np.round(tracks, 5).tolist(),
+        },
+        "made_by": {"scene": scene, "seed": seed, "options": options.model_dump(mode="json")},
+    }
+    if options.board:
+        truth["board"] = {
+            "world_from_board": board_pose(options).tolist(),
+            "squares": list(options.board_squares),
+            "square_m": options.board_square_m,
+            "marker_m": _marker_m(options),
+            "dictionary": "DICT_5X5_100",
+        }
+    return truth
+
+
+def _lens_truth(camera: Camera) -> dict[str, Any]:
+    K = camera.K.copy()
+    K[:2, 2] -= 0.5
+    return {"K": K.tolist(), "k1": float(camera.distortion[0])}
+
+
+def _marker_m(options: SessionOptions) -> float:
+    return round(0.75 * options.board_square_m, 6)
+
+
+def _rest(fixed: list[FixedCamera], options: SessionOptions) -> str:
+    """Whether the first moment that all cameras record is still at rest."""
+    from_s = max(camera.offset_s for camera in fixed)
+    return "start" if from_s <= options.rest_s or options.motion_scale == 0 else "none"
+
+
+def _scene_yaml(scene: str, fixed: list[FixedCamera], options: SessionOptions) -> str:
+    names = [c.name for c in fixed]
+    clips = ", ".join(f"{n}: {n}.mp4" for n in names[:-1])
+    lines = [
+        "# A simulated session; ground_truth.json beside this file holds what is true.",
+        f"name: {scene}",
+        f"output: runs/{scene}",
+        "preset: tiny                       # sized for two cores without a GPU",
+        "capture:",
+        "  static: static.mp4               # the sweep of the scene at rest",
+        f"  cameras: {{{clips}}}",
+        f"  test_cameras: {{{names[-1]}: {names[-1]}.mp4}}    # never trained on",
+        f"  rest: {_rest(fixed, options):<29}# when the moving clips show the scene as in the sweep",
+    ]
+    if options.board:
+        columns, rows = options.board_squares
+        boards = ", ".join(f"{n}: charuco_{n}.mp4" for n in ["static", *names])
+        lines += [
+            "  board:",
+            "    type: charuco",
+            f"    squares: [{columns}, {rows}]",
+            f"    square_m: {options.board_square_m}",
+            f"    marker_m: {_marker_m(options)}",
+            "    dictionary: DICT_5X5_100",
+            f"    clips: {{{boards}}}",
+        ]
+    lines.append("evaluate: {truth: ground_truth.json}")
+    return "\n".join(lines) + "\n"

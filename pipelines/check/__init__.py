@@ -1,0 +1,1 @@
+"""`check`: go or no-go before the crew leaves the field."""

@@ -1,0 +1,55 @@
+"""The clocks in `check`: by sound; where it does not reach every camera, by motion and flashes in the first seconds."""
+
+from devrf.calibration.clocks.evidence import Extras
+from devrf.calibration.clocks.flash import Brightness
+from devrf.calibration.clocks.sync import SyncResult, synchronise
+from devrf.capture.audio import Sound
+from devrf.capture.courses import read_courses
+from devrf.capture.errors import CalibrationError
+from devrf.capture.frames import CameraFrames
+from devrf.capture.recorded import Recorded, read_recorded
+from devrf.capture.session import CaptureSession
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.clock import REFUSED_BELOW, REMEDY
+from devrf.pipelines.health.rows import HealthRow, note
+from devrf.pipelines.stages import sync
+
+COURSE_S = 20.0  # of each clip; more would cost minutes at 4K
+
+
+def clock_rows(
+    config: SceneConfig, session: CaptureSession, moving: dict[str, CameraFrames], sounds: dict[str, Sound]
+) -> list[HealthRow]:
+    """The rows of stage `sync`."""
+    if len(moving) < 2:
+        return []
+    settings = config.calibration.sync
+    times = {name: sync.used_times(frames) for name, frames in moving.items()}
+    spans = {name: (float(t[0]), float(t[-1])) for name, t in times.items()}
+    recorded = {name: _recorded(session, name, frames) for name, frames in moving.items()}
+
+    def solve(seconds: float) -> SyncResult:
+        courses = (
+            {name: read_courses(path, seconds) for name, path in session.cameras.items()} if seconds else {}
+        )
+        brightness = {n: Brightness(c.brightness[:, 0], c.brightness[:, 1:]) for n, c in courses.items()}
+        motion = {n: c.motion for n, c in courses.items()}
+        extras = Extras(brightness, recorded, settings.av_lag_s, settings.readout_s)
+        table = session.timestamps is not None
+        return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
+
+    try:
+        result = (
+            solve(0.0) if len(sounds) > 1 or settings.method in ("timestamps", "none") else solve(COURSE_S)
+        )
+        unknown = any(clock.confidence < REFUSED_BELOW for clock in result.cameras.values())
+        if unknown and len(sounds) > 1 and settings.method in ("auto", "motion", "flash"):
+            result = solve(COURSE_S)
+    except CalibrationError as error:
+        return [note("clocks", str(error), verdict="fail", remedy=REMEDY)]
+    return sync.health(moving, result)
+
+
+def _recorded(session: CaptureSession, name: str, frames: CameraFrames) -> Recorded:
+    found = read_recorded(session.cameras[name])
+    return Recorded(found.created_s, found.timecode_s, frames.fps_mean)

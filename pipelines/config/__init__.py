@@ -1,0 +1,1 @@
+"""scene.yaml: its keys, and everything that is wrong with one."""

@@ -1,0 +1,53 @@
+"""The files that a scene.yaml names."""
+
+from pathlib import Path
+
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.config.words import Say, near_file
+
+
+def input_paths(config: SceneConfig) -> dict[str, str]:
+    """Every path that the configuration names: dotted key -> path as written."""
+    paths: dict[str, str | None] = {}
+    if config.dataset is not None:
+        paths["dataset.path"] = config.dataset.path
+    if config.capture is not None:
+        capture = config.capture
+        paths["capture.static"] = capture.static
+        paths |= {f"capture.cameras.{name}": clip for name, clip in capture.cameras.items()}
+        if isinstance(capture.test_cameras, dict):
+            paths |= {f"capture.test_cameras.{name}": clip for name, clip in capture.test_cameras.items()}
+        paths["capture.timestamps"] = capture.timestamps
+        paths |= {f"capture.white.{name}": path for name, path in capture.white.items()}
+        paths["capture.mattes.folder"] = None if capture.mattes is None else capture.mattes.folder
+        if capture.board is not None:
+            paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
+            paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}
+    given = config.calibration.rig.given
+    if isinstance(given, dict):
+        paths |= {f"calibration.rig.given.{name}": path for name, path in given.items()}
+    else:
+        paths["calibration.rig.given"] = given
+    paths |= {f"calibration.colour.chart.{n}": path for n, path in config.calibration.colour.chart.items()}
+    if config.evaluate.lpips_weights != "download":
+        paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
+    paths["evaluate.truth"] = config.evaluate.truth
+    paths["flow.weights"] = config.flow.weights
+    return {key: path for key, path in paths.items() if path is not None}
+
+
+def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
+    """Say which of them are missing, or a folder where a file is expected."""
+    folders = {"dataset.path", "evaluate.lpips_weights", "capture.mattes.folder"}
+    files_or_folders = {"capture.static", "calibration.rig.given"}
+    clips = "capture.board.clips."  # photos of the board will do
+    for key, text in input_paths(config).items():
+        path = config.path(scene_dir, text)
+        if not text.strip():
+            say(key, "is empty; expected a path")
+        elif not path.exists():
+            say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}")
+        elif key in folders and not path.is_dir():
+            say(key, f"{text!r} is a file; expected a folder")
+        elif key not in folders | files_or_folders and not key.startswith(clips) and path.is_dir():
+            say(key, f"{text!r} is a folder; expected a file")

@@ -1,0 +1,113 @@
+"""The text of a scene.yaml and of `--set`, as nested dictionaries."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from devrf.pipelines.config.error import ConfigError
+from devrf.pipelines.config.words import near_file, type_in_words
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader that refuses duplicate keys and reads 1e-3 as a number."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+"), list("-+0123456789.")
+)
+
+
+def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict:
+    loader.flatten_mapping(node)
+    seen: dict[Any, int] = {}
+    for key_node, _ in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        line = key_node.start_mark.line + 1
+        if not isinstance(key, str | int | float | bool | None):
+            raise yaml.MarkedYAMLError(problem="keys must be text", problem_mark=key_node.start_mark)
+        if key in seen:
+            raise yaml.MarkedYAMLError(
+                problem=f"key {key!r} is given twice (first in line {seen[key]}); remove one",
+                problem_mark=key_node.start_mark,
+            )
+        seen[key] = line
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
+
+
+def read_yaml(path: Path) -> dict:
+    """The keys of the file; ConfigError where it is missing, or not YAML with keys."""
+    if path.is_dir():
+        raise ConfigError([f"{path}: is a folder; name the scene.yaml in it"])
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError([_no_scene(path)]) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError([f"{path}: cannot be read ({error}); expected a YAML text file"]) from None
+    try:
+        raw = yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise ConfigError([f"{path.name}: {line}{error.problem or error.context}"]) from None
+    except yaml.YAMLError as error:
+        raise ConfigError([f"{path.name}: not YAML: {error}"]) from None
+    except RecursionError:
+        raise ConfigError([f"{path.name}: nested too deeply to be a scene.yaml"]) from None
+    if raw is None:
+        raise ConfigError([f"{path.name}: is empty; expected at least name, and capture or dataset"])
+    if not isinstance(raw, dict):
+        raise ConfigError(
+            [f"{path.name}: holds {type_in_words(raw)}; expected keys such as name: and capture:"]
+        )
+    return raw
+
+
+def override(raw: dict, text: str, mistakes: list[str]) -> str | None:
+    """Write one `a.b=value` into `raw`; its dotted key, or None where it cannot be read."""
+    key, equals, value_text = text.partition("=")
+    key = key.strip()
+    if not equals or not key or not all(key.split(".")):
+        mistakes.append(f"--set {text}: expected key=value, such as reconstruct.rays=4096")
+        return None
+    try:
+        value = yaml.load(value_text, Loader=_Loader)
+    except yaml.YAMLError:
+        mistakes.append(f"--set {text}: the value cannot be read as YAML; quote it")
+        return None
+    *sections, last = key.split(".")
+    here = raw
+    for section in sections:
+        inner = here.get(section)
+        if inner is None:
+            inner = here[section] = {}
+        if not isinstance(inner, dict):
+            mistakes.append(f"--set {key}: {section} is {type_in_words(inner)}, which has no keys inside")
+            return None
+        here = inner
+    here[last] = value
+    return key
+
+
+def _no_scene(path: Path) -> str:
+    """What to say where there is no scene.yaml: what the folder holds instead, and what to write."""
+    from devrf.capture.formats.datasets import guess_format
+
+    folder = path.parent
+    if not folder.is_dir():
+        return f"{path}: no such file, and no such folder; expected a scene.yaml or the folder that holds one"
+    found = guess_format(folder)
+    if found is None:
+        return (
+            f"{path}: no such file{near_file(path)}; expected a scene.yaml; "
+            f"`devrf-pipeline init {folder}` writes one for raw files there, docs/formats.md has all keys"
+        )
+    return (
+        f"{path}: no such file; the folder looks like a data set ({found}): write a scene.yaml with "
+        f"name: NAME and dataset: {{format: {found}, path: {folder}}}"
+    )

@@ -1,0 +1,41 @@
+"""Whether a clock is known at all: asked by stage `sync`, and once more by `scene`, where geometry may have helped."""
+
+from devrf.calibration.clocks.equations import Clock
+from devrf.capture.frames import CameraFrames
+from devrf.pipelines.health.rows import HealthRow, row
+
+REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
+UNSURE_FRAMES = (
+    0.25  # standard deviation of a clock that is worth a warning: frames cannot be told apart surely
+)
+USUAL_FPS = 30.0  # of a camera whose rate is not known
+REMEDY = (
+    "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough for all "
+    "cameras; or let somebody jump; or give capture.timestamps; or, for cameras synchronised by hardware, set "
+    "calibration.sync.method to none."
+)
+
+
+def confidence_row(name: str, clock: Clock, why: str, *, final: bool) -> HealthRow:
+    """Judge the worst clock.
+
+    Args:
+        name: Its camera.
+        clock: The clock.
+        why: What is known of the reason, in words; empty: the clock's own basis.
+        final: Nothing later can make it better: a clock that is not known is refused.
+    """
+    later = "" if final else "Stage scene tries by geometry, since something moves in view. If that fails: "
+    return row(
+        f"confidence, worst camera ({name})",
+        clock.confidence,
+        "",
+        warn=0.6,
+        fail=REFUSED_BELOW if final else None,
+        remedy=f"The clock of {name} is not known: {why or clock.basis}. {later}{REMEDY}",
+    )
+
+
+def frame_ms(camera: CameraFrames) -> float:
+    """Milliseconds from one picture to the next."""
+    return 1e3 / (camera.fps_mean or USUAL_FPS)

@@ -1,0 +1,69 @@
+"""Health rows about colours: how far each camera is from the reference's look, before and after."""
+
+from devrf.calibration.colour.result import CameraColour, Colours
+from devrf.capture.frames import SWEEP
+from devrf.pipelines.health.rows import HealthRow, note, row
+
+WORDS = {"gain": "one gain", "diagonal": "three gains", "matrix": "a 3x3 matrix"}
+UNIT = "of 1, rms of sRGB"
+MIXED = 0.05  # rms of sRGB: from here on seams between cameras are seen in renderings
+VAGUE_STOPS = 0.1  # standard deviation of a camera's brightness: more than many cameras differ
+
+
+def colour_rows(colours: Colours, test_cameras: set[str]) -> list[HealthRow]:
+    """Rows about all fixed cameras."""
+    if colours.reference is None:
+        return [note("colours", "as filmed (calibration.colour.method: none)")]
+    target = "the sweep" if colours.reference == SWEEP else colours.reference
+    rows = []
+    for name, camera in colours.cameras.items():
+        if name in (colours.reference, SWEEP):
+            continue
+        rows.append(_camera(name, camera, target, name in test_cameras))
+        if camera.stops_std is not None and camera.stops_std > VAGUE_STOPS:
+            rows.append(
+                row(
+                    f"brightness of {name} against {target}, standard deviation",
+                    camera.stops_std,
+                    "EV",
+                    warn=VAGUE_STOPS,
+                    low_is_bad=False,
+                    remedy=f"{camera.fitted} points say little: film a colour chart (calibration.colour.chart).",
+                )
+            )
+    if not rows:
+        rows.append(note("colours", f"only {target}: nothing to compare with"))
+    return rows
+
+
+def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthRow:
+    if camera.apart.before is None or camera.stops is None:
+        if camera.source != "none":  # by the few patches of a chart that are unclipped
+            return note(
+                f"colours of {name}", f"corrected by {WORDS.get(camera.kind, 'nothing')} from {camera.source}"
+            )
+        text = "not compared: no surface point that it shares with cameras of known look"
+        remedy = f"Film a colour chart with {name} and {target} (calibration.colour.chart), or let views overlap more."
+        return note(f"colours of {name}", text, verdict="warn", remedy=remedy)
+    side = "brighter" if camera.stops > 0 else "darker"
+    found = f"{name} {abs(camera.stops):.2f} EV {side} than {target}"
+    if camera.source == "none":
+        why = "not corrected: of test pictures nothing is fitted" if test else "not corrected"
+        return row(
+            f"{found}, {why}",
+            camera.apart.before,
+            UNIT,
+            warn=MIXED,
+            low_is_bad=False,
+            remedy=f"Film one colour chart with {name} and {target} (calibration.colour.chart).",
+        )
+    how = f"corrected by {WORDS[camera.kind]}" if camera.kind in WORDS else "needs no correction"
+    return row(
+        f"{found}, {how} from {camera.source}: left of {camera.apart.before:.3f}",
+        camera.apart.after,
+        UNIT,
+        warn=MIXED,
+        low_is_bad=False,
+        remedy="Set the same exposure, white balance and picture profile by hand on all cameras, or film a colour "
+        "chart (calibration.colour.chart).",
+    )

@@ -1,0 +1,155 @@
+"""Health rows about light: exposure, white balance and lamps in clips; settings of photos; levels of RAW."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devrf.calibration.flicker import LightFound, judge_light
+from devrf.capture.frames import LISTED, FrameSet
+from devrf.capture.light import CLIPPED_SHARE, LightCourse
+from devrf.capture.raw_set import read_raw_sidecar
+from devrf.pipelines.health.rows import HealthRow, note
+
+BELOW_BLACK_SHARE = 0.05  # of the sensor's values
+FLOOR_SHARE = 0.02  # of the range, where a file says that black is 0: sensors put black at 1.6 % and more
+WHITE_SHARE = 0.97  # of the white level: sensors saturate within 3 % of what their files say
+PILED_UP = 20.0  # times more values at the highest than below it: that is where the sensor saturates
+BALANCE_SHARE = 0.01  # cameras round their multipliers to less
+EXPOSURE_STOPS = 0.1  # a third of a camera's smallest step
+
+
+def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
+    """Rows about the clips of the fixed cameras and all photos of an ingest folder."""
+    rows: list[HealthRow] = []
+    fixed = [name for name in frames.moving if (folder / "light" / f"{name}.npy").is_file()]
+    for name in fixed:
+        course = LightCourse.read(folder / "light" / f"{name}.npy")
+        rows += clip_rows(name, frames.cameras[name].source, judge_light(course))
+    if fixed and not rows:
+        rows.append(note("light of the fixed cameras", "steady"))
+    for path in sorted((folder / "raw").glob("*.json")):
+        sidecar = read_raw_sidecar(path)
+        rows += raw_rows(path.stem, sidecar)
+        rows += exposure_rows(path.stem, {f["source"]: f["exposure_stops"] for f in sidecar["files"]})
+    for name, camera in frames.cameras.items():
+        photos = {f"photo {f.index}": f.exif.exposure_stops for f in camera.used if f.exif is not None}
+        rows += exposure_rows(name, photos)
+    return rows
+
+
+def clip_rows(name: str, source: str, light: LightFound) -> list[HealthRow]:
+    """Rows about one clip; none where its light is steady."""
+    rows = []
+    if light.known < 0.5:
+        rows.append(note(f"light of {name}", "not measured: what moves fills most of the picture"))
+    if light.exposure is not None:
+        rows.append(
+            note(
+                f"exposure of {name}",
+                f"{light.exposure.stops:+.2f} EV {_when(light.exposure.from_s, light.exposure.to_s)}",
+                verdict="warn",
+                remedy=f"{source}: exposure is automatic; set shutter, gain and aperture by hand and lock them.",
+            )
+        )
+    if light.colour is not None:
+        share = 100 * (2**light.colour.stops - 1)
+        rows.append(
+            note(
+                f"white balance of {name}",
+                f"red or blue against green {share:+.0f} % {_when(light.colour.from_s, light.colour.to_s)}",
+                verdict="warn",
+                remedy=f"{source}: white balance is automatic; set it by hand and lock it.",
+            )
+        )
+    if light.flicker is not None:
+        lamp_hz = round(light.flicker.lamp_hz)
+        rows.append(
+            note(
+                f"lamps seen by {name}",
+                f"flicker by {100 * light.flicker.depth:.0f} % on mains of {lamp_hz // 2} Hz, "
+                f"seen {light.flicker.seen_hz:.2f} times a second",
+                verdict="warn",
+                remedy=f"{source}: set the shutter to 1/{lamp_hz // 2} or 1/{lamp_hz} s, or light without mains lamps.",
+            )
+        )
+    return rows
+
+
+def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
+    """Rows about one folder of RAW photos; none where all were taken alike and well exposed."""
+    recipe, files = sidecar["recipe"], sidecar["files"]
+    rows = []
+
+    def say(check: str, found: list[dict[str, Any]], text: str, remedy: str = "") -> None:
+        if found:
+            words = f"{len(found)} of {len(files)} files {text}: {_listed([f['source'] for f in found])}"
+            rows.append(note(f"{check}, {name}", words, verdict="warn" if remedy else "ok", remedy=remedy))
+
+    shot = [f for f in files if f["as_shot"] is not None]
+    usual = np.median([f["as_shot"] for f in shot], axis=0) if shot else np.ones(3)
+    other = [f for f in shot if np.abs(np.array(f["as_shot"]) / usual - 1).max() > BALANCE_SHARE]
+    say("white balance of RAW photos", other, "have another white balance; one is used for all")
+    turned = [f for f in files if f["turn_deg"] != recipe["turn_deg"]]
+    say("turn of RAW photos", turned, f"ask for another turn; all are turned by {recipe['turn_deg']} degrees")
+    say(
+        "white level of RAW photos",
+        [f for f in files if f["white"] != recipe["white"]],
+        f"have another white level; {recipe['white']} is used for all",
+        "Keep one camera in one mode (ISO, compression, bit depth) for the whole set.",
+    )
+    say(
+        "highlights of RAW photos",
+        [f for f in files if f["clipped"] > CLIPPED_SHARE],
+        f"have more than {100 * CLIPPED_SHARE:.0f} % of the picture at white "
+        f"(up to {100 * max(f['clipped'] for f in files):.0f} %)",
+        "Lower the exposure until the brightest surface is below white.",
+    )
+    say(
+        "black level of RAW photos",
+        [f for f in files if f["below_black"] > BELOW_BLACK_SHARE],
+        f"have more than {100 * BELOW_BLACK_SHARE:.0f} % of the sensor's values below their black level",
+        "The file's black level is too high for this sensor: convert the photos with the maker's DNG converter.",
+    )
+    if all(max(f["black"]) == 0 and f["floor"] > FLOOR_SHARE for f in files):
+        darkest = min(f["floor"] for f in files)
+        say(
+            "black level of RAW photos",
+            files,
+            f"say that black is 0, but nothing is darker than {100 * darkest:.1f} % of white",
+            "Black was not removed: convert the photos with the maker's DNG converter.",
+        )
+    say(
+        "white level of RAW photos",
+        [f for f in files if f["at_highest"] > PILED_UP and f["highest"] < WHITE_SHARE * recipe["white"]],
+        f"saturate at {max(f['highest'] for f in files)}, below the white level {recipe['white']}",
+        "The file's white level is too high for this sensor: highlights come out grey; lower the exposure.",
+    )
+    return rows
+
+
+def exposure_rows(name: str, stops: Mapping[str, float | None]) -> list[HealthRow]:
+    """A row about a folder of photos whose settings give them unequal light; none where all are alike or unknown."""
+    known = {photo: value for photo, value in stops.items() if value is not None}
+    middle = float(np.median(list(known.values()))) if known else 0.0
+    off = [photo for photo, value in known.items() if abs(value - middle) > EXPOSURE_STOPS]
+    if not off:
+        return []
+    span = max(known.values()) - min(known.values())
+    return [
+        note(
+            f"exposure of photos, {name}",
+            f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {_listed(off)}",
+            verdict="warn",
+            remedy="Set shutter, ISO and aperture by hand and lock them for the whole set.",
+        )
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:LISTED]) + (" ..." if len(names) > LISTED else "")
+
+
+def _when(from_s: float, to_s: float) -> str:
+    return f"at {from_s:.2f} s" if to_s - from_s < 0.1 else f"between {from_s:.2f} and {to_s:.2f} s"

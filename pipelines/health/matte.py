@@ -1,0 +1,115 @@
+"""What mattes say of themselves, as rows: the worst camera each."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from devrf.capture.mattes.given import SWEEP
+from devrf.capture.mattes.make import CameraMattes
+from devrf.capture.mattes.measure import LEAST_SUBJECT
+from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.scene_mattes import SceneMattes
+
+MOST_EMPTY = 0.5  # of a camera's pictures; a subject may walk in and out
+MOST_AREA = 0.9  # of a picture: all of it is no subject
+MOST_HOLES = 0.01  # of the subject's area (facts/capture.md 7E 14 has the same)
+MOST_RIM = 0.5  # of the outermost pixels; of a matte that is right to the pixel they mix both
+MOST_SPILL = (
+    0.05  # of the screen's colour on the subject, well within its edge; from 0.2 on mattes let through
+)
+MOST_HIDDEN = 0.5  # of what the subject covers
+
+
+def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
+    """Rows about the mattes of a scene."""
+    made = mattes.cameras
+    acts = (
+        "of every picture: the subject is modelled before a plain background"
+        if mattes.everywhere
+        else "of the moving cameras: they tell where the subject is; the surroundings are modelled as without"
+    )
+    rows = [note("mattes", f"{method}, {acts} ({', '.join(made)})")]
+    rows += _inverted(made)
+    name, empty = _worst(made, lambda m: float(np.mean([f.area < LEAST_SUBJECT for f in m.facts])))
+    rows.append(
+        _at_most(
+            f"pictures without a subject ({name})", empty, "of the camera's", most=MOST_EMPTY,
+            remedy=f"The mattes of {name} are nearly all empty: look at scene/mattes/{name}, and check the method.",
+        )
+    )  # fmt: skip
+    name, area = _worst(made, lambda m: float(np.median([f.area for f in m.facts])))
+    rows.append(
+        _at_most(
+            f"subject's share of the picture ({name})", area, "", most=MOST_AREA,
+            remedy=f"The mattes of {name} are nearly all subject: look at scene/mattes/{name}; white is the subject.",
+        )
+    )  # fmt: skip
+    name, holes = _worst(made, lambda m: float(np.median([f.holes for f in m.facts])))
+    rows.append(
+        _at_most(
+            f"holes in mattes ({name})", 100 * holes, "% of the subject", most=100 * MOST_HOLES,
+            remedy=f"The subject has holes in scene/mattes/{name}, and the model will: close them, or use another "
+            "method (the subject may have the background's or the screen's colour).",
+        )
+    )  # fmt: skip
+    name, rim = _worst(made, lambda m: _median([f.rim for f in m.facts]))
+    if not np.isnan(rim):
+        rows.append(
+            _at_most(
+                f"rim of the background's colour ({name})", 100 * rim, "% of the edge", most=100 * MOST_RIM,
+                remedy=f"The mattes of {name} reach beyond the subject and the model gets a rim: shrink them by a "
+                "pixel or two.",
+            )
+        )  # fmt: skip
+    name, spill = _worst(made, lambda m: np.nan if m.spill is None else m.spill)
+    if not np.isnan(spill):
+        rows.append(
+            _at_most(
+                f"screen's colour on the subject ({name})", 100 * spill, "%", most=100 * MOST_SPILL,
+                remedy="The screen shines on the subject, or they share a colour: move the subject away from the "
+                "screen, light it from behind, or use a screen of another colour.",
+            )
+        )  # fmt: skip
+    name, hidden = _worst(made, lambda m: np.nan if m.hidden is None else m.hidden)
+    if not np.isnan(hidden):
+        rows.append(
+            _at_most(
+                f"subject's places without a lasting background ({name})", 100 * hidden, "% of what it covers",
+                most=100 * MOST_HIDDEN,
+                remedy="The subject hides its background for most of the clip, so the clean plate may show it and its "
+                "mattes have holes: let the clips run on over the empty scene, or use a program (capture.mattes: "
+                "{method: command, ...}).",
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _inverted(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
+    swapped = [name for name, mattes in made.items() if mattes.inverted]
+    if not swapped:
+        return []
+    return [
+        note(
+            "mattes' black and white",
+            f"swapped: {', '.join(swapped)}",
+            verdict="warn",
+            remedy="They are white around and darker inside and were inverted: save the subject white, or say so "
+            "(capture.mattes.inverted: true, or false if that is wrong).",
+        )
+    ]
+
+
+def _worst(made: Mapping[str, CameraMattes], value: Callable[[CameraMattes], float]) -> tuple[str, float]:
+    """The camera with the largest value, and that; values that are NaN lose."""
+    values = {name: value(mattes) for name, mattes in made.items()}
+    name = max(values, key=lambda n: -np.inf if np.isnan(values[n]) else values[n])
+    return ("sweep" if name == SWEEP else name), float(values[name])
+
+
+def _median(values: Sequence[float | None]) -> float:
+    known = [v for v in values if v is not None]
+    return float(np.median(known)) if known else float("nan")
+
+
+def _at_most(check: str, value: float, unit: str, *, most: float, remedy: str) -> HealthRow:
+    return row(check, value, unit, warn=most, low_is_bad=False, remedy=remedy)

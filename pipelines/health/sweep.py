@@ -1,0 +1,398 @@
+"""Health rows of a sweep: how much was registered, how well it is fixed, and which fault it shows.
+
+The measures come from `calibration`; here is how much is too much, and what a crew can do about it.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from devrf.calibration.intrinsics import Intrinsics
+from devrf.calibration.sweep.checks import (
+    field_of_view_deg,
+    fold,
+    open_loop,
+    picture_fits,
+    plane_share,
+    principal_point_off,
+    two_zooms,
+)
+from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.pipelines.health.rows import HealthRow, note, row
+
+LISTED = 6  # names in a message
+STARVED = 500  # features of a picture; below it matching is a matter of luck ...
+STARVED_PER_PIXEL = 1 / 250  # ... of small pictures: this many per pixel
+MOVING_SHARE = 0.1  # of a picture's textured tiles
+ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
+EXIF_WARN, EXIF_BAD = 5.0, 15.0  # percent
+CROP = "; is it the 35 mm equivalent of another crop?"
+FOCAL_REMEDY = (
+    "Zoom, stabilisation or a wrong EXIF focal length: film the sweep at one fixed zoom without "
+    "stabilisation, or film a board with the same settings (capture.board.clips.static)."
+)
+
+
+def sweep_rows(model: SweepModel) -> list[HealthRow]:
+    """All rows about a recovered sweep."""
+    return [
+        *_registered(model.report),
+        *_pairs(model.report),
+        *_lenses(model),
+        *_residuals(model),
+        *loop_rows(model),
+        *_agreement(model.report),
+        *_gps(model.report),
+        *_time(model.report),
+        note("mapper", str(model.report["mapper"])),
+    ]
+
+
+def mask_rows(without: Sequence[str]) -> list[HealthRow]:
+    """A row about pictures without a mask, where masks are given."""
+    if not without:
+        return []
+    text = f"{len(without)} pictures have none: {_some(without)}"
+    return [note("masks", text, verdict="warn", remedy="What moves in them is matched: add their masks.")]
+
+
+def board_focal_row(model: SweepModel, board: Intrinsics) -> HealthRow:
+    """Whether the sweep and the board agree on the lens; not measured where no picture of that lens is in the model."""
+    ids = [s["camera_id"] for s in model.report["start"] if s["source"] == "board"]
+    focals = [model.report["cameras"][str(n)]["K"][0][0] for n in ids if n is not None]
+    return row(
+        "focal length against the board",
+        100 * abs(focals[0] / board.K[0, 0] - 1) if focals else None,
+        "%",
+        warn=EXIF_WARN,
+        fail=EXIF_BAD,
+        low_is_bad=False,
+        remedy=FOCAL_REMEDY,
+    )
+
+
+def _registered(r: dict[str, Any]) -> list[HealthRow]:
+    counts: dict[str, int] = r["points_per_image"]
+    rows = [
+        row(
+            "registered share of the sweep",
+            r["registered"] / r["given"],
+            "",
+            warn=0.8,
+            fail=0.4,
+            remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(r['unregistered'])}. A small "
+            "model can look perfect: film with 70 % overlap between pictures, walk sideways, and show texture.",
+        ),
+        row(
+            "mean reprojection error",
+            r["mean_reprojection_px"],
+            "px",
+            warn=1.0,
+            fail=2.0,
+            low_is_bad=False,
+            remedy="Something moved during the sweep, or the lens changed: keep the scene at "
+            "rest, lock focus and zoom.",
+        ),
+        row(
+            "mean track length",
+            r["mean_track_length"],
+            "pictures",
+            warn=3.0,
+            remedy="Points are seen in too few pictures: more overlap between neighbouring pictures.",
+        ),
+        row(
+            "points of the poorest picture",
+            float(min(counts.values(), default=0)),
+            "",
+            warn=100.0,
+            fail=30.0,
+            remedy=f"Weak texture in {_some([n for n, p in counts.items() if p < 100])}: "
+            "keep textured things in view, or add some for the sweep.",
+        ),
+        row(
+            "median triangulation angle",
+            r["median_triangulation_angle_deg"],
+            "deg",
+            warn=3.0,
+            fail=1.5,
+            remedy="The camera turned more than it moved (one homography explains "
+            f"{100 * r['verified_pairs']['homography_share']:.0f} % of the pairs): walk sideways around the scene.",
+        ),
+        _texture(r),
+    ]
+    if len(r["models"]) > 1:
+        joined = "; ".join(f"{len(m)}: {_some(m)}" for m in r["other_models"])
+        rows.append(
+            note(
+                "one model",
+                f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures",
+                verdict="warn",
+                remedy=f"The largest is used; apart from it stand {joined}. Film pictures that join them.",
+            )
+        )
+    adjustment = r["adjustment"]
+    if adjustment is not None and not adjustment["converged"]:
+        rows.append(
+            note(
+                "bundle adjustment",
+                "not converged: it stopped while the error still fell",
+                verdict="warn",
+                remedy="Something leaves the model loose (focal and distance, a flat scene): film a board "
+                "(capture.board.clips.static), or from more sides.",
+            )
+        )
+    return rows
+
+
+def _texture(r: dict[str, Any]) -> HealthRow:
+    pixels = max((c["width"] * c["height"] for c in r["cameras"].values()), default=0)
+    enough = min(STARVED, STARVED_PER_PIXEL * pixels)
+    skipped = set(r["skipped_pictures"])
+    starved = [n for n, count in r["features_per_image"].items() if count < enough and n not in skipped]
+    return row(
+        "pictures with enough features",
+        1 - len(starved) / max(1, r["given"] - len(skipped)),
+        "",
+        warn=0.9,
+        remedy=f"Fewer than {enough:.0f} features in {_some(starved)}: blank walls, dark or blurred pictures. Put "
+        "textured things (posters, newspapers, rugs) there for the sweep, give light, walk slowly.",
+    )
+
+
+def _pairs(r: dict[str, Any]) -> list[HealthRow]:
+    pairs = r["verified_pairs"]
+    moving = sorted(n for n, share in pairs["moving"].items() if share > MOVING_SHARE)
+    wrong = pairs["contradicting"]
+    listed = _some([" - ".join(pair["names"]) for pair in wrong])
+    return [
+        row(
+            "strong pairs that contradict the model",
+            100 * len(wrong) / max(1, pairs["strong_pairs"]),
+            "%",
+            warn=5.0,
+            low_is_bad=False,
+            remedy=f"Views of different sides are matched as one: {listed}. Repeated things (tiles, equal "
+            "chairs, both sides of a sign) do that: add things that are unique (posters, coded targets).",
+        ),
+        row(
+            "pictures in which something moves",
+            len(moving) / max(1, r["registered"]),
+            "",
+            warn=0.1,
+            low_is_bad=False,
+            remedy=f"Matches that stay together do not fit the camera's motion in {_some(moving)}: empty the scene "
+            "for the sweep, or mask what moves (calibration.static_poses.masks).",
+        ),
+        row(
+            "pairs matched on a static overlay",
+            100 * pairs["watermark_share"],
+            "%",
+            warn=5.0,
+            low_is_bad=False,
+            remedy="A logo, a time stamp or dirt on the lens is the same in every picture: switch it off, crop it, or "
+            "mask it (calibration.static_poses.masks).",
+        ),
+    ]
+
+
+def _lenses(model: SweepModel) -> list[HealthRow]:
+    r = model.report
+    cameras = list({camera.lens: camera for camera in model.cameras}.values())
+    rows: list[HealthRow] = []
+    found = {k: c["K"][0][0] for k, c in r["cameras"].items()}
+    priors = [s for s in r["start"] if s["source"] == "EXIF" and s["camera_id"] is not None]
+    for start in priors:
+        focal = found[str(start["camera_id"])]
+        percent = 100 * abs(focal / start["focal_px"] - 1)
+        which = "" if len(priors) == 1 else f" of {start['label']}"
+        rows.append(
+            row(
+                f"focal length against EXIF{which}",
+                percent,
+                "%",
+                warn=EXIF_WARN,
+                low_is_bad=False,
+                remedy=f"EXIF says {start['focal_px']:.0f} px, the pictures say {focal:.0f} px"
+                f"{CROP if percent > EXIF_BAD else '. '}{FOCAL_REMEDY}",
+            )
+        )
+    many = [found[str(s["camera_id"])] / s["focal_px"] for s in priors if s["registered"] >= 2]
+    if len(many) > 1:
+        middle = sorted(many)[len(many) // 2]
+        rows.append(
+            row(
+                "scatter of focal lengths between cameras",
+                100 * max(abs(ratio / middle - 1) for ratio in many),
+                "%",
+                warn=5.0,
+                low_is_bad=False,
+                remedy="Intrinsics of several cameras or zooms are unstable, too few pictures fix each: keep one "
+                "camera at one zoom for the sweep.",
+            )
+        )
+    middle = "the principal point, which can be put anywhere then: use whole pictures, or film a board "
+    middle += "(capture.board.clips.static)."
+    if r["adjustment"] is not None and r["adjustment"]["principal_point_put_back"]:
+        text = "left the middle by more than 5 % of the width and was put back"
+        rows.append(note("principal point", text, verdict="warn", remedy=f"The sweep does not fix {middle}"))
+    rows += [
+        row(
+            "principal point off the middle",
+            max((100 * principal_point_off(c) for c in cameras), default=0.0),
+            "% of the width",
+            warn=5.0,
+            low_is_bad=False,
+            remedy=f"The pictures were cropped, or the sweep does not fix {middle}",
+        ),
+        row(
+            "field of view",
+            max((field_of_view_deg(c) for c in cameras if c.model == "OPENCV"), default=0.0),
+            "deg",
+            warn=110.0,
+            low_is_bad=False,
+            remedy="So wide a lens needs a fisheye model: film a board with it (capture.board.clips.static), or use "
+            "the camera's linear mode.",
+        ),
+    ]
+    folds = [fold(c) for c in cameras]
+    if min(folds) < float("inf"):
+        rows.append(
+            row(
+                "picture radius within which the lens model is one-to-one",
+                min(folds),
+                "of the corner's",
+                warn=1.0,
+                remedy="The distortion folds inside the picture, so its corners are wrong: film things near the "
+                "corners, or a board (capture.board.clips.static).",
+            )
+        )
+    return rows
+
+
+def _residuals(model: SweepModel) -> list[HealthRow]:
+    fits = picture_fits(model)
+    zooms = two_zooms(model, fits, ZOOMS_APART)
+    rows = [
+        row(
+            "share of points on one plane",
+            plane_share(model),
+            "",
+            warn=0.9,
+            low_is_bad=False,
+            remedy="The scene is flat, which leaves the focal length poorly fixed: film a board with the same "
+            "settings (capture.board.clips.static), or bring depth into view.",
+        ),
+        row(
+            "residuals by row of the picture",
+            fits.rows_px,
+            "px",
+            warn=0.3,
+            low_is_bad=False,
+            remedy="Errors depend on the row: a rolling shutter in motion. Move slowly, use a short shutter and a mode "
+            "with fast readout, or take still photos.",
+        ),
+    ]
+    if zooms is not None:
+        rows.append(
+            note(
+                "one focal length for all pictures",
+                f"two groups, {100 * (zooms.ratio - 1):.0f} % apart",
+                verdict="warn",
+                remedy=f"{_some(zooms.short)} want a shorter focal length than {_some(zooms.long)}: two zooms or two "
+                "devices. Keep one zoom, or save photos with their EXIF data, which tell them apart.",
+            )
+        )
+    return rows
+
+
+def loop_rows(model: SweepModel) -> list[HealthRow]:
+    """Whether pictures of the same place, taken far apart in time, share points."""
+    loop = open_loop(model)
+    if loop is None:
+        return []
+    share, (a, b) = loop
+    return [
+        row(
+            "pictures of the same place that share points",
+            share,
+            "",
+            warn=0.2,
+            remedy=f"The path comes back, but {a} and {b} share no point: the loop is not closed and the model may "
+            "have drifted. Film the overlap again slowly, or give more time (calibration.static_poses.time_minutes).",
+        )
+    ]
+
+
+def _agreement(r: dict[str, Any]) -> list[HealthRow]:
+    rows = []
+    for compared in r["compared"]:
+        seed = "seed" in compared["name"]
+        limit = 0.1 if seed else 0.5
+        apart: dict[str, float] = compared["apart_deg"]
+        beyond = [n for n, deg in apart.items() if deg > limit]
+        rows.append(
+            row(
+                "largest turn by another seed" if seed else "largest turn between two mappers",
+                max(apart.values(), default=None),
+                "deg",
+                warn=limit,
+                low_is_bad=False,
+                remedy=f"{compared['against']} and {compared['name']} disagree by more than {limit} degrees on "
+                f"{len(beyond)} pictures: {_some(beyond)}. Few or wrong matches there: film more overlap and texture.",
+            )
+        )
+    return rows
+
+
+def _gps(r: dict[str, Any]) -> list[HealthRow]:
+    gps = r["gps"]
+    if gps is None or not gps["places"]:
+        return []
+    if gps["why"] is not None:
+        disagrees = "std_m" in gps
+        remedy = "GPS contradicts the pictures: wait for a fix before the first photo." if disagrees else ""
+        return [note("GPS", f"not used: {gps['why']}", verdict="warn" if disagrees else "ok", remedy=remedy)]
+    off = sorted(gps["off_m"].values())
+    median = off[len(off) // 2]
+    far = [n for n, metres in gps["off_m"].items() if metres > 3 * gps["std_m"]]
+    return [
+        row(
+            "distance of GPS places from the model",
+            median,
+            "m",
+            warn=3 * gps["std_m"],
+            low_is_bad=False,
+            remedy=f"GPS off by {median:.0f} m: wait for a fix under open sky; scale from GPS is then a guess.",
+        ),
+        row(
+            "share of GPS places that agree",
+            gps["agreeing"] / gps["places"],
+            "",
+            warn=0.8,
+            remedy=f"GPS is off by up to {off[-1]:.0f} m at {_some(far)}; these were left out of the scale.",
+        ),
+    ]
+
+
+def _time(r: dict[str, Any]) -> list[HealthRow]:
+    pairs = r["pairs"]
+    left_out = pairs["wanted"] - pairs["matched"]
+    late = [a["name"] for a in r["attempts"] if a["out_of_time"]]
+    said = []
+    if left_out:
+        minutes = pairs["wanted_s"] / 60
+        said.append(f"{pairs['wanted']} pairs ≈ {minutes:.1f} min on this CPU; {left_out} left out")
+    if r["skipped_pictures"]:
+        said.append(f"{len(r['skipped_pictures'])} pictures left out: {_some(r['skipped_pictures'])}")
+    if late:
+        said.append(f"mapping stopped: {', '.join(late)}")
+    if r["stopped"]:
+        said.append(f"the worker {r['stopped']}; its best model so far is used")
+    if not said:
+        return []
+    remedy = "Give more time (calibration.static_poses.time_minutes), or use fewer or smaller pictures."
+    return [note("time for the sweep", "; ".join(said), verdict="warn", remedy=remedy)]
+
+
+def _some(names: Sequence[Any]) -> str:
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return (", ".join(str(n) for n in names[:LISTED]) + more) or "none"

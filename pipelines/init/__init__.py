@@ -1,0 +1,1 @@
+"""`init`: a scene.yaml from a folder of raw files."""
