@@ -16,9 +16,8 @@ from devrf.capture.camera import Camera
 
 SIDE_PX = 1280  # of the longer side; finer features find no partner in another view
 FEATURES = 4000
-CONTRAST = (
-    0.01  # below OpenCV's 0.04: walls and cloth are plain; wrong matches fail the ratio and the geometry
-)
+# below OpenCV's 0.04: walls and cloth are plain; wrong matches fail the ratio and the geometry
+CONTRAST = 0.01
 EQUALISED = (3.0, (8, 8))  # CLAHE, for matching only: cameras of other exposure find the same features
 RATIO = 0.85  # second best to best descriptor
 MISS_SHARE = 2.5e-3  # of the longer side, 3 px at 1280: by how much a match may miss its epipolar line

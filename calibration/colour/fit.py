@@ -20,13 +20,13 @@ from devrf.capture.srgb import srgb_from_linear
 Kind = Literal["none", "gain", "diagonal", "matrix"]
 
 FLOOR = 0.01  # added to linear light before the logarithm: 8-bit steps and black levels below it do not count
-LOSS_SCALE = (
-    0.1  # 10 % of the light: what angle of view and shading leave between two views of a matt surface
-)
+LEAST = 1e-3  # linear light, 3 of 255: keeps the logarithm of a dark channel finite
+# 10 % of the light: what angle of view and shading leave between two views of a matt surface
+LOSS_SCALE = 0.1
 FOLDS = 4
 WORTH = 0.05  # a richer correction must lower the error by this share ...
-MIXING = 0.1  # share of one channel in another by which sRGB cameras differ: prior of a matrix
 SIGMAS = 2.0  # ... and by this many standard errors of the difference
+MIXING = 0.1  # share of one channel in another by which sRGB cameras differ: prior of a matrix
 UNKNOWNS = {"none": 0, "gain": 1, "diagonal": 3, "matrix": 9}
 SPARE = 1.2  # points that say something of their own, for each unknown
 
@@ -57,23 +57,28 @@ def fit_correction(
         place: Where the camera sees them, shares of its width: neighbours are held back together.
         alike: Points that say as much as one alone.
     """
-    kinds = [kind for kind in get_args(Kind) if len(colours) >= SPARE * alike * UNKNOWNS[kind]]
+    kinds = [kind for kind in get_args(Kind) if len(colours) >= needed(kind, alike)]
     fold = folds(place, FOLDS)
     seen_not = {kind: _predicted_error(colours, wanted, fold, kind, alike) for kind in kinds}
     best: Kind = "none"
     for kind in kinds[1:]:
         gained = seen_not[best] - seen_not[kind]
-        needed = max(WORTH * seen_not[best].mean(), SIGMAS * gained.std() / np.sqrt(max(len(gained), 1)))
-        if gained.mean() > needed:
+        if gained.mean() > max(WORTH * seen_not[best].mean(), SIGMAS * gained.std() / np.sqrt(len(gained))):
             best = kind
     return Correction(best, _fitted(colours, wanted, best, alike))
+
+
+def needed(kind: Kind, alike: int) -> float:
+    """Fewest points that a correction is fitted to."""
+    return SPARE * alike * UNKNOWNS[kind]
 
 
 def brighter_by(
     colours: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "n 3"], alike: int
 ) -> tuple[float, float]:
     """By how much a camera is brighter, stops (log2 of green light, the median), and its standard deviation."""
-    stops = (_log(colours[:, 1]) - _log(wanted[:, 1])) / np.log(2)
+    own, other = (np.log2(np.maximum(c[:, 1], LEAST)) for c in (colours, wanted))
+    stops = own - other
     spread = 1.4826 * np.median(np.abs(stops - np.median(stops)))
     independent = max(1.0, len(stops) / alike)
     return float(np.median(stops)), float(spread * np.sqrt(np.pi / 2 / independent))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from devrf.calibration.colour.fit import Correction, brighter_by, difference, fit_correction, folds
+from devrf.calibration.colour.fit import Correction, brighter_by, difference, fit_correction, folds, needed
 from devrf.calibration.colour.surface import Pairs
 
 HELD_BACK = 4  # one in so many tiles
@@ -37,7 +37,7 @@ class Matched:
 
     Attributes:
         reference: Camera that all others are brought to.
-        corrections: Camera -> correction; the reference and cameras that share no points are not in it.
+        corrections: Camera -> correction; the reference and cameras that share too few points are not in it.
         fitted: Camera -> points that its correction was fitted to.
         brightness: Camera -> by how much it is brighter than the reference, stops, and the standard deviation.
         apart: Camera -> how far it lies from all others that it shares points with.
@@ -69,14 +69,14 @@ def match_cameras(pairs: Sequence[Pairs], reference: str, measured: Collection[s
         found = {name: _against(pairs, name, fitted, corrections) for name in sorted(waiting)}
         name = max(found, key=lambda n: len(found[n][0]))
         colours, wanted, place = found[name]
-        if not len(colours):
+        if len(colours) < needed("gain", alike):
             break
         corrections[name], fitted[name] = fit_correction(colours, wanted, place, alike), len(colours)
         brightness[name] = brighter_by(colours, wanted, alike)
         waiting.remove(name)
     for name in sorted(names & set(measured)):
         colours, wanted, _ = _against(pairs, name, fitted, corrections)
-        if len(colours):
+        if len(colours) >= needed("gain", alike):
             brightness[name] = brighter_by(colours, wanted, alike)
     kept = [p for p in pairs if not {p.first, p.second} & set(measured)]
     apart = {n: _apart([p for p in pairs if _about(p, n, measured)], corrections) for n in sorted(names)}

@@ -14,9 +14,8 @@ from jaxtyping import Bool, Float, UInt8
 from devrf.capture.camera import Camera
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 
-SIDE = (
-    9  # samples of a patch, a pixel apart in the coarser picture: enough texture, and small against the scene
-)
+# samples of a patch, a pixel apart in the coarser picture: enough texture, and small against the scene
+SIDE = 9
 LIKE = 0.8  # normalised correlation: accidental likeness of 81 samples with this much texture stays below 0.6
 PLAIN = 0.02  # standard deviation of log light below which a patch's texture is noise
 FLOOR = 0.01  # linear light; below it 8 bits are steps of 10 % and more

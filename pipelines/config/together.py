@@ -81,7 +81,8 @@ def _check_charts(config: SceneConfig, say: Say) -> None:
         if name not in known:
             text = f"no camera has this name{suggestion(name, known)} (cameras: {', '.join(known)})"
             say(f"calibration.colour.chart.{name}", text)
-    reference = "static" if capture.static is not None else next(iter(capture.training_cameras), None)
+    by_sweep = capture.static is not None and config.calibration.rig.method != "board"
+    reference = "static" if by_sweep else next(iter(capture.training_cameras), None)
     if colour.chart and reference is not None and reference not in colour.chart:
         say(
             f"calibration.colour.chart.{reference}",

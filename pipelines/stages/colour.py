@@ -26,9 +26,8 @@ from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.health.colour import colour_rows
 from devrf.pipelines.stage import StageContext
 
-MOMENTS = (
-    8  # at which cameras are compared without a sweep: the subject shows several sides, in a minute's work
-)
+# at which cameras are compared without a sweep: the subject shows several sides, in a minute's work
+MOMENTS = 8
 
 
 def run(context: StageContext) -> None:
