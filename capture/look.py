@@ -16,17 +16,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.srgb import LINEAR_OF_LEVEL, srgb_from_linear
+from devrf.capture.srgb import LEVEL_OF_LINEAR, LINEAR_OF_LEVEL
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 Gains = tuple[float, float, float]
 
 SAME: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 EVEN: Gains = (1.0, 1.0, 1.0)
-STEPS = 65535  # of linear light on the way back to 8 bits: a step is 0.05 levels where the curve is steepest
-LEVEL_OF_LINEAR: UInt8[np.ndarray, " 65536"] = np.round(
-    255 * srgb_from_linear(np.arange(STEPS + 1) / STEPS)
-).astype(np.uint8)
 ROWS = 64  # corrected at once: a strip of a 1080p picture stays in the processor's cache
 
 
@@ -97,7 +93,7 @@ def as_gains(values: Float[np.ndarray, "3"]) -> Gains:
 
 def _levels(linear: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
     """Linear light as 8-bit sRGB."""
-    steps = np.clip(linear, 0, 1) * np.float32(STEPS) + np.float32(0.5)
+    steps = np.clip(linear, 0, 1) * np.float32(65535) + np.float32(0.5)
     return LEVEL_OF_LINEAR[steps.astype(np.uint16)]
 
 

@@ -23,7 +23,7 @@ RATIO = 0.85  # second best to best descriptor
 MISS_SHARE = 2.5e-3  # of the longer side, 3 px at 1280: by how much a match may miss its epipolar line
 NARROW = 1e-4  # squared sine of the angle between two lines of sight, 0.6 degrees: below it depth is unknown
 
-Features = tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"]]
+Features = tuple[Float[np.ndarray, "_ 2"], Float[np.ndarray, "_ 128"]]
 
 
 def camera_pairs(moments: Iterable[Mapping[str, View]]) -> list[Pairs]:
