@@ -37,7 +37,7 @@ def colour_rows(colours: Colours, test_cameras: set[str]) -> list[HealthRow]:
 
 
 def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthRow:
-    if camera.apart.before is None or camera.stops is None:
+    if camera.apart.after is None or camera.stops is None:
         if camera.source != "none":  # by the few patches of a chart that are unclipped
             return note(
                 f"colours of {name}", f"corrected by {WORDS.get(camera.kind, 'nothing')} from {camera.source}"
@@ -51,7 +51,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
         why = "not corrected: of test pictures nothing is fitted" if test else "not corrected"
         return row(
             f"{found}, {why}",
-            camera.apart.before,
+            camera.apart.after,  # as it is, against the others as they are used
             UNIT,
             warn=MIXED,
             low_is_bad=False,

@@ -71,7 +71,7 @@ def test_the_correction_that_was_put_in_is_found(kind, colours, seed):
 
 
 def test_a_camera_of_equal_look_gets_none():
-    for seed in range(20):
+    for seed in range(8):
         assert fit_correction(*drawn_pairs(np.eye(3), seed=seed), ALIKE).kind == "none"
 
 
@@ -139,6 +139,7 @@ def test_a_camera_is_reached_over_others():
         # of b: 150 points of three channels; c stands on b as well. 4 standard deviations
         allowed = 4 * NOISE * math.sqrt(2 / 150 + 2 / 225)
         assert np.abs(correction.matrix @ LOOKS_OF[name] - np.eye(3)).max() < allowed
+    assert found.total.before is not None and found.total.after is not None
     assert found.total.after < found.total.before / 3
     assert found.total.points == sum(int((folds(p.place[:, ::-1], 4) == 0).sum()) for p in pairs)
 

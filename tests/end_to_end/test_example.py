@@ -1,10 +1,12 @@
 """The example session from raw clips to a report, run once (`example_run`), against its own truth."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 RIG_ROTATION_DEG = 0.15  # largest over the fixed cameras, after a similarity fitted on all centres
@@ -34,6 +36,7 @@ def test_every_stage_left_what_the_contract_says(example_run: Any) -> None:
         "static_poses/static_poses.json",
         "sync/sync.json",
         "rig/rig.json",
+        "colour/colour.json",
         "scene/scene.json",
         "scene/static/transforms.json",
         "scene/dynamic/transforms.json",
@@ -70,6 +73,25 @@ def test_cameras_agree_with_the_truth(metrics: dict[str, Any]) -> None:
 
 def test_clocks_agree_with_the_truth(metrics: dict[str, Any]) -> None:
     assert metrics["truth"]["sync_ms"] <= SYNC_MS
+
+
+def test_cameras_are_brought_to_the_exposure_of_the_sweep(example_run: Any) -> None:
+    """Its cameras differ by one gain each, up to 6 %; what is left is as small as it is said to be."""
+    colours = read(example_run.run_dir / "colour" / "colour.json")
+    true = read(example_run.scene.parent / "ground_truth.json")["cams"]
+    for name, camera in colours["cameras"].items():
+        if name == "static":
+            continue
+        assert abs(camera["stops"] - math.log2(true[name]["gain"])) < 3 * camera["stops_std"] < 0.03
+        if name == "witness":  # of test pictures nothing is fitted
+            assert camera["source"] == "none" and camera["matrix"] == np.eye(3).tolist()
+        else:
+            assert camera["kind"] == "gain"
+            assert (
+                abs(camera["matrix"][0][0] * true[name]["gain"] - 1) < 3 * math.log(2) * camera["stops_std"]
+            )
+    rows = read(example_run.run_dir / "colour" / "health.json")["rows"]
+    assert [row["verdict"] for row in rows] == ["ok"] * 5
 
 
 def test_motion_beats_standing_still(metrics: dict[str, Any]) -> None:
