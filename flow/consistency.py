@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Float32, UInt8
 from scipy.ndimage import uniform_filter
 
+from devrf.capture.errors import FlowError
 from devrf.capture.resize import shrink
 from devrf.flow.estimator import FlowEstimator
 
@@ -46,8 +47,20 @@ def both_ways(
     Float32[np.ndarray, "height width"],
     Bool[np.ndarray, "height width"],
 ]:
-    """Flow from image0 to image1 with its validity, by the flow back: flow, miss of the round trip, valid."""
+    """Flow from image0 to image1 with its validity, by the flow back: flow, miss of the round trip, valid.
+
+    Raises:
+        FlowError: The estimator, which may be somebody's own, gives something else than flow.
+    """
     flow, back = estimator.estimate(image0, image1), estimator.estimate(image1, image0)
+    expected = (*image0.shape[:-1], 2)
+    for found in (flow, back):
+        shape, kind = getattr(found, "shape", ()), getattr(found, "dtype", type(found).__name__)
+        if not isinstance(found, np.ndarray) or kind != np.float32 or shape != expected:
+            raise FlowError(
+                f"flow.method {estimator.name}: estimate gave {kind} of shape {list(shape)}, expected a numpy array "
+                f"of float32 of shape {list(expected)}"
+            )
     return flow, *round_trip(flow, back)
 
 

@@ -42,7 +42,7 @@ def load_raft(path: Path) -> Raft:
     """
     named = _names_of_authors(_read(path))
     stem = named.get("fnet.conv1.weight")
-    sizes = SIZES.get(len(stem)) if stem is not None else None
+    sizes = SIZES.get(stem.shape[0]) if stem is not None and stem.dim() else None
     if sizes is None:
         raise InputError(
             f"flow.weights: {path}: no RAFT: fnet.conv1.weight is "
@@ -61,11 +61,13 @@ def _read(path: Path) -> dict[str, Tensor]:
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise InputError(
             f"flow.weights: {path}: not a file of plain weights ({reason}); expected a state dict of RAFT, get it again"
         ) from error
-    if not isinstance(found, dict) or not all(isinstance(value, Tensor) for value in found.values()):
+    if not isinstance(found, dict) or not all(
+        isinstance(name, str) and isinstance(value, Tensor) for name, value in found.items()
+    ):
         raise InputError(f"flow.weights: {path}: holds no state dict; expected names with tensors")
     return found
 

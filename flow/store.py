@@ -9,7 +9,6 @@ their signs folded into the last bit, low and high bytes apart: that compresses 
 
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int, Int16, UInt8
 
 from devrf.capture.errors import FlowError
+from devrf.capture.formats.flow_files import DAMAGED
 
 STEPS_PER_PX = 64
 FARTHEST_PX = 511.0  # 16 bits of steps
@@ -121,7 +121,7 @@ def _read(path: Path, *names: str) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as data:
             return {name: data[name] for name in names}
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         raise FlowError(
             f"{path}: damaged or not a flow file ({error}); run again with --force flow"
         ) from error

@@ -4,7 +4,9 @@
 says where it can be trusted. The file belongs to a picture of the same size; what differs is refused.
 """
 
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +21,10 @@ from devrf.capture.scene import PosedFrame
 Flow = tuple[Float32[np.ndarray, "height width 2"], Bool[np.ndarray, "height width"]]
 STEPS_PER_PX = 128  # flow is good to 0.2 px; rounded vectors compress better
 COMPRESSION = 1  # zlib's level; several times as fast as its usual one
-DAMAGED = (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile)
+DAMAGED = (
+    KeyError, ValueError, OSError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError
+)  # fmt: skip
+"""What reading a damaged npz raises: zip and zlib by its content, numpy by its headers."""
 
 
 def flow_name(number: int) -> str:

@@ -147,6 +147,28 @@ def test_16_bit_pictures_are_refused(clip, run):
         run([picture.astype(np.uint16) * 257 for picture in clip[:2]])
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (
+            lambda flow: np.moveaxis(flow, -1, 0),
+            r"float32 of shape \[2, 120, 160\], expected .*\[120, 160, 2\]",
+        ),
+        (lambda flow: flow.astype(np.float64), r"float64 of shape"),
+        (lambda flow: None, r"NoneType of shape \[\]"),
+    ],
+)
+def test_a_method_that_gives_no_flow_is_named(clip, run, given, says):
+    class Mine:
+        name, parallel = "mine", False
+
+        def estimate(self, image0, image1):
+            return given(DisFlow().estimate(image0, image1))
+
+    with pytest.raises(FlowError, match=f"cam0.*frames 1 and 0: flow.method mine: estimate gave {says}"):
+        run(clip[:2], estimator=Mine())
+
+
 def test_brightness_step_is_measured(clip, run):
     darker = [picture if n < 3 else (0.9 * picture).astype(np.uint8) for n, picture in enumerate(clip)]
     _, checks = run(darker)
