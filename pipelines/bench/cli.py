@@ -198,7 +198,7 @@ def calibration(
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Boards, rigs and sweeps against references, on real captures and simulated ones."""
+    """Boards, rigs, sweeps and colours against references, on real captures and simulated ones."""
     from devrf.pipelines.bench.accuracy.parts import CALIBRATION
 
     _accuracy("calibration", CALIBRATION, data, only, out, json, quiet)
