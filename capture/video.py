@@ -15,15 +15,17 @@ import cv2
 import numpy as np
 from av.error import EOFError as EndOfFile
 from av.error import FFmpegError
-from jaxtyping import UInt8
+from jaxtyping import Int, UInt8
 
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.media import open_media, origin_s, video_stream
-from devrf.capture.packets import scan_packets
+from devrf.capture.packets import Packets, scan_packets
 from devrf.capture.video_colour import bgr_of, hdr_transfer, small_luma, small_rgb
 
 END_TOLERANCE_STEPS = 2  # announced duration minus last timestamp: one step, and rounding
 END_TOLERANCE_S = 0.05  # sound may end up to two AAC blocks after the pictures
+CODING_ORDER_FORMATS = ("avi",)  # their times tell where a picture is in the file, not when it is shown
+SEEK_TRIES = 3  # key pictures tried, backwards; then all is decoded
 TURNS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
 
 
@@ -129,8 +131,8 @@ class VideoReader:
 
         Args:
             path: The file.
-            from_s: Leave out pictures before this file time. The reader jumps to the last key picture before it
-                and decodes from there: times and indices are those of reading from the start.
+            from_s: Leave out pictures before this file time. The reader jumps to a key picture before it and decodes
+                from there: times, indices and pictures are those of reading from the start.
         Raises:
             InputError: If the file is missing, empty, not a video, or has no picture that decodes.
         """
@@ -138,6 +140,7 @@ class VideoReader:
         self.decoded = 0
         self.ended_early: str | None = None
         self._from_s = from_s
+        self._packets: Packets | None = None  # known where the reader jumped
         if from_s is None or not self._open_at(from_s):
             self._open()
             if self._first is None:
@@ -170,26 +173,28 @@ class VideoReader:
             raise
 
     def _open_at(self, from_s: float) -> bool:
-        """Jump to the key picture before `from_s`; False where that cannot be done exactly."""
+        """Jump to a key picture from which `from_s` can be decoded; False where that cannot be done exactly."""
         packets = scan_packets(self.path)
         with open_media(self.path) as container:
             time_base = video_stream(container, self.path).time_base
             start_s = from_s + origin_s(container)
-        if time_base is None or packets.pts is None:
+            exact = container.format.name not in CODING_ORDER_FORMATS
+        if not exact or time_base is None or packets.pts is None or len(packets.pts) == 0:
             return False
-        at_pts = int(start_s / time_base)
-        try:
-            self._open(at_pts)
-        except FFmpegError:  # a format without an index
-            return False
-        first = None if self._first is None or self._first.pts is None else packets.index_of(self._first.pts)
-        if first is None or (
-            first > 0 and packets.pts[first] > at_pts
-        ):  # landed behind: seeking is not exact
+        from_pts = max(int(packets.pts[0]), int(start_s / time_base))
+        # Pictures shown before the key picture they are coded after need the one before it (open groups).
+        for key_pts in packets.keys[packets.keys <= from_pts][: -1 - SEEK_TRIES : -1]:
+            try:
+                self._open(int(key_pts))
+            except FFmpegError:  # a format without an index
+                return False
+            landed = None if self._first is None else self._first.pts
+            place = None if landed is None or landed > from_pts else packets.index_of(landed)
+            if place is not None:
+                self._packets, self.decoded = packets, place
+                return True
             self._container.close()
-            return False
-        self.decoded = first
-        return True
+        return False
 
     def __enter__(self) -> "VideoReader":
         return self
@@ -209,19 +214,31 @@ class VideoReader:
         if picture is None:
             raise ValueError(f"{self.path}: a VideoReader can be read only once")
         turns = self.info.rotation_deg // 90
+        shown = self._shown_pts()
         while picture is not None:
-            if picture.pts is None or self._stream.time_base is None:
+            pts = picture.pts if shown is None or self.decoded >= len(shown) else int(shown[self.decoded])
+            if pts is None or self._stream.time_base is None:
                 raise CaptureError(
                     f"{self.path}: frame {self.decoded} has no timestamp (a raw stream without container?); "
                     "put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i in.h264 out.mp4`"
                 )
-            time_s = float(picture.pts * self._stream.time_base) - self._origin_s  # flushed ones know no unit
+            time_s = float(pts * self._stream.time_base) - self._origin_s  # flushed ones know no unit
+            place = None if self._packets is None else self._packets.index_of(pts)
+            if place is not None:  # after a jump some pictures before the key picture do not decode
+                self.decoded = place
             if self._from_s is None or time_s >= self._from_s:
                 yield VideoFrame(self.decoded, time_s, picture, turns)
             self.decoded += 1
             picture = next(self._pictures, None)
             if picture is None:
                 self.ended_early = self._early_end(time_s)
+
+    def _shown_pts(self) -> Int[np.ndarray, " n"] | None:
+        """Timestamps in the order in which pictures are shown, where the pictures' own are in another."""
+        reordered = (
+            self._container.format.name in CODING_ORDER_FORMATS and self._stream.codec_context.has_b_frames
+        )
+        return scan_packets(self.path).pts if reordered else None
 
     def _decode(self) -> Iterator[av.VideoFrame]:
         """Pictures up to the first damage; `_failure` then says what it was."""

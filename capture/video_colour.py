@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from av.video.plane import VideoPlane
 from av.video.reformatter import Colorspace
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from devrf.capture.frames import shrunk
 from devrf.capture.hdr import Transfer, srgb_from_hdr
@@ -70,20 +70,13 @@ def small_luma(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small
 
 
 def small_rgb(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small_height small_width 3"]:
-    """Colours, averaged to a longer side of at most `side_px`; as stored. Averages what is coded, not light.
-
-    Of large pictures every few rows and columns are averaged: half of the time, and noise is small at this size.
-    """
+    """Colours, averaged to a longer side of at most `side_px`; as stored. Averages what is coded, not light."""
     luma = luma_plane(picture)
     if luma is None or len(picture.planes) != 3:
         return cv2.cvtColor(shrunk(bgr_of(picture), side_px), cv2.COLOR_BGR2RGB)
-    small = shrunk(_thinned(luma, side_px), side_px)
+    small = shrunk(luma, side_px)
     size = (small.shape[1], small.shape[0])
-    blue, red = (
-        cv2.resize(_thinned(plane_bytes(p), side_px), size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        - 128
-        for p in picture.planes[1:]
-    )
+    blue, red = (_chroma(plane_bytes(plane), size) for plane in picture.planes[1:])
     kr, kb = LUMA_SHARES.get(colour_matrix(picture), LUMA_SHARES[Colorspace.ITU709])
     if not is_full_range(picture):
         blue, red = blue * (255 / 224), red * (255 / 224)
@@ -95,10 +88,11 @@ def small_rgb(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small_
     return np.clip(np.stack([r, g, b], axis=-1).round(), 0, 255).astype(np.uint8)
 
 
-def _thinned(plane: UInt8[np.ndarray, "height width"], side_px: int) -> UInt8[np.ndarray, "rows columns"]:
-    """Every n-th row and column of a plane, the most that leave at least three by three to average."""
-    step = max(1, max(plane.shape) // (3 * side_px))
-    return np.ascontiguousarray(plane[step // 2 :: step, step // 2 :: step])
+def _chroma(
+    plane: UInt8[np.ndarray, "height width"], size: tuple[int, int]
+) -> Float32[np.ndarray, "small_height small_width"]:
+    """A plane of colour differences at the size (width, height) of the small picture, around 0."""
+    return cv2.resize(shrunk(plane, max(size)), size).astype(np.float32) - 128
 
 
 def luma_plane(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width"] | None:

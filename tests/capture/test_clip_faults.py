@@ -195,18 +195,59 @@ def test_too_few_bits(make_clip, tmp_path):
 # --- A2: seeking; long clips ---
 
 
-@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.avi"])
-def test_reading_from_a_time_gives_the_same_frames(make_clip, name):
+def coded(path: Path, codec: str, options: dict[str, str], hidden: int = 0) -> Path:
+    """Forty pictures, the first `hidden` of them hidden by an edit list, as where a phone trims a clip.
+
+    25 a second, and every tenth time without a picture; an AVI has no times to tell that by.
+    """
     wall = scenery()
-    times = np.cumsum([0.5, *np.random.default_rng(1).uniform(0.03, 0.06, 39)])
-    if name == "a.avi":  # knows frame numbers, no times
-        times = np.arange(40) / 25
-    path = make_clip(name, [view(wall, n) for n in range(40)], times)
+    skip = 40 if path.suffix == ".avi" else 9
+    with av.open(str(path), "w", options={"avoid_negative_ts": "disabled"} if hidden else {}) as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        stream.options = options
+        for n in range(41):
+            frame = None if n == 40 else av.VideoFrame.from_ndarray(view(wall, n), format="rgb24")
+            if frame is not None:
+                frame.pts, frame.time_base = n + n // skip, Fraction(1, 25)
+            for packet in stream.encode(frame):
+                assert packet.pts is not None and packet.dts is not None and packet.time_base is not None
+                ticks = round((hidden + hidden // skip) / 25 / packet.time_base)
+                packet.pts, packet.dts = packet.pts - ticks, packet.dts - ticks
+                container.mux(packet)
+    return path
+
+
+OPEN_264 = {"x264-params": "open-gop=1:bframes=3:keyint=10:scenecut=0"}
+OPEN_265 = {"x265-params": "open-gop=1:bframes=3:keyint=10:log-level=none"}
+INTRA_REFRESH = {"x264-params": "intra-refresh=1:keyint=10"}
+
+
+@pytest.mark.parametrize(
+    "name, codec, options, hidden",
+    [
+        ("closed.mkv", "libx264", {"g": "10"}, 0),
+        ("open.mp4", "libx264", OPEN_264, 0),
+        ("open.ts", "libx264", OPEN_264, 0),
+        ("open265.mp4", "libx265", OPEN_265, 0),
+        ("refresh.mp4", "libx264", INTRA_REFRESH, 0),
+        ("trimmed.mp4", "libx264", OPEN_264, 13),
+        ("program.mpg", "mpeg2video", {"g": "10", "bf": "2"}, 0),
+        ("old.avi", "libx264", {"g": "10"}, 0),
+    ],
+)
+def test_reading_from_a_time_gives_the_same_frames(tmp_path, name, codec, options, hidden):
+    """Key pictures before which others are shown, none at all, and such that are hidden: all as by reading all."""
+    path = coded(tmp_path / name, codec, options, hidden)
     with VideoReader(path) as reader:
-        whole = [(f.index, f.time_s, f.rgb) for f in reader]
-    for from_s in (-1.0, whole[0][1], whole[17][1], whole[18][1] - 1e-3, whole[39][1], 99.0):
+        whole = [(f.index, f.time_s, f.bgr) for f in reader]
+    steps = np.diff([f[1] for f in whole])
+    assert len(whole) == 40 - hidden and set(np.round(25 * steps, 2)) <= {1, 2}
+    for from_s in (-1.0, *(whole[n][1] - 1e-4 for n in (0, 7, 9, 10, 11, 26)), 99.0):
         with VideoReader(path, from_s) as reader:
-            part = [(f.index, f.time_s, f.rgb) for f in reader]
+            jumped = reader.decoded
+            part = [(f.index, f.time_s, f.bgr) for f in reader]
+        assert options == INTRA_REFRESH or name == "old.avi" or from_s < 1 or jumped > 0
         expected = [f for f in whole if f[1] >= from_s]
         assert [f[:2] for f in part] == [f[:2] for f in expected], (name, from_s)
         assert all(np.array_equal(a[2], b[2]) for a, b in zip(part, expected, strict=True))
