@@ -17,7 +17,7 @@ class Packets:
     Attributes:
         count: Their number, up to the first damage.
         size_bytes: Their size together.
-        pts: Timestamps of those that are shown [n], rising, in the stream's time base; None where some carry none.
+        pts: Timestamps of those that are shown [n], sorted, in the stream's time base; None where some carry none.
         keys: Timestamps of key pictures [m], rising; also of those that an edit list hides.
     """
 
@@ -27,11 +27,11 @@ class Packets:
     keys: Int[np.ndarray, " m"]
 
     def index_of(self, pts: int) -> int | None:
-        """Place in presentation order of the picture with this timestamp; None where it is not known."""
+        """Place in presentation order of the picture with this timestamp; None where none or several have it."""
         if self.pts is None:
             return None
-        place = int(np.searchsorted(self.pts, pts))
-        return place if place < len(self.pts) and self.pts[place] == pts else None
+        places = np.flatnonzero(self.pts == pts)
+        return int(places[0]) if len(places) == 1 else None
 
 
 def scan_packets(path: Path) -> Packets:
@@ -61,6 +61,5 @@ def scan_packets(path: Path) -> Packets:
                     pts.append(packet.pts)
         except FFmpegError:
             pass  # what is before the damage counts
-    distinct = timed and len(set(pts)) == len(pts)
-    shown = np.array(sorted(pts), dtype=np.int64) if distinct else None
+    shown = np.array(sorted(pts), dtype=np.int64) if timed else None
     return Packets(count, size_bytes, shown, np.array(sorted(keys), dtype=np.int64))
