@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from devrf.calibration.rigs.scale import closest_point
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
+from devrf.capture.view_axes import closest_point
 
 LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way

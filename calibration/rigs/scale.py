@@ -18,6 +18,7 @@ from devrf.calibration.rigs.rig import Scale
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import similarity
 from devrf.capture.camera import Camera
+from devrf.capture.view_axes import closest_point
 
 MIN_VIEWS = 3  # sweep pictures that must see a corner
 MIN_BOARD_CORNERS = 6
@@ -101,14 +102,6 @@ def triangulate_corners(
         )
     )
     return np.array(ids), solution.problem.points, len({c for c, _, _ in rows})
-
-
-def closest_point(
-    centres: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "3"]:
-    """The point with the least squared distance to lines through `centres` along unit `rays`."""
-    away = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    return np.linalg.lstsq(away.sum(0), (away @ centres[:, :, None]).sum(0)[:, 0], rcond=None)[0]
 
 
 def scale_from_distances(

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.scene import Background, PosedFrame, Scene, SparsePoints, plain_colour
+from devrf.capture.view_axes import closest_point
 
 NEAR_PLANE = 0.75  # of the nearest bound (LLFF's loaders); becomes 1
 FORWARD_MEAN = 0.85  # length of the mean view direction; near 1 all cameras look the same way
@@ -54,8 +55,7 @@ def box_around(pictures: Pictures, background: Background) -> Scene:
     cameras = [f.camera for f in pictures.static]
     axes = np.stack([c.cam_from_world[2, :3] for c in cameras])
     centres = np.stack([c.centre for c in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    focus = np.linalg.solve(across.sum(0) + 1e-9 * np.eye(3), (across @ centres[:, :, None]).sum(0)[:, 0])
+    focus = closest_point(centres, axes)
     distance = np.linalg.norm(centres - focus, axis=1)
     half_angle = np.array([max(c.width / c.K[0, 0], c.height / c.K[1, 1]) / 2 for c in cameras])
     half_side = float((distance * half_angle).max())

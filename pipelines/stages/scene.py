@@ -7,6 +7,7 @@ import numpy as np
 
 from devrf.capture.formats.scene_files import write_scene
 from devrf.capture.scene import PosedFrame, Scene, image_scale_for
+from devrf.capture.view_axes import behind
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.configured_dataset import configured_dataset
 from devrf.pipelines.health.rows import HealthRow, note, row
@@ -21,6 +22,8 @@ MAX_PIXELS = {
     "reference": 10**9,
 }  # per picture, where image_scale is not set
 SURROUND = 0.5  # length of the mean view direction; below, cameras stand around the subject
+MOST_BEHIND = 0.01  # of the sightings of points; structure from motion leaves fewer wrong ones
+MOST_AWAY = 0.5  # of the cameras; turned axes turn them all
 
 
 def run(context: StageContext) -> None:
@@ -57,15 +60,18 @@ def _from_dataset(context: StageContext) -> Scene:
     notes: list[str] = []
     scene = configured_dataset(context.config, context.scene_dir, notes)
     context.health.extend(note("data set", text) for text in notes)
+    context.health.extend(_views(scene))
     if scene.points is None:
         return scene
     from devrf.calibration.bounds import scene_bounds
+    from devrf.pipelines.box_health import box_health
 
     start, end = scene.points.lines_of_sight(scene.static)
     bounds = scene_bounds(
         [f.camera for f in scene.static], [], scene.points.xyz, np.linalg.norm(end - start, axis=1)
     )
     context.health.extend(health(bounds, scene))
+    context.health.extend(box_health(bounds, (), None, scene.dynamic))
     return replace(
         scene,
         box_from_world=bounds.box_from_world,
@@ -74,6 +80,30 @@ def _from_dataset(context: StageContext) -> Scene:
         far=bounds.far,
         kind=bounds.kind,
     )
+
+
+def _views(scene: Scene) -> list[HealthRow]:
+    """Whether the cameras of a data set look at what they show: others write axes down in many ways.
+
+    The axes of forward-facing sets run side by side and meet anywhere.
+    """
+    if scene.points is None and (scene.kind == "forward" or len(scene.static) < 2):
+        return []
+    if scene.points is None:
+        check, most = "cameras that look away from where their view axes meet", MOST_AWAY
+    else:
+        check, most = "sightings of sparse points behind their cameras", MOST_BEHIND
+    return [
+        row(
+            check,
+            100 * behind([frame.camera for frame in scene.static], scene.points),
+            "%",
+            warn=100 * most,
+            low_is_bad=False,
+            remedy="The y and z axes of the poses seem to be turned round: OpenCV and COLMAP have y down and z "
+            "forward, nerfstudio, Blender and LLFF y up and z backward; convert the poses.",
+        )
+    ]
 
 
 def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:

@@ -18,7 +18,6 @@ from devrf.calibration.rigs.joint import adjust_together, disagreement
 from devrf.calibration.rigs.registration import camera_of, register
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, read_rig, write_rig
 from devrf.calibration.rigs.scale import (
-    closest_point,
     combined,
     scale_from_board,
     scale_from_distances,
@@ -365,13 +364,6 @@ def test_scale_from_gps_where_the_sweep_fits_it():
     assert scale_from_gps(refused) is None
     gps = {"why": None, "agreeing": 9, "factor": 2.5, "factor_std": 0.04}
     assert scale_from_gps(replace(model, report={"gps": gps})) == Scale(True, "GPS of 9 pictures", 2.5, 0.04)
-
-
-def test_closest_point_of_lines_that_meet():
-    target = np.array([0.3, -0.2, 1.0])
-    centres = np.random.default_rng(0).normal(size=(5, 3))
-    rays = (target - centres) / np.linalg.norm(target - centres, axis=1, keepdims=True)
-    np.testing.assert_allclose(closest_point(centres, rays), target, atol=1e-12)
 
 
 def test_rig_json_there_and_back(tmp_path):

@@ -1,0 +1,93 @@
+"""Stage `scene` on data sets of others: turned axes, stray points, cameras neither around nor one way."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devrf.calibration.bounds import scene_bounds
+from devrf.capture.camera import Camera
+from devrf.capture.formats import write_dataset
+from devrf.capture.formats.colmap_model import ModelImage, read_model, write_model
+from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.progress import no_progress
+from devrf.capture.scene import Scene
+from devrf.pipelines.health import HealthRow
+from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import scene as stage
+
+
+def rows_of(dataset_format: str, folder: Path) -> dict[str, HealthRow]:
+    """The rows of stage `scene` on a data set."""
+    config = SceneConfig.model_validate(
+        {"name": "x", "dataset": {"format": dataset_format, "path": str(folder / "data")}}
+    )
+    out = folder / f"scene{len(list(folder.glob('scene*')))}"
+    out.mkdir()
+    context = StageContext(config, folder, folder, out, no_progress, "cpu")
+    stage.run(context)
+    return {row.check: row for row in context.health}
+
+
+def test_turned_axes_of_poses_are_seen(odd_scene: Scene, tmp_path: Path) -> None:
+    """A transforms.json with OpenCV's axes in it."""
+    check = "cameras that look away from where their view axes meet"
+    write_dataset("nerfstudio", odd_scene, tmp_path / "data")
+    assert rows_of("nerfstudio", tmp_path)[check].verdict == "ok"
+    path = tmp_path / "data" / "transforms.json"
+    meta = read_json(path)
+    for entry in meta["frames"]:
+        entry["transform_matrix"] = (np.array(entry["transform_matrix"]) @ np.diag([1.0, -1, -1, 1])).tolist()
+    write_json(path, meta)
+    row = rows_of("nerfstudio", tmp_path)[check]
+    assert (row.verdict, row.value) == ("warn", 100) and "y and z axes" in row.remedy
+
+
+def test_turned_poses_and_stray_points_of_a_sparse_model_are_seen(odd_scene: Scene, tmp_path: Path) -> None:
+    """40 points in all of 6 pictures; then one of them a hundred times as far; then the poses turned."""
+    behind, far = "sightings of sparse points behind their cameras", "far plane over"
+    points = odd_scene.points
+    assert points is not None
+
+    def rows(xyz: np.ndarray, turn: bool = False) -> tuple[HealthRow, HealthRow]:
+        scene = replace(odd_scene, dynamic=(), points=replace(points, xyz=xyz), rest_time=None)
+        write_dataset("colmap", scene, tmp_path / "data")
+        if turn:
+            folder = tmp_path / "data" / "sparse" / "0"
+            model = read_model(folder)
+            write_model(folder, replace(model, images={n: turned(i) for n, i in model.images.items()}))
+        found = rows_of("colmap", tmp_path)
+        return found[behind], next(row for check, row in found.items() if check.startswith(far))
+
+    assert [row.verdict for row in rows(points.xyz)] == ["ok", "ok"]
+    stray = points.xyz.copy()
+    stray[0] = [0.0, 0.0, 400.0]
+    row = rows(stray)[1]
+    assert row.verdict == "warn" and "stray points" in row.remedy
+    row = rows(points.xyz, turn=True)[0]
+    assert (row.verdict, row.value) == ("warn", 100) and "y and z axes" in row.remedy
+
+
+def turned(image: ModelImage) -> ModelImage:
+    """Half a turn about the camera's x axis."""
+    w, x, y, z = image.quat_wxyz
+    turn = {"quat_wxyz": np.array([-x, w, -z, y]), "translation": image.translation * [1, -1, -1]}
+    return replace(image, **turn)
+
+
+@pytest.mark.parametrize(
+    ("half_arc_deg", "says"),
+    [(170, "inward (0."), (70, "neither all around nor all one way"), (10, "forward (")],
+)
+def test_how_cameras_stand_is_said(odd_scene: Scene, half_arc_deg: float, says: str) -> None:
+    cameras = []
+    for angle in np.radians(np.linspace(-half_arc_deg, half_arc_deg, 12)):
+        z = np.array([-np.sin(angle), 0.0, np.cos(angle)])
+        R = np.stack([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1, 0], z])
+        K = np.array([[80.0, 0, 48], [0, 80, 32], [0, 0, 1]])
+        cameras.append(Camera(96, 64, K, np.column_stack([R, R @ (3 * z)])))
+    bounds = scene_bounds(cameras, [], np.zeros((0, 3)), np.zeros(0))
+    row = next(row for row in stage.health(bounds, odd_scene) if row.check == "cameras")
+    assert says in str(row.value)
