@@ -67,7 +67,7 @@ def _of_motion(moving: dict[str, FlowChecks], given: bool) -> list[HealthRow]:
             f"consistent share of what moves, worst camera ({camera})",
             value,
             "",
-            warn=0.5,
+            warn=0.7,
             remedy="The motion is too fast, blurred or without texture, or much of it is hidden in the frame before: "
             "raise the frame rate or give the subject more texture.",
         )

@@ -185,6 +185,40 @@ def test_a_shaking_camera_is_told_from_a_moving_subject(clip, run):
     assert checks.shake_px == pytest.approx(0.4, abs=0.1)  # DIS is good to 0.1 px on such pictures
 
 
+@pytest.mark.parametrize(("step", "large"), [(24, 1), (16, 0)])
+def test_moves_beyond_an_eighth_of_the_width_are_counted(uneven, run, step, large):
+    """Of 160 pixels, 20 are an eighth."""
+
+    def read(n: int) -> tuple[np.ndarray, np.ndarray]:
+        flow = np.zeros((120, 160, 2), np.float32)
+        flow[..., 0] = step
+        return flow, np.ones((120, 160), bool)
+
+    wide = np.concatenate([uneven[0], uneven[0][:, ::-1]], axis=1)
+    _, checks = run([wide[:, n * step : n * step + 160] for n in range(3)], find=given(read))
+    assert checks.large == large and checks.moving_valid == 1
+
+
+def test_what_does_not_come_back_is_rejected(clip, run):
+    """48 columns move by 6 px; the way back is known of those that came from left of column 96."""
+
+    class Hidden:
+        name, parallel = "hidden", False
+
+        def estimate(self, image0, image1):
+            flow = np.zeros((120, 160, 2), np.float32)
+            if np.array_equal(image0, clip[1]):
+                flow[:, 80:128, 0] = -6
+            else:
+                flow[:, 64:96, 0] = 6
+            return flow
+
+    _, checks = run(clip[:2], estimator=Hidden())
+    # |f + b| is 0 or 6; the rule allows 0.5 * 6 + 0.5 where the way back is 0, and 6.5 where both are 6
+    assert checks.moving == pytest.approx(48 / 160)
+    assert checks.moving_valid == pytest.approx((96 + 6 - 80) / 48)
+
+
 def test_plain_cloth_is_not_sure_of_its_flow(run):
     rng = np.random.default_rng(2)
     wall = cv2.resize(rng.integers(20, 235, (24, 32, 3)).astype(np.uint8), (160, 120))
