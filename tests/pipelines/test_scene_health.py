@@ -13,8 +13,8 @@ from devrf.capture.formats.colmap_model import ModelImage, read_model, write_mod
 from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import Scene
-from devrf.pipelines.health import HealthRow
-from devrf.pipelines.scene_config import SceneConfig
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import scene as stage
 
