@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.frames import LISTED, SHARPNESS_SIDE_PX, Fault
+from devrf.capture.frames import SHARPNESS_SIDE_PX, Fault, places
 from devrf.capture.steadiness import find_corners, follow
 from devrf.capture.video import VideoFrame, VideoInfo
-from devrf.capture.video_colour import is_full_range, luma_plane
+from devrf.capture.video_colour import OTHER_CURVES, is_full_range, luma_plane
 
 # Two frames that differ by less than this (mean of absolute differences, levels of 255) are the same picture. What
 # nine real and simulated cameras film differs by 0.15 and more between frames, a subject that hardly moves included.
@@ -41,9 +41,14 @@ class Repeats:
     def __init__(self) -> None:
         # Of each frame: index, whether it is the same as the one before, whether something moved.
         self._frames: list[tuple[int, bool, bool]] = []
+        self._last: UInt8[np.ndarray, "h w"] | None = None
 
-    def add(self, index: int, difference: UInt8[np.ndarray, "h w"]) -> None:
-        """Absolute difference between frame `index` and the one before, grey levels."""
+    def add(self, index: int, grey: UInt8[np.ndarray, "h w"]) -> None:
+        """Look at frame `index`."""
+        last, self._last = self._last, grey
+        if last is None:
+            return
+        difference = cv2.absdiff(grey, last)
         moved = bool(np.count_nonzero(difference > MOVED_LEVEL) > MOVED_SHARE * difference.size)
         self._frames.append((index, not moved and cv2.mean(difference)[0] < SAME_LEVEL, moved))
 
@@ -75,14 +80,16 @@ def repeats_fault(repeated: list[int], count: int) -> Fault:
 
 
 class Levels:
-    """Whether the levels of a clip fit the range that the file names."""
+    """Whether the levels of a clip fit the range that the file names, and code light by a curve that is expected."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(256, np.int64)
         self._full = False
+        self._curve: str | None = None
 
     def add(self, picture: av.VideoFrame) -> None:
         """Look at one picture."""
+        self._curve = OTHER_CURVES.get(picture.color_trc)
         luma = luma_plane(picture)
         if luma is not None:
             sample = luma[::LUMA_STEP_PX, ::LUMA_STEP_PX]
@@ -90,7 +97,21 @@ class Levels:
             self._full = is_full_range(picture)
 
     def faults(self) -> list[Fault]:
-        """At most one."""
+        """Of the curve and of the range, at most one each."""
+        return [*self._curve_faults(), *self._range_faults()]
+
+    def _curve_faults(self) -> list[Fault]:
+        if self._curve is None:
+            return []
+        return [
+            Fault(
+                "transfer curve",
+                f"the file says that its curve is {self._curve}; it is taken as sRGB",
+                "Film in a standard profile (BT.709), not in a flat or logarithmic one, or convert the clip to one.",
+            )
+        ]
+
+    def _range_faults(self) -> list[Fault]:
         if not self._counts.any():
             return []
         share = self._counts / self._counts.sum()
@@ -170,8 +191,3 @@ class Tripod:
                 )
             )
         return found
-
-
-def places(indices: list[int]) -> str:
-    """The first few of many frames."""
-    return ", ".join(map(str, indices[:LISTED])) + (" ..." if len(indices) > LISTED else "")

@@ -1,23 +1,25 @@
-"""How much moves and how bright it is in the first seconds of a clip, without writing anything."""
+"""Courses of a clip over time, by which clocks without sound are found: how much moves, and how bright rows are."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from devrf.capture.clips import MOTION_SIDE_PX, ROW_BANDS
-from devrf.capture.frames import grey_small
+from devrf.capture.frames import SHARPNESS_SIDE_PX, shrunk
 from devrf.capture.video import VideoReader
+
+MOTION_SIDE_PX = 160  # averages sensor noise away; a moving hand still covers several pixels
+ROW_BANDS = 24  # a flash is placed to a twenty-fourth of the readout, about a millisecond
 
 
 @dataclass(frozen=True)
 class Courses:
-    """Courses over time as `ingest` measures them.
+    """Courses of a clip.
 
     Attributes:
-        motion: Time between two frames, mean absolute difference [n, 2].
+        motion: Motion energy: time between two frames, mean absolute difference [n, 2].
         brightness: Time of a frame, mean level of each band of rows in the sensor's order [m, 1 + bands].
     """
 
@@ -25,24 +27,50 @@ class Courses:
     brightness: Float[np.ndarray, "m bands"]
 
 
+class CourseMeter:
+    """Gathers `Courses`, frame by frame."""
+
+    def __init__(self) -> None:
+        self.times_s: list[float] = []
+        self.levels: list[float] = []  # median of each frame
+        self._motion: list[tuple[float, float]] = []
+        self._brightness: list[np.ndarray] = []
+        self._last: UInt8[np.ndarray, "h w"] | None = None
+
+    def add(self, time_s: float, grey: UInt8[np.ndarray, "h w"]) -> None:
+        """Measure a frame, grey, with its rows in the order the sensor reads them."""
+        small = shrunk(grey, MOTION_SIDE_PX)
+        if self._last is not None:
+            difference = float(cv2.mean(cv2.absdiff(small, self._last))[0])
+            self._motion.append(((time_s + self.times_s[-1]) / 2, difference))
+        self._brightness.append(np.concatenate([[time_s], _row_bands(grey)]))
+        self.levels.append(float(np.median(small)))
+        self.times_s.append(time_s)
+        self._last = small
+
+    def courses(self) -> Courses:
+        """What was measured."""
+        motion = np.array(self._motion).reshape(-1, 2)
+        return Courses(motion, np.array(self._brightness).reshape(-1, 1 + ROW_BANDS))
+
+
 def read_courses(path: Path, seconds: float) -> Courses:
-    """Decode the first seconds of a clip and measure them.
+    """Measure the first seconds of a clip, without writing anything.
 
     Raises:
         InputError: It is not a video.
     """
-    motion, brightness = [], []
-    last = None
+    meter = CourseMeter()
     with VideoReader(path) as reader:
-        turns = -(reader.info.rotation_deg // 90)
         for frame in reader:
-            grey = grey_small(frame.rgb, MOTION_SIDE_PX)
-            stored = np.ascontiguousarray(np.rot90(grey, turns).astype(np.float32))
-            bands = cv2.resize(stored, (1, ROW_BANDS), interpolation=cv2.INTER_AREA)[:, 0]
-            brightness.append(np.concatenate([[frame.time_s], bands]))
-            if last is not None and frame.time_s > last[0]:
-                motion.append(((frame.time_s + last[0]) / 2, float(cv2.absdiff(grey, last[1]).mean())))
-            last = (frame.time_s, grey)
-            if frame.time_s > brightness[0][0] + seconds:
+            if meter.times_s and frame.time_s <= meter.times_s[-1]:
+                continue
+            meter.add(frame.time_s, frame.stored_grey(SHARPNESS_SIDE_PX))
+            if frame.time_s > meter.times_s[0] + seconds:
                 break
-    return Courses(np.array(motion).reshape(-1, 2), np.array(brightness).reshape(-1, 1 + ROW_BANDS))
+    return meter.courses()
+
+
+def _row_bands(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, " bands"]:
+    rows = cv2.reduce(grey, 1, cv2.REDUCE_AVG, dtype=cv2.CV_32F)
+    return cv2.resize(rows, (1, ROW_BANDS), interpolation=cv2.INTER_AREA)[:, 0].astype(np.float64)

@@ -42,6 +42,7 @@ class FrameRecord:
         used: Whether later stages use it.
         file: Picture on disk, relative to the ingest folder; None where it was not kept.
         exif: What a photo's tags say of device, lens and place; None for frames of a video.
+        photo: A photo's name in its folder; None for frames of a video.
     """
 
     index: int
@@ -50,6 +51,14 @@ class FrameRecord:
     used: bool
     file: str | None
     exif: Exif | None = None
+    photo: str | None = None
+
+    @property
+    def place(self) -> str:
+        """What to call it in a message."""
+        if self.photo is not None:
+            return self.photo
+        return f"frame {self.index}" if self.time_s is None else f"frame {self.index} ({self.time_s:.2f} s)"
 
 
 @dataclass(frozen=True)
@@ -161,6 +170,11 @@ def _camera_frames(raw: dict[str, Any]) -> CameraFrames:
     frames = tuple(FrameRecord(**{**frame, "exif": exif_from_dict(frame["exif"])}) for frame in raw["frames"])
     faults = tuple(Fault(**fault) for fault in raw["faults"])
     return CameraFrames(**{**raw, "frames": frames, "notes": tuple(raw["notes"]), "faults": faults})
+
+
+def places(items: Sequence[int] | Sequence[str]) -> str:
+    """The first few of many frames or photos."""
+    return ", ".join(map(str, items[:LISTED])) + (" ..." if len(items) > LISTED else "")
 
 
 # --- sharpness and choice ---

@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.capture.audio import Sound, read_sound, read_wav, write_wav
-from devrf.capture.clips import Extract, Keep, extract_clip, extract_folder
+from devrf.capture.clips import Extract, Keep, extract_clip
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
+from devrf.capture.photos import extract_folder
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.recorded import read_recorded
 from devrf.capture.session import CaptureSession, read_timestamps
@@ -89,8 +90,8 @@ def write_frames(
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step)
         cameras[name] = _with_clock_cues(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
         if role in SOUND_ROLES:
-            np.save(out / "motion" / f"{name}.npy", got.motion)
-            np.save(out / "brightness" / f"{name}.npy", got.brightness)
+            np.save(out / "motion" / f"{name}.npy", got.courses.motion)
+            np.save(out / "brightness" / f"{name}.npy", got.courses.brightness)
         if got.light is not None:
             got.light.write(out / "light" / f"{name}.npy")
 

@@ -15,6 +15,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.exif import Exif, read_exif
+from devrf.capture.photo_curve import declared_gamma
 from devrf.capture.picture_files import JPEG_SUFFIXES, PICTURE_SUFFIXES, natural_key
 from devrf.capture.raw import develop, is_raw, read_layout
 
@@ -34,6 +35,7 @@ class PictureInfo:
         width, height: Size of the upright picture, pixels.
         turned: Whether EXIF asks for a turn or a mirror.
         exif: What its tags say of device, lens and place; None for RAW files.
+        gamma: Exponent from its levels to light, where the file names one.
     """
 
     path: Path
@@ -41,6 +43,7 @@ class PictureInfo:
     height: int
     turned: bool
     exif: Exif | None
+    gamma: float | None = None
 
 
 def is_photo(path: Path) -> bool:
@@ -113,7 +116,7 @@ def probe_picture(path: Path) -> PictureInfo:
             tags = read_exif(image)
             if turned and orientation >= 5:
                 width, height = height, width
-            return PictureInfo(path, width, height, turned, tags)
+            return PictureInfo(path, width, height, turned, tags, declared_gamma(image))
     except UnidentifiedImageError:
         raise InputError(
             f"{path}: not a picture; remove it from the folder or save it as JPEG or PNG"

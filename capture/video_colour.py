@@ -16,6 +16,7 @@ from devrf.capture.hdr import Transfer, srgb_from_hdr
 
 UNSPECIFIED_COLORSPACE = 2  # ITU-T H.273, matrix_coefficients
 HDR_TRANSFERS: dict[int, Transfer] = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer_characteristics
+OTHER_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic"}  # likewise; all else is near sRGB
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 ROUND_TO_8 = 1 / 256  # swscale's 16-bit colours are its 8-bit ones, shifted
 LUMA_FIRST = frozenset(  # formats whose first plane is luma in bytes

@@ -1,13 +1,13 @@
 """Health rows about light: exposure, white balance and lamps in clips; settings of photos; levels of RAW."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from devrf.calibration.flicker import LightFound, judge_light
-from devrf.capture.frames import LISTED, FrameSet
+from devrf.capture.frames import FrameSet, places
 from devrf.capture.light import CLIPPED_SHARE, LightCourse
 from devrf.capture.raw_set import read_raw_sidecar
 from devrf.pipelines.health.rows import HealthRow, note
@@ -34,7 +34,7 @@ def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
         rows += raw_rows(path.stem, sidecar)
         rows += exposure_rows(path.stem, {f["source"]: f["exposure_stops"] for f in sidecar["files"]})
     for name, camera in frames.cameras.items():
-        photos = {f"photo {f.index}": f.exif.exposure_stops for f in camera.used if f.exif is not None}
+        photos = {f.place: f.exif.exposure_stops for f in camera.used if f.exif is not None}
         rows += exposure_rows(name, photos)
     return rows
 
@@ -84,7 +84,7 @@ def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
 
     def say(check: str, found: list[dict[str, Any]], text: str, remedy: str = "") -> None:
         if found:
-            words = f"{len(found)} of {len(files)} files {text}: {_listed([f['source'] for f in found])}"
+            words = f"{len(found)} of {len(files)} files {text}: {places([f['source'] for f in found])}"
             rows.append(note(f"{check}, {name}", words, verdict="warn" if remedy else "ok", remedy=remedy))
 
     shot = [f for f in files if f["as_shot"] is not None]
@@ -140,15 +140,11 @@ def exposure_rows(name: str, stops: Mapping[str, float | None]) -> list[HealthRo
     return [
         note(
             f"exposure of photos, {name}",
-            f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {_listed(off)}",
+            f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {places(off)}",
             verdict="warn",
             remedy="Set shutter, ISO and aperture by hand and lock them for the whole set.",
         )
     ]
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:LISTED]) + (" ..." if len(names) > LISTED else "")
 
 
 def _when(from_s: float, to_s: float) -> str:

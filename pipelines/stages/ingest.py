@@ -7,7 +7,7 @@ import numpy as np
 from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, places, sharp
 from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.session import CaptureSession
 from devrf.capture.srgb import linear_from_srgb
@@ -99,7 +99,12 @@ def health(frames: FrameSet) -> list[HealthRow]:
             )
             rows.append(note(f"end of {name}", camera.ended_early, verdict="warn", remedy=remedy))
         rows += [
-            note(f"{fault.check}, {name}", fault.found, verdict="warn", remedy=fault.remedy)
+            note(
+                f"{fault.check}, {name}",
+                fault.found,
+                verdict="warn",
+                remedy=f"{camera.source}: {fault.remedy}",
+            )
             for fault in camera.faults
         ]
         if camera.notes:
@@ -108,7 +113,8 @@ def health(frames: FrameSet) -> list[HealthRow]:
 
 
 def _sweep(sweep: CameraFrames) -> list[HealthRow]:
-    share = float(sharp([frame.sharpness for frame in sweep.used]).mean())
+    is_sharp = sharp([frame.sharpness for frame in sweep.used])
+    blurred = [frame.place for frame, ok in zip(sweep.used, is_sharp, strict=True) if not ok]
     sizes = [text for text in sweep.notes if text.startswith("mixed sizes")]
     rows = [
         row(
@@ -121,15 +127,16 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
         ),
         row(
             "sharp share of the sweep",
-            share,
+            float(is_sharp.mean()),
             "",
             warn=0.8,
             fail=0.3,
-            remedy="Walk more slowly, or use a shorter shutter and more light.",
+            remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred: {places(blurred)}. Walk "
+            "more slowly, or use a shorter shutter and more light.",
         ),
     ]
     if sizes:
-        remedy = "Keep one camera in one mode (size and orientation) for the whole sweep."
+        remedy = f"{sweep.source}: keep one camera in one mode (size and orientation) for the whole sweep."
         rows.append(note("sizes in the sweep", sizes[0], verdict="warn", remedy=remedy))
     return rows
 
@@ -155,7 +162,8 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
             warn=0.02,
             fail=0.5,
             low_is_bad=False,
-            remedy=f"{cameras[worst].source} has gaps: use a faster card, or a lower resolution or bit rate.",
+            remedy=f"{cameras[worst].source}: {_gaps(cameras[worst])}. Use a faster card, or a lower resolution or bit "
+            "rate.",
         ),
         _exposure(cameras),
         note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera"),
@@ -165,6 +173,10 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
         text = ", ".join(f"{name}: {c.width}x{c.height}" for name, c in cameras.items())
         rows.append(note("sizes of the moving cameras", f"{text}; each keeps its own"))
     return rows
+
+
+def _gaps(camera: CameraFrames) -> str:
+    return next((text for text in camera.notes if "frames missing" in text), "frames are missing")
 
 
 def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:

@@ -13,10 +13,10 @@ from devrf.calibration.sweep.gps import USUAL_STD_M, local_metres, why_not
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.pairs import EXHAUSTIVE_UP_TO, affordable, matching_s, plan_pairs, products
 from devrf.calibration.sweep.sfm_budget import Clock, Matching
-from devrf.capture.clips import extract_folder
 from devrf.capture.errors import InputError
 from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
+from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import probe_picture
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.preflight import check_raw_files

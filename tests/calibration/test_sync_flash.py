@@ -18,7 +18,7 @@ FLASHES_S = (0.83, 1.347, 2.291, 3.018)
 
 def seen(path: Path, out: Path) -> Brightness:
     """The brightness that ingest keeps of a clip."""
-    course = extract_clip(path, out, path.stem, "camera", path.name, Keep()).brightness
+    course = extract_clip(path, out, path.stem, "camera", path.name, Keep()).courses.brightness
     return Brightness(course[:, 0], course[:, 1:])
 
 

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.capture.clips import Extract, Keep, extract_clip, extract_folder
+from devrf.capture.clips import Extract, Keep, extract_clip
+from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import write_picture
 from devrf.capture.video import VideoReader
 
@@ -164,6 +165,7 @@ def test_damaged_frames_and_those_made_of_them_are_left_out(make_clip, tmp_path)
         after = min(keys, default=len(got.frames.frames))
         assert not used & set(range(marked[0], after)) and marked[0] - 1 in used
         assert f"the first is {marked[0]} at {marked[0] / 25:.2f} s" in found(got)["damaged frames"]
+        assert got.frames.missing_frames == 0
         return
     pytest.fail("no damage that the decoder marks was made")
 
@@ -183,6 +185,17 @@ def test_a_range_that_contradicts_its_flag(make_clip, tmp_path, levels, says):
         assert ("they run from 0 to 255" if levels == 2 else "they end at 16 and 235") in faults[
             "range of levels"
         ]
+
+
+@pytest.mark.parametrize(
+    "transfer, says", [(1, None), (13, None), (8, "linear"), (9, "logarithmic")]
+)  # H.273
+def test_levels_of_another_curve(make_clip, tmp_path, transfer, says):
+    """A17: BT.709 and sRGB are what is expected."""
+    wall = scenery()
+    path = make_clip("a.mp4", [view(wall, n) for n in range(30)], colour=(1, transfer, 1, 1))
+    text = found(extract(path, tmp_path)).get("transfer curve")
+    assert text == (says and f"the file says that its curve is {says}; it is taken as sRGB")
 
 
 def test_too_few_bits(make_clip, tmp_path):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
-from devrf.capture.clips import ROW_BANDS, Keep, extract_clip, extract_folder
+from devrf.capture.clips import Keep, extract_clip
+from devrf.capture.courses import ROW_BANDS
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.frames import (
     FrameSet,
@@ -18,6 +19,7 @@ from devrf.capture.frames import (
     window_of,
 )
 from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_sounds
+from devrf.capture.photos import extract_folder
 from devrf.capture.picture_files import natural_key
 from devrf.capture.pictures import list_pictures, probe_picture, read_picture, write_picture
 from devrf.capture.session import CaptureSession, FrameTimes
@@ -138,7 +140,7 @@ def test_clip_in_a_range_and_by_a_table_of_times(make_clip, pictures, tmp_path):
     path = make_clip("a.mp4", pictures)
     got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(range_s=(0.1, 0.2)))
     assert [f.index for f in got.frames.used] == [3, 4, 5]
-    assert [round(float(t), 3) for t in got.motion[:2, 0]] == [0.02, 0.06]  # motion is kept of all
+    assert [round(float(t), 3) for t in got.courses.motion[:2, 0]] == [0.02, 0.06]  # motion is kept of all
     times = FrameTimes(np.array([0, 1, 3, 20]), np.array([7.0, 7.5, 8.25, 30.0]))
     got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(), times)
     assert [(f.index, f.time_s) for f in got.frames.used] == [(0, 7.0), (1, 7.5), (3, 8.25)]
@@ -160,7 +162,8 @@ def test_turned_clips_keep_the_order_of_the_sensors_rows(make_clip, tmp_path, ro
     stored = np.repeat(np.arange(0, 240, 5, dtype=np.uint8)[:, None, None], 64, axis=1).repeat(3, axis=2)
     path = make_clip("a.mp4", [stored] * 3, rotation=rotation)  # brighter down the sensor
     got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep())
-    assert got.brightness.shape == (3, 1 + ROW_BANDS) and np.all(np.diff(got.brightness[:, 1:], axis=1) > 0)
+    bands = got.courses.brightness
+    assert bands.shape == (3, 1 + ROW_BANDS) and np.all(np.diff(bands[:, 1:], axis=1) > 0)
 
 
 def test_whole_session_on_disk_and_back(make_clip, pictures, tmp_path):

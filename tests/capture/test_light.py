@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from jaxtyping import Float, UInt8
 
-from devrf.capture.clips import Keep, extract_clip, extract_folder
+from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.errors import CaptureError
 from devrf.capture.light import BANDS, LightCourse, LightMeter, clipped_share, highlight_faults
+from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import write_picture
 from devrf.capture.srgb import srgb_from_linear
 

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from tests.capture.dng import mosaic, write_dng
 
 from devrf.capture import raw_set
-from devrf.capture.clips import extract_folder
 from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import Development, Recipe, develop, is_raw, recipe_for
 from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar

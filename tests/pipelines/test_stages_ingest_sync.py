@@ -157,7 +157,7 @@ def test_faults_of_clips_are_warnings_with_their_remedies():
     fault = Fault("bit rate", "0.010 bits per pixel", "Film with the highest bit rate.")
     rows = ingest.health(FrameSet({"cam0": frames(faults=(fault,)), "cam1": frames()}))
     row = next(r for r in rows if r.check == "bit rate, cam0")
-    assert (row.value, row.verdict, row.remedy) == (fault.found, "warn", fault.remedy)
+    assert (row.value, row.verdict, row.remedy) == (fault.found, "warn", "clip.mp4: " + fault.remedy)
 
 
 def test_health_of_a_good_and_of_a_bad_capture():
@@ -170,7 +170,7 @@ def test_health_of_a_good_and_of_a_bad_capture():
     bad = FrameSet(
         {
             "static": replace(sweep, frames=blurred, notes=("mixed sizes: 9 photos of 4x3 ...",)),
-            "cam0": frames(level=60.0, missing_frames=5),
+            "cam0": frames(level=60.0, missing_frames=5, notes=("3 frames missing in 1 gaps, after 1.20 s",)),
             "cam1": frames(count=1, width=66, has_audio=False),
         }
     )
@@ -186,4 +186,9 @@ def test_health_of_a_good_and_of_a_bad_capture():
     ):
         assert found[check][0] == verdict, (check, found)
     assert found["sound"] == ("ok", "silent: cam1")
+    blurred = "4 of 12 pictures are blurred: frame 0 (0.00 s), frame 3 (0.10 s)"
+    assert blurred in str(found["sharp share of the sweep"][1])
+    assert "3 frames missing in 1 gaps, after 1.20 s" in str(
+        found["share of frames dropped while filming, worst camera (cam0)"][1]
+    )
     assert "cam1: 66x48" in str(found["sizes of the moving cameras"][1])

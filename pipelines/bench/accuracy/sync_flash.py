@@ -31,7 +31,7 @@ def rows(cases: Cases) -> list[Row]:
             path = film_flashes(
                 folder / f"{seed}_{k}.mp4", camera, flashes_s, seconds=SECONDS, seed=seed + 100 * k
             )
-            course = extract_clip(path, folder, path.stem, "camera", path.name, Keep()).brightness
+            course = extract_clip(path, folder, path.stem, "camera", path.name, Keep()).courses.brightness
             courses.append(Brightness(course[:, 0], course[:, 1:]))
         found = flash_delay(*(find_flashes(c) for c in courses))
         if found is not None and found.accepted:

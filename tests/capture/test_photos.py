@@ -1,0 +1,69 @@
+"""Folders of photos: curves that their files name, and what photos are called in messages."""
+
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image, ImageCms
+from PIL.PngImagePlugin import PngInfo
+
+from devrf.capture.photo_curve import declared_gamma
+from devrf.capture.photos import extract_folder
+from devrf.capture.pictures import write_picture
+
+PICTURE = Image.fromarray(np.full((24, 32, 3), 90, np.uint8))
+
+
+def profile(curve: bytes) -> bytes:
+    """An ICC profile of nothing but a green curve (ICC.1:2022, 7.2 to 7.3 and 10)."""
+    return bytes(128) + struct.pack(">I4sII", 1, b"gTRC", 144, len(curve)) + curve
+
+
+CURVES = {
+    "linear": (b"curv" + bytes(4) + struct.pack(">I", 0), 1.0),
+    "gamma": (b"curv" + bytes(4) + struct.pack(">IH", 1, round(1.8 * 256)), 1.8),
+    "formula": (b"para" + bytes(4) + struct.pack(">HHi", 0, 0, round(2.2 * 65536)), 2.2),
+    "table": (
+        b"curv" + bytes(4) + struct.pack(">I257H", 257, *(round(65535 * (n / 256) ** 2) for n in range(257))),
+        2.0,
+    ),
+    "cut short": (b"curv" + bytes(4) + struct.pack(">I", 9), None),
+    "unknown": (b"mft2" + bytes(8), None),
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_curves_of_profiles(tmp_path, name):
+    curve, gamma = CURVES[name]
+    PICTURE.save(tmp_path / "a.tif", icc_profile=profile(curve))
+    with Image.open(tmp_path / "a.tif") as image:
+        assert declared_gamma(image) == (
+            gamma and pytest.approx(gamma, abs=1 / 256)
+        )  # 8 bits after the point
+
+
+def test_photos_that_hold_linear_light_are_named(tmp_path):
+    """A17: one says so in a profile, one in PNG's own chunk; sRGB and photos that say nothing are as expected."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    PICTURE.save(folder / "a.jpg", icc_profile=srgb)
+    PICTURE.save(folder / "b.png")
+    assert extract_folder(folder, tmp_path, "static", "sweep", "in").faults == ()
+    PICTURE.save(folder / "c.tif", icc_profile=profile(CURVES["linear"][0]))
+    chunk = PngInfo()
+    chunk.add(b"gAMA", struct.pack(">I", 100_000))
+    PICTURE.save(folder / "d.png", pnginfo=chunk)
+    (fault,) = extract_folder(folder, tmp_path, "static", "sweep", "in").faults
+    assert fault.check == "transfer curve"
+    assert fault.found == "2 of 4 photos name a gamma of 1, all are taken as sRGB: c.tif, d.png"
+
+
+def test_photos_are_called_by_their_names(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for n in range(4):
+        write_picture(folder / f"IMG_{n + 7}.png", np.zeros((20 if n == 2 else 24, 32, 3), np.uint8))
+    got = extract_folder(folder, tmp_path, "static", "sweep", "in")
+    assert [frame.place for frame in got.frames] == [f"IMG_{n}.png" for n in (7, 8, 9, 10)]
+    assert "1 of 32x20 are not (IMG_9.png)" in got.notes[-1]
