@@ -240,7 +240,7 @@ def ingest(
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Speed of ingest against plain decoding, memory against length, and what storing pictures costs."""
+    """Speed of ingest against plain decoding, memory against length, RAW photos, and what storing pictures costs."""
     from devrf.pipelines.bench.ingest import INGEST
 
     _accuracy("ingest", INGEST, data, only, out, json, quiet)

@@ -1,5 +1,6 @@
-"""`bench ingest`: speed against plain decoding, memory against length, and what storing pictures costs."""
+"""`bench ingest`: speed against plain decoding, memory against length, RAW photos, and what storing pictures costs."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -15,29 +16,40 @@ from jaxtyping import UInt8
 from devrf.capture.ingest import write_frames
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.session import CaptureSession
+from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.video import VideoReader
 from devrf.pipelines.bench.accuracy.cases import Cases, Part
-from devrf.pipelines.bench.ingest_clips import film, filmed
+from devrf.pipelines.bench.ingest_clips import BIT_RATE, film, filmed
 from devrf.pipelines.bench.rows import Row, with_goal
 
-REPETITIONS = 9  # in turns; the fastest of each counts: what else the machine does only slows
+REPETITIONS = 5  # in turns; the fastest of each counts: what else the machine does only slows
 SHORT_FRAMES, LONGER = 60, 4
+BIT_RATES = {"16 Mbit/s": BIT_RATE, "50 Mbit/s": 50_000_000}  # what phones, and what cameras write at 1080p30
 SPEED_GOAL = 0.6
 MEMORY_GOAL = 1.05  # a list of times and sharpnesses grows; pictures must not
 LOSS_GOAL_DB = 0.1  # a tenth of what a doubling of the bit rate changes
+FEW_PHOTOS, MANY_PHOTOS = 4, 12
+PHOTO_SIZE, PHOTO_TILES = (750, 1000), 4  # of a piece, and pieces across and down: 12 megapixels
 REAL_CLIPS = ("pose2sim_single/videos/cam03.mp4", "pose2sim_single/videos/cam04.mp4")
-INGEST_ONE = (
-    "import sys; from pathlib import Path; from devrf.capture.ingest import write_frames; "
-    "from devrf.capture.session import CaptureSession; clip, out = map(Path, sys.argv[1:]); "
-    "write_frames(CaptureSession(cameras={'cam0': clip}), {}, out, clip.parent); "
-    "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"  # getrusage has the parent's too
-)
+INGEST_ONE = """
+import os, sys, time
+from pathlib import Path
+from devrf.capture.ingest import write_frames
+from devrf.capture.session import CaptureSession
+source, out, cores = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+session = CaptureSession(static=source) if source.is_dir() else CaptureSession(cameras={"cam0": source})
+begun = time.perf_counter()
+write_frames(session, {}, out, source.parent)
+print(time.perf_counter() - begun, Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
+"""  # getrusage would tell of the parent's memory too
 
 
 def speed(cases: Cases) -> list[Row]:
     """Pictures a second of ingest, all of them stored, over those of decoding to RGB by PyAV, in the same run."""
     folder = _folder(cases, "speed")
-    clips = {"1080p, 16 Mbit/s": film(folder / "short.mp4", SHORT_FRAMES)}
+    frames = LONGER * SHORT_FRAMES
+    clips = {f"1080p, {name}": film(folder / f"{rate}.mp4", frames, rate) for name, rate in BIT_RATES.items()}
     for name in REAL_CLIPS:
         capture, _, clip = name.partition("/")
         real = cases.real(capture)
@@ -70,20 +82,40 @@ def memory(cases: Cases) -> list[Row]:
     folder = _folder(cases, "memory")
     peaks = []
     for name, frames in (("short", SHORT_FRAMES), ("long", LONGER * SHORT_FRAMES)):
-        clip, out = film(folder / f"{name}.mp4", frames), folder / "ingest"
-        shutil.rmtree(out, ignore_errors=True)
-        said = subprocess.run(
-            [sys.executable, "-c", INGEST_ONE, str(clip), str(out)],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        peaks.append(int(said.stdout) * 1024 / 1e6)  # kibibytes
+        peaks.append(_apart(film(folder / f"{name}.mp4", frames), folder)[1])
     return [
         Row(f"ingest/1080p, {SHORT_FRAMES} frames, peak memory", peaks[0], "MB"),
         Row(f"ingest/1080p, {LONGER * SHORT_FRAMES} frames, peak memory", peaks[1], "MB"),
         with_goal(
             Row("ingest/peak memory of the longer clip over the shorter one's", peaks[1] / peaks[0], ""),
+            MEMORY_GOAL,
+            low_is_good=True,
+        ),
+    ]
+
+
+def raw(cases: Cases) -> list[Row]:
+    """Folders of RAW photos of 12 megapixels: time on one core and on all, peak memory of few and of many."""
+    folder = _folder(cases, "raw")
+    rng = np.random.default_rng(0)
+    levels = {"black": (512, 512, 512, 512), "white": 16383}
+    piece = mosaic(rng.uniform(0.05, 0.8, (*PHOTO_SIZE, 3)), "RGGB", *levels.values())
+    write_dng(folder / "photo.dng", np.tile(piece, (PHOTO_TILES, PHOTO_TILES)), **levels)
+    for count in (FEW_PHOTOS, MANY_PHOTOS):
+        (folder / str(count)).mkdir(exist_ok=True)
+        for n in range(count):
+            shutil.copyfile(folder / "photo.dng", folder / str(count) / f"{n}.dng")
+    cores = len(os.sched_getaffinity(0))
+    one_s, _ = _apart(folder / str(FEW_PHOTOS), folder, cores=1)
+    few_s, few_mb = _apart(folder / str(FEW_PHOTOS), folder)
+    _, many_mb = _apart(folder / str(MANY_PHOTOS), folder)
+    return [
+        Row("ingest/RAW of 12 megapixels, one core", one_s / FEW_PHOTOS, "s/photo"),
+        Row(f"ingest/RAW of 12 megapixels, {cores} cores", few_s / FEW_PHOTOS, "s/photo"),
+        Row(f"ingest/{FEW_PHOTOS} RAW photos, peak memory", few_mb, "MB"),
+        Row(f"ingest/{MANY_PHOTOS} RAW photos, peak memory", many_mb, "MB"),
+        with_goal(
+            Row("ingest/peak memory of more RAW photos over that of few", many_mb / few_mb, ""),
             MEMORY_GOAL,
             low_is_good=True,
         ),
@@ -124,7 +156,7 @@ def quality(cases: Cases) -> list[Row]:
     ]
 
 
-INGEST: dict[str, Part] = {"speed": speed, "memory": memory, "quality": quality}
+INGEST: dict[str, Part] = {"speed": speed, "memory": memory, "raw": raw, "quality": quality}
 
 
 def _folder(cases: Cases, part: str) -> Path:
@@ -143,6 +175,16 @@ def _decode(clip: Path) -> None:
 
 def _ingest(clip: Path, folder: Path) -> None:
     write_frames(CaptureSession(cameras={"cam0": clip}), {}, folder / "ingest", folder)
+
+
+def _apart(source: Path, folder: Path, cores: int = 1024) -> tuple[float, float]:
+    """Seconds and peak memory (MB) of a process that ingests a clip or a folder on at most `cores` cores."""
+    out = folder / "ingest"
+    shutil.rmtree(out, ignore_errors=True)
+    command = [sys.executable, "-c", INGEST_ONE, str(source), str(out), str(cores)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True)
+    seconds, kibibytes = said.stdout.split()
+    return float(seconds), int(kibibytes) * 1024 / 1e6
 
 
 def _seconds(work: Callable[..., None], *arguments: Path) -> tuple[float, float]:

@@ -17,7 +17,7 @@ OCTAVE_GAIN = 0.75  # of each octave of the texture over the one before: about a
 SWING_PX, SWING_FRAMES = 250, 75
 
 
-def film(path: Path, frames: int, seed: int = 0) -> Path:
+def film(path: Path, frames: int, bit_rate: int = BIT_RATE, seed: int = 0) -> Path:
     """Write such a clip (BT.709, limited range, a key picture a second); kept if it is there."""
     if path.exists():
         return path
@@ -29,7 +29,7 @@ def film(path: Path, frames: int, seed: int = 0) -> Path:
     with av.open(str(partial), "w") as container:
         stream = container.add_stream("libx264", rate=FPS)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        stream.bit_rate, stream.options = BIT_RATE, {"preset": "veryfast", "g": str(FPS)}
+        stream.bit_rate, stream.options = bit_rate, {"preset": "veryfast", "g": str(FPS)}
         context = stream.codec_context
         context.colorspace = context.color_trc = context.color_primaries = 1  # BT.709
         for n, clean in enumerate(filmed(frames, seed)):

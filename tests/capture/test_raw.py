@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 from jaxtyping import Float
-from tests.capture.dng import mosaic, write_dng
 
 from devrf.capture import raw_set
 from devrf.capture.errors import CaptureError, InputError
@@ -18,6 +17,7 @@ from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import Development, Recipe, develop, is_raw, recipe_for
 from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
+from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
 
 HEIGHT, WIDTH = 96, 128

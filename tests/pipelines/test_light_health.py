@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.capture.dng import mosaic, write_dng
 from tests.conftest import Command
 
 from devrf.calibration.flicker import Change, Flicker, LightFound, judge_light
 from devrf.capture.light import LightCourse
 from devrf.capture.pictures import write_picture
 from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
+from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.health.light import clip_rows, exposure_rows, raw_rows
