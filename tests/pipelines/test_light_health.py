@@ -44,7 +44,7 @@ def test_healthy_photos_fire_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("file", "check", "says", "verdict"),
     [
-        ({"neutral": (0.5, 1, 0.6)}, "white balance of RAW photos", "another white balance", "ok"),
+        ({"neutral": (0.5, 1.0, 0.6)}, "white balance of RAW photos", "another white balance", "ok"),
         ({"orientation": 6}, "turn of RAW photos", "turned by 0 degrees", "ok"),
         ({"white": 15000}, "white level of RAW photos", "16383 is used for all", "warn"),
         ({"black": (2000, 2000, 2000, 2000)}, "black level of RAW photos", "below their black level", "warn"),
