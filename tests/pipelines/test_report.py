@@ -180,6 +180,7 @@ def full_run(tmp_path_factory) -> Path:
     _json(
         run / "colour/colour.json",
         {"reference": "static", "total": {"points": 40, "before": 0.0625, "after": 0.015625}, "cameras": {
+            "static": {"source": "reference", "kind": "none"},
             "cam0": {"source": "points", "kind": "gain", "stops": -0.375, "fitted": 120,
                      "apart": {"points": 40, "before": 0.0625, "after": 0.015625}},
             "wit<b>ness": {"source": "none", "kind": "none", "stops": 0.125, "fitted": 0,
@@ -369,11 +370,11 @@ def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
 def test_colours_are_shown_before_and_after(full_run):
     _, page = _page(full_run)
     for said in (
+        "against the sweep",
         "−0.38 EV",
         "surface points",
         "one gain",
-        "cam0, as filmed",
-        "cam0, as used",
+        "cam0: left as filmed, right as used",
         "not corrected",
     ):
         assert said in page.text, said
