@@ -64,7 +64,7 @@ def _from_dataset(context: StageContext) -> Scene:
     if scene.points is None:
         return scene
     from devrf.calibration.bounds import scene_bounds
-    from devrf.pipelines.box_health import box_health
+    from devrf.pipelines.health.box import box_health
 
     start, end = scene.points.lines_of_sight(scene.static)
     bounds = scene_bounds(
