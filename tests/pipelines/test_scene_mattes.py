@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from devrf.calibration.bounds import MotionMask, scene_bounds
+from devrf.calibration.colour.match import Apart
+from devrf.calibration.colour.result import Colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
@@ -67,6 +69,8 @@ class Session:
         monkeypatch.setattr(captured_scene, "read_static_poses", lambda folder: self._model())
         (self.run / "rig").mkdir()
         write_rig(self.run / "rig" / "rig.json", Rig({"cam0": RigCamera(self.fixed, "given")}, ARBITRARY))
+        (self.run / "colour").mkdir()
+        Colours(self.run / "colour", None, {}, Apart(0, None, None)).write()
         (self.run / "sync").mkdir()
         clock = {
             "offset_s": 0.0,
