@@ -46,7 +46,8 @@ def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
         if not text.strip():
             say(key, "is empty; expected a path")
         elif not path.exists():
-            say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}")
+            hint = "; or one of chroma, background" if key == "capture.mattes.folder" else ""
+            say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}{hint}")
         elif key in folders and not path.is_dir():
             say(key, f"{text!r} is a file; expected a folder")
         elif key not in folders | files_or_folders and not key.startswith(clips) and path.is_dir():

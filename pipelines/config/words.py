@@ -87,8 +87,10 @@ def expectation(field: FieldInfo | None) -> str:
         elif origin is list:
             parts.append("a list of names")
         elif origin is tuple:
-            inner = words.get(get_args(kind)[0], "value")
-            parts.append(f"a list of two {'whole numbers' if inner == 'a whole number' else 'numbers'}")
+            of = get_args(kind)
+            count = "" if Ellipsis in of else {2: "two ", 3: "three ", 4: "four "}[len(of)]
+            what = {int: "whole numbers", float: "numbers", str: "texts"}[of[0]]
+            parts.append(f"a list of {count}{what}")
         elif isinstance(kind, type) and issubclass(kind, BaseModel):
             parts.append(f"a section with the keys {', '.join(kind.model_fields)}")
         else:

@@ -130,6 +130,11 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; expected [from, to]"),
         ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; expected a list of two numbers"),
         ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': no such file or folder"),
+        ("{static: static.mp4, mattes: chrome}", "; or one of chroma, background"),
+        (
+            "{static: static.mp4, mattes: {method: command, command: a b}}",
+            "capture.mattes.command: 'a b'; expected a list of texts",
+        ),
         ("{static: static.mp4, mattes: background}", "capture.mattes: background needs fixed cameras"),
         ("{static: static.mp4, mattes: {method: keying}}", "capture.mattes.method: 'keying'; expected given"),
         ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder is missing; method: given"),
