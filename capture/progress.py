@@ -8,3 +8,8 @@ Progress = Callable[[float, str], None]
 
 def no_progress(fraction: float, message: str) -> None:
     """Ignore progress."""
+
+
+def part(progress: Progress, start: float, share: float) -> Progress:
+    """Progress of a part of a larger piece of work, which begins at `start` and makes up `share` of it."""
+    return lambda fraction, message: progress(start + share * fraction, message)

@@ -10,6 +10,7 @@ from devrf.capture.frames import grey_small
 
 SIDE_PX = 480  # of the pictures that are compared
 SMOOTH_PX = 2.0  # averages sensor noise and the grain of compression to a fraction of a level
+AT_REST = 0.005  # of the picture: more changes from picture to picture where something moves
 CHANGED_LEVELS = 3.0  # of smoothed pictures: pictures of a scene at rest stay below a level
 
 

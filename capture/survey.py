@@ -132,6 +132,11 @@ def _collect(folder: Path, material: Material, deeper: int) -> None:
         material.photos[folder] = photos
 
 
+def look_at(path: Path, count: int) -> Look:
+    """`look_at_photos` of a folder, `look_at_clip` of a file."""
+    return look_at_photos(path, count) if path.is_dir() else look_at_clip(path, count)
+
+
 def look_at_clip(path: Path, count: int) -> Look:
     """Decode at most `count` pictures, spread over a clip.
 

@@ -79,18 +79,16 @@ def check(
     overrides: SetOption = None,
     as_json: Annotated[Path | None, typer.Option("--json", help="File for the rows")] = None,
     quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Look at a few pictures of every clip before the crew goes home: go or no-go."""
-    talk = talk_of(quiet)
+    talk = talk_of(quiet, verbose)
     job = _prepare(talk, scene, preset, overrides, None)
     try:
         check_folder(job.run_dir, "output:")
         if as_json is not None:
             check_file(as_json, "--json")
         _check_raw_files(job)
-        if job.config.dataset is not None:
-            talk.say("GO: a finished data set, whose files can be read; the rest of check is for raw files")
-            raise typer.Exit(DONE)
         from devrf.pipelines.check import command as check_command
 
         go = check_command.check(talk, job.config, job.scene_dir, job.run_dir, as_json)

@@ -6,40 +6,34 @@ The rows are those of the stages where a stage has one; the stages look at all p
 import json
 import shutil
 import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from devrf.calibration.field.fixed import glance_at_fixed
-from devrf.calibration.field.matching import Features, features
-from devrf.calibration.field.steady import steadiness
-from devrf.calibration.field.sweep import glance_at_sweep
+from devrf.calibration.field.matching import Features
+from devrf.calibration.rigs.rig import ARBITRARY
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import DevrfError
-from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, grey_small, sharpness
-from devrf.capture.pictures import list_pictures, read_picture
-from devrf.capture.planned import planned_frames, sweep_pictures
-from devrf.capture.progress import Progress
-from devrf.capture.sampled import read_runs, spread_starts
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
+from devrf.capture.planned import planned_frames
+from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
-from devrf.capture.survey import Look, Picture, look_at_clip, look_at_photos, small
+from devrf.capture.survey import Look, find_material, look_at_clip
+from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.capture_session import capture_session
-from devrf.pipelines.check import rows as check_rows
+from devrf.pipelines.check.boards import board_rows
+from devrf.pipelines.check.clips import CLIP_PICTURES, camera_rows, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.estimate import estimate_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.rig import scale_rows
+from devrf.pipelines.health.rows import HealthRow, Verdict, note
 from devrf.pipelines.stages import ingest
 
-SWEEP_PICTURES = 40  # that are looked at
-SHARP_OF = 3  # successive pictures, of which the sharpest counts, as ingest takes the sharpest of a window
-SIZE_PICTURES = 4  # that tell its size and brightness
-CAMERA_PICTURES = 12
-REST_PICTURES = 4
-WORDS = {"ok": "go", "warn": "warn", "fail": "no-go"}
-STYLE = {"ok": "green", "warn": "yellow", "fail": "red"}
+Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
+RESOURCES, FILES = "disk and time", "files"
+SHOWN = (RESOURCES, FILES)  # whose rows are printed even where all is well
+WORDS: dict[Verdict, str] = {"ok": "go", "warn": "warn", "fail": "no-go"}
+STYLE: dict[Verdict, str] = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
 def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_file: Path | None) -> bool:
@@ -49,115 +43,97 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
         Whether it is a go.
     """
     begin = time.monotonic()
-    with talk.progress("checking") as progress:
-        rows = field_rows(config, scene_dir, run_dir, progress)
-    verdicts = [row.verdict for row in rows]
-    go = "fail" not in verdicts
-    for row in rows:
-        talk.say(f"{WORDS[row.verdict]:>6}  {describe(row)}", style=STYLE[row.verdict])
-    warnings = verdicts.count("warn")
-    word = (
-        "NO-GO: film again what is red"
-        if not go
-        else "GO" + (f", with {warnings} warnings" if warnings else "")
-    )
+    if config.kind == "dataset":
+        sections = {FILES: [note("data set", "can be read; there are no raw files to look at")]}
+    else:
+        with talk.progress("checking") as progress:
+            sections = look_at_capture(config, scene_dir, run_dir, progress)
     seconds = time.monotonic() - begin
+    for title, rows in sections.items():
+        worst = _worst(rows)
+        talk.say(f"{WORDS[worst]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[worst])
+        for row in rows:
+            shown = row.verdict != "ok" or title in SHOWN
+            (talk.say if shown else talk.detail)(f"    {WORDS[row.verdict]:>6}  {describe(row)}")
+    verdicts = [row.verdict for rows in sections.values() for row in rows]
+    go = "fail" not in verdicts
+    warnings = f", with {_number(verdicts.count('warn'), 'warning')}" if "warn" in verdicts else ""
+    word = f"GO{warnings}" if go else "NO-GO: mend what is marked so and check again"
     talk.say(
         f"{word} ({duration(seconds)} for a few pictures of each clip; `run` looks at all)", style="bold"
     )
     if json_file is not None:
-        content = {"go": go, "seconds": round(seconds, 1), "rows": [row.as_dict() for row in rows]}
+        found = [{"about": title, **row.as_dict()} for title, rows in sections.items() for row in rows]
+        content = {"go": go, "seconds": round(seconds, 1), "rows": found}
         json_file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     return go
 
 
-def field_rows(config: SceneConfig, scene_dir: Path, run_dir: Path, progress: Progress) -> list[HealthRow]:
+def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progress: Progress) -> Sections:
     """All rows of a scene made of raw files."""
     session = capture_session(config, scene_dir)
-    rows: list[HealthRow] = []
+    sections: Sections = {}
     planned: dict[str, CameraFrames] = {}
     looks: dict[str, Look] = {}
     sweep: list[Features] = []
     if session.static is not None:
-        progress(0.0, "the sweep")
-        looks[SWEEP], planned[SWEEP], sweep, found = _sweep(session.static, progress)
-        rows += [*ingest.health(FrameSet({SWEEP: planned[SWEEP]})), *found]
+        seen = see_sweep(session.static, part(progress, 0.0, 0.5))
+        looks[SWEEP], planned[SWEEP], sweep = seen.look, seen.planned, seen.features
+        sections["sweep"] = [*ingest.health(FrameSet({SWEEP: seen.planned})), *seen.rows]
     sounds: dict[str, Sound] = {}
-    fixed: list[HealthRow] = []
+    moving: dict[str, CameraFrames] = {}
     for n, (name, path) in enumerate(session.cameras.items()):
-        progress(0.5 + 0.3 * n / len(session.cameras), name)
-        looks[name] = look_at_clip(path, CAMERA_PICTURES)
+        progress(0.5 + 0.25 * n / len(session.cameras), name)
+        looks[name] = look_at_clip(path, CLIP_PICTURES)
         sound = _sound(path)
         if sound is not None:
             sounds[name] = sound
         role = "test" if name in session.test_names else "camera"
-        planned[name] = planned_frames(looks[name], role, path.name, sound)
-        fixed += _camera(name, looks[name], session, sweep)
-    moving = {name: frames for name, frames in planned.items() if name != SWEEP}
+        moving[name] = planned_frames(looks[name], role, path.name, sound)
+        sections[name] = camera_rows(name, looks[name], session, sweep)
     if moving:
-        rows += [*ingest.health(FrameSet(moving)), *fixed]
-        progress(0.8, "clocks")
-        rows += clock_rows(config, session, moving, sounds)
-    progress(0.95, "disk and time")
-    return [
-        *rows,
-        *estimate_rows(config, run_dir, planned, looks, shutil.disk_usage(_existing(run_dir)).free),
+        sections["all cameras"] = ingest.health(FrameSet(moving))
+        progress(0.75, "clocks")
+        sections["clocks"] = clock_rows(config, session, moving, sounds)
+    spec = board_spec(config)
+    if spec is not None:
+        sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
+    sections["scale"] = _scale(config)
+    sections[FILES] = _left_out(session, scene_dir)
+    progress(0.95, RESOURCES)
+    free = shutil.disk_usage(_existing(run_dir)).free
+    sections[RESOURCES] = estimate_rows(config, run_dir, {**planned, **moving}, looks, free)
+    return {title: rows for title, rows in sections.items() if rows}
+
+
+def _scale(config: SceneConfig) -> list[HealthRow]:
+    """A warning where nothing that was told gives metres, while the crew still has a ruler at the scene."""
+    board, rig = config.capture and config.capture.board, config.calibration.rig
+    if (board and board.metric) or rig.known_distance_m is not None or rig.given is not None:
+        return []
+    return scale_rows([], ARBITRARY, unmeasured_board=board is not None)
+
+
+def _left_out(session: CaptureSession, scene_dir: Path) -> list[HealthRow]:
+    """Clips beside scene.yaml that it does not name: a camera that was forgotten, or one that `init` could not use."""
+    used = {file.resolve() for file in session.files()}
+    clips = [
+        clip.relative_to(scene_dir) for clip in find_material(scene_dir).clips if clip.resolve() not in used
     ]
-
-
-def _sweep(path: Path, progress: Progress) -> tuple[Look, CameraFrames, list[Features], list[HealthRow]]:
-    """The sweep: what ingest will use of it, features of some pictures, and rows."""
-    look = look_at_photos(path, SIZE_PICTURES) if path.is_dir() else look_at_clip(path, SIZE_PICTURES)
-    used = sweep_pictures(look)
-    chosen = used[np.unique(np.linspace(0, len(used) - 1, SWEEP_PICTURES).round().astype(int))]
-    length = min(SHARP_OF, int(np.diff(chosen).min(initial=look.count)))  # runs that do not overlap
-    photos = list_pictures(path) if path.is_dir() else []
-
-    def read(indices: Sequence[int]) -> Iterator[list[Picture]]:
-        if photos:
-            yield from ([small(read_picture(photos[n])[:, :, :3])] for n in indices)
-        else:
-            starts = [float(look.times_s[n]) for n in indices]
-            for run in read_runs(path, look.times_s, starts, length):
-                yield [small(frame.rgb) for frame in run]
-
-    found: list[Features] = []
-    sharp: list[float] = []
-    kept: list[int] = []
-    for n, (index, pictures) in enumerate(zip(chosen.tolist(), read(chosen.tolist()), strict=True)):
-        progress(0.4 * n / len(chosen), "the sweep")
-        if pictures:
-            sharpest = max(pictures, key=_sharpness)
-            sharp.append(_sharpness(sharpest))
-            found.append(features(sharpest))
-            kept.append(index)
-
-    def between(n: int) -> Picture | None:
-        inside = used[(used > kept[n]) & (used < kept[n + 1])]
-        pictures = next(read([int(inside[len(inside) // 2])])) if len(inside) else []
-        return pictures[0] if pictures else None
-
-    progress(0.4, "overlap of the sweep")
-    glance = glance_at_sweep(found, between)
-    where = [_place(look, index) for index in kept]
     return (
-        look,
-        planned_frames(look, "sweep", path.name, sharpness=sharp),
-        found,
-        check_rows.sweep_rows(glance, where),
+        [note("clips in this folder that scene.yaml does not use", ", ".join(map(str, clips)))]
+        if clips
+        else []
     )
 
 
-def _camera(name: str, look: Look, session: CaptureSession, sweep: list[Features]) -> list[HealthRow]:
-    steady = steadiness(look.greys)
-    rest: list[Picture] = []
-    if session.rest != "none":
-        starts = spread_starts(look.times_s, 2, REST_PICTURES)
-        at = starts[0] if session.rest == "start" else starts[-1]
-        rest = [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], REST_PICTURES))]
-    at_rest = features(rest[0]) if rest else features(look.pictures[0])
-    glance = glance_at_fixed(look.pictures, rest, at_rest, sweep)
-    return check_rows.camera_rows(name, glance, steady, look.black, session.rest, has_sweep=bool(sweep))
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}" + ("s" if count != 1 else "")
+
+
+def _worst(rows: list[HealthRow]) -> Verdict:
+    verdicts = [row.verdict for row in rows]
+    return "fail" if "fail" in verdicts else "warn" if "warn" in verdicts else "ok"
 
 
 def _sound(path: Path) -> Sound | None:
@@ -166,14 +142,6 @@ def _sound(path: Path) -> Sound | None:
     except DevrfError:
         return None  # preflight has said what is wrong with it, or the stage will
     return None if sound is None or sound.silent else sound
-
-
-def _sharpness(picture: Picture) -> float:
-    return sharpness(grey_small(picture))
-
-
-def _place(look: Look, index: int) -> str:
-    return f"{look.times_s[index]:.1f} s" if look.is_clip else f"photo {index + 1}"
 
 
 def _existing(path: Path) -> Path:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from devrf.capture.frames import SWEEP, CameraFrames
-from devrf.capture.pictures import write_picture
+from devrf.capture.pictures import list_pictures, write_picture
 from devrf.capture.survey import Look, Picture
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, row
 
 FLOW_BYTES = 2.5  # per pixel of a moving picture: the bound that stage flow keeps
 MODELS_GB = 0.1  # models, films, report: the example's are 0.03
@@ -64,24 +64,33 @@ def disk_gb(planned: Mapping[str, CameraFrames], looks: Mapping[str, Look]) -> f
             picture = look.pictures[len(look.pictures) // 2]
             total += count * _stored_bytes(picture) * pixels / (picture.shape[0] * picture.shape[1])
         else:
-            total += sum(photo.stat().st_size for photo in look.path.iterdir() if photo.is_file())
+            total += sum(photo.stat().st_size for photo in list_pictures(look.path))
         if name != SWEEP:
             total += FLOW_BYTES * count * pixels
     return total / GB + MODELS_GB
 
 
 def time_rows(config: SceneConfig, planned: Mapping[str, CameraFrames]) -> list[HealthRow]:
-    """How long a run takes without a GPU, in words, and against the budget."""
-    calibration_s = calibration_seconds(config, planned)
-    training_s = TRAINING_S.get(config.preset)
-    source = f"by rates of the example on two CPU cores, good to a factor of {UNSURE}; no GPU was measured"
-    if training_s is None:
-        words = f"{duration(calibration_s)} until flow; training by {config.preset} was not measured"
-        return [note("time of a run", f"{words}; {source}")]
-    minutes = (calibration_s + training_s) / 60
-    check = f"time of a run: {duration(calibration_s)} until flow, then {duration(training_s)}; {source}"
-    remedy = "Use a faster preset or a GPU, or give it more time (budget.time_minutes)."
-    return [row(check, minutes, "min", warn=config.budget.time_minutes, low_is_bad=False, remedy=remedy)]
+    """How long a run takes without a GPU, against the budget."""
+    seconds = calibration_seconds(config, planned)
+    words = f"{duration(seconds)} to optical flow"
+    if config.kind == "cameras":
+        words += ", where it ends without a sweep"
+    elif config.preset in TRAINING_S:
+        seconds += TRAINING_S[config.preset]
+        words += f", {duration(TRAINING_S[config.preset])} to train, measure and film"
+    else:
+        words += f", and training, which was not measured with {config.preset}"
+    return [
+        row(
+            f"time of a run on two CPU cores, to a factor of {UNSURE} ({words})",
+            seconds / 60,
+            "min",
+            warn=config.budget.time_minutes,
+            low_is_bad=False,
+            remedy="Use a faster preset or a GPU, or give it more time (budget.time_minutes).",
+        )
+    ]
 
 
 def calibration_seconds(config: SceneConfig, planned: Mapping[str, CameraFrames]) -> float:

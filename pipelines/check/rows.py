@@ -8,6 +8,7 @@ from devrf.calibration.field.fixed import FixedGlance
 from devrf.calibration.field.steady import STANDS, Steadiness
 from devrf.calibration.field.sweep import ENOUGH, SweepGlance
 from devrf.capture.session import Rest
+from devrf.capture.stillness import AT_REST
 from devrf.pipelines.health.rows import HealthRow, note, row
 
 LISTED = 4  # places named in a message
@@ -20,17 +21,19 @@ SWEEP_BALANCE = 0.25
 FIXED_STOPS, FIXED_BALANCE = 0.1, 0.03
 SUBJECT_WARN = 0.002  # of the picture in which something moves: 0.002 are 25 x 25 of 640 x 480 pixels
 SHARED_WARN, SHARED_FAIL = 100.0, 12.0  # features; stage rig finds about as many points, and refuses below 30
-REST_SHARE = 0.005  # of the picture: more changes from picture to picture where something moves
 AGREES = 0.85  # of the subject's matches, against those beside it
 
 
-def sweep_rows(glance: SweepGlance, where: Sequence[str]) -> list[HealthRow]:
+def sweep_rows(glance: SweepGlance, steady: Steadiness, black: bool, where: Sequence[str]) -> list[HealthRow]:
     """Rows about a sweep; `where` names its pictures."""
+    if black:
+        return [_black("the sweep")]
     breaks = [f"{where[n]} to {where[n + 1]}" for n in glance.breaks]
     more = " ..." if len(breaks) > LISTED else ""
     light = glance.light_stops[np.isfinite(glance.light_stops).all(axis=1)]
     against_green = light[:, [0, 2]] - light[:, 1:2]
     return [
+        _walks(steady),
         row(
             "neighbouring pictures of the sweep that overlap",
             glance.linked,
@@ -77,16 +80,9 @@ def sweep_rows(glance: SweepGlance, where: Sequence[str]) -> list[HealthRow]:
 def camera_rows(
     name: str, glance: FixedGlance, steady: Steadiness, black: bool, rest: Rest, *, has_sweep: bool
 ) -> list[HealthRow]:
-    """Rows about one fixed camera."""
+    """Rows about one fixed camera; what is at rest is compared with a sweep."""
     if black:
-        return [
-            note(
-                f"picture of {name}",
-                "black",
-                verdict="fail",
-                remedy=f"{name} filmed nothing: take its lens cap off.",
-            )
-        ]
+        return [_black(name)]
     rows = [_stands(name, steady)]
     rows.append(
         row(
@@ -99,7 +95,7 @@ def camera_rows(
     )
     if steady.stands is not False:
         rows += _light(name, glance)
-        if rest != "none":
+        if has_sweep and rest != "none":
             rows += _rest(name, glance, rest)
     if has_sweep:
         rows.append(
@@ -113,6 +109,23 @@ def camera_rows(
             )
         )
     return rows
+
+
+def _black(name: str) -> HealthRow:
+    return note(
+        f"picture of {name}",
+        "black",
+        verdict="fail",
+        remedy="Nothing was filmed: take the lens cap off, make light.",
+    )
+
+
+def _walks(steady: Steadiness) -> HealthRow:
+    check = "movement of the sweep's camera"
+    if steady.stands:
+        remedy = "Walk around the scene with the camera; pictures from one place show no depth."
+        return note(check, "its background stands still", verdict="fail", remedy=remedy)
+    return note(check, "too little texture to tell" if steady.stands is None else "moves")
 
 
 def _stands(name: str, steady: Steadiness) -> HealthRow:
@@ -153,7 +166,7 @@ def _rest(name: str, glance: FixedGlance, rest: Rest) -> list[HealthRow]:
             f"share of {name}'s picture that moves at the {rest}",
             glance.rest_share,
             "",
-            warn=REST_SHARE,
+            warn=AT_REST,
             low_is_bad=False,
             remedy=f"The scene is not at rest at the {rest} of {name}'s clip: start the cameras before the action, or "
             "set capture.rest to when it is.",

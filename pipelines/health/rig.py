@@ -290,8 +290,8 @@ def bump_row(name: str, bump: Bump | None) -> HealthRow:
     )
 
 
-def scale_rows(found: list[Scale], used: Scale) -> list[HealthRow]:
-    """What says how long a unit is, and whether several measures agree."""
+def scale_rows(found: list[Scale], used: Scale, unmeasured_board: bool = False) -> list[HealthRow]:
+    """What says how long a unit is, and whether several measures agree; a board may lack no more than a ruler."""
     rows: list[HealthRow] = []
     for n, one in enumerate(found):
         for other in found[n + 1 :]:
@@ -308,8 +308,13 @@ def scale_rows(found: list[Scale], used: Scale) -> list[HealthRow]:
     if used.metric:
         std = "" if used.std is None else f", +- {100 * used.std:.2f} %"
         return [*rows, note("scale", f"metres: {used.source}{std}")]
+    board = (
+        "measure a square of the board, put it into capture.board.square_m (and marker_m) and remove metric: false"
+        if unmeasured_board
+        else "let a board stand in the scene during the sweep (capture.board)"
+    )
     remedy = (
-        "Lengths are not metres: let a board stand in the scene during the sweep (capture.board), or give "
-        "calibration.rig.known_distance_m, or calibration.rig.given_unit of a given calibration."
+        f"Lengths are not metres: {board}, or give calibration.rig.known_distance_m, or calibration.rig.given_unit of "
+        "a given calibration."
     )
     return [*rows, note("scale", ARBITRARY.source, verdict="warn", remedy=remedy)]

@@ -5,10 +5,10 @@ What the two disagree about is said. Nothing is decided by a file of truth or by
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from devrf.calibration.boards.guess import BoardGuess, board_pictures, guess_board
+from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, guess_board
 from devrf.calibration.field.steady import Steadiness, steadiness
 from devrf.capture.session import Rest
 from devrf.capture.survey import Look
@@ -23,10 +23,16 @@ WORDS: dict[str, tuple[str, ...]] = {  # what crews call things; the first that 
     "test": ("witness", "test", "holdout", "heldout", "eval"),
     "camera": ("cam", "gopro", "view", "phone", "left", "right"),
 }
+BY_NAME = {  # what no content tells; role -> why it is not used
+    "white": "a white sheet by its name; to even out a lens, put CAMERA: FILE into capture.white",
+    "chart": "a colour chart by its name; to match colours, put CAMERA: FILE into calibration.colour.chart",
+    "matte": "mattes by their name; to use them, name the folder in capture.mattes",
+}
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one
 BOARD_SHARE = 0.5  # of a clip's pictures that show a board: it was filmed for the board
-TRIAL_PICTURES = 4  # of each clip in which a board of unknown kind is looked for
-MOST_TRIALS = 24  # pictures; looking for every kind of marker takes long
+AS_LONG = 1.5  # clips of several cameras that filmed one thing; people start and stop them one by one
+MOST_TRIALS = 24  # pictures in which a board of unknown kind is looked for; each takes a second
+BOARD_TRIALS, STILL_TRIALS = 4, 2  # of them of each clip called a board clip, and of each camera that stands
 
 
 @dataclass(frozen=True)
@@ -44,9 +50,14 @@ class Seen:
         return called(self.name)
 
     @property
+    def called_board(self) -> bool:
+        """Whether its name says that it shows a board; of photos any part of it, `intrinsics/cam0` holds no clip."""
+        return self.called == "board" or (not self.look.is_clip and "board" in roles_called(self.name))
+
+    @property
     def moves(self) -> bool:
-        """Whether it was filmed or photographed on the way."""
-        return self.steady.stands is False or not self.look.is_clip
+        """Whether it was filmed or photographed on the way; photos are unless their background says no."""
+        return self.steady.stands is False or (not self.look.is_clip and self.steady.stands is None)
 
 
 @dataclass
@@ -61,6 +72,7 @@ class Roles:
         why: File -> what it was taken for, and why.
         doubts: Contradictions and what is missing, one sentence each.
         unused: File -> why it is not used.
+        faulty: File -> what is wrong with it, so that it cannot be used as it is.
     """
 
     sweep: Seen | None = None
@@ -72,6 +84,7 @@ class Roles:
     why: dict[str, str] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
     unused: dict[str, str] = field(default_factory=dict)
+    faulty: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -82,36 +95,50 @@ class Found:
         roles: What is what.
         rest: When the moving clips show the scene as in the sweep.
         timestamps: A table of true times, relative to the folder; None without one.
+        given: A calibration that places the cameras where nothing else does, relative to the folder; None without one.
         has_gpu: Whether an NVIDIA GPU is there.
     """
 
     roles: Roles
     rest: Rest
     timestamps: str | None
+    given: str | None
     has_gpu: bool
 
 
 def called(name: str) -> str:
-    """The role that a name tells, by its last part first: `room/cam0.mp4` is a camera."""
+    """The role that a name tells: `room/cam0.mp4` is a camera; empty where it tells none."""
+    return next(iter(roles_called(name)), "")
+
+
+def roles_called(name: str) -> list[str]:
+    """The roles that the parts of a name tell, the last part's first."""
+    roles = []
     for part in reversed(_without_suffix(name.lower()).split("/")):
-        for role, words in WORDS.items():
-            if any(token.startswith(words) for token in re.findall(r"[a-z]+", part)):
-                return role
-    return ""
+        tokens = re.findall(r"[a-z]+", part)
+        roles += [r for r, words in WORDS.items() if any(t.startswith(words) for t in tokens)][:1]
+    return roles
 
 
 def see(looks: Sequence[Look], root: Path) -> tuple[list[Seen], BoardGuess | None]:
-    """Look for a board and for movement in all clips and folders."""
-    names = [_relative(look.path, root) for look in looks]
-    likely = sorted(range(len(looks)), key=lambda n: called(names[n]) != "board")
-    trial = [grey for n in likely for grey in _some(looks[n].greys)][:MOST_TRIALS]
-    board = guess_board(trial)
-    seen = []
-    for look, name in zip(looks, names, strict=True):
-        greys = look.greys
-        share = board_pictures(greys, board) / len(greys) if board is not None and greys else 0.0
-        seen.append(Seen(look, name, steadiness(greys), share))
-    return seen, board
+    """Look for movement and for a board in all clips and folders."""
+    seen = [Seen(look, _relative(look.path, root), steadiness(look.greys), 0.0) for look in looks]
+    board = guess_board(_trials(seen))
+    if board is None:
+        return seen, None
+    return [
+        replace(s, board_share=board_pictures(s.look.greys, board) / max(1, len(s.look.greys))) for s in seen
+    ], board
+
+
+def _trials(seen: Sequence[Seen]) -> list[Grey]:
+    """Pictures that tell which board it is: of board clips first, then of a sweep, which passes a board but once."""
+    called = [grey for s in seen if s.called_board for grey in _some(s.look.greys, BOARD_TRIALS)]
+    swept = [grey for s in seen if not s.called_board and s.moves for grey in s.look.greys]
+    fixed = [
+        grey for s in seen if not s.called_board and not s.moves for grey in _some(s.look.greys, STILL_TRIALS)
+    ]
+    return [*called, *swept, *fixed][:MOST_TRIALS]
 
 
 def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
@@ -119,18 +146,22 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
     roles = Roles(board=board)
     standing, moving, boards = [], [], []
     for s in seen:
-        reason = _useless(s)
-        if reason is not None:
-            roles.unused[s.name] = reason
+        fault = _fault(s)
+        if fault is not None:
+            roles.faulty[s.name] = fault
         elif _is_board_clip(s, seen, roles):
             boards.append(s)
-        elif s.called == "board":
-            roles.unused[s.name] = (
+        elif s.called_board:
+            roles.faulty[s.name] = (
                 f"called a board clip, but no board is seen in {len(s.look.pictures)} pictures of it: "
                 "film the board larger, sharp and without glare, or rename the clip"
             )
         elif s.moves:
             moving.append(s)
+        elif not s.look.is_clip:
+            roles.faulty[s.name] = (
+                "photos whose background stands still: a sweep is photographed walking around the scene"
+            )
         else:
             standing.append(s)
     _sweep(moving, standing, roles)
@@ -139,9 +170,7 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
     return roles
 
 
-def _useless(s: Seen) -> str | None:
-    if s.called in ("white", "chart", "matte"):
-        return f"a {s.called} picture or clip by its name; name it in scene.yaml by hand where you need it"
+def _fault(s: Seen) -> str | None:
     if not s.look.pictures:
         return "no picture of it decodes; copy it from the camera again"
     if s.look.black:
@@ -154,9 +183,13 @@ def _useless(s: Seen) -> str | None:
 def _is_board_clip(s: Seen, seen: Sequence[Seen], roles: Roles) -> bool:
     if s.board_share == 0:
         return False
-    if s.called == "board":
+    if s.called_board:
         return True
-    if s.called or s.board_share < BOARD_SHARE:
+    if s.board_share < BOARD_SHARE:
+        return False
+    if not s.look.is_clip:
+        return s.steady.stands is True
+    if s.called:
         return False  # a board that lies in the scene, or moving clips that are joint clips too
     others = [o for o in seen if o is not s and o.moves == s.moves and o.board_share < BOARD_SHARE]
     if others:
@@ -179,13 +212,18 @@ def _sweep(moving: list[Seen], standing: list[Seen], roles: Roles) -> None:
             roles.why[s.name] = f"the sweep: {what}" + (
                 ", and so it is called" if s.called == "sweep" else ""
             )
+            if not s.look.is_clip and s.board_share >= BOARD_SHARE:
+                roles.doubts.append(
+                    f"{s.name}: the board is in {100 * s.board_share:.0f} % of its photos. If they were taken for the "
+                    "board, they are no sweep: photograph the scene at rest, walking around it"
+                )
             if s.called in ("camera", "test"):
                 roles.doubts.append(
                     f"{s.name}: called a fixed camera, but its picture moves; taken as the sweep. If it is no sweep, "
                     "put the camera on a tripod and film again"
                 )
         elif s.called in ("camera", "test"):
-            roles.unused[s.name] = (
+            roles.faulty[s.name] = (
                 "called a fixed camera, but its picture moves: put it on a tripod and film again"
             )
         else:
@@ -193,12 +231,12 @@ def _sweep(moving: list[Seen], standing: list[Seen], roles: Roles) -> None:
                 f"a second sweep; {wanted[0].name} is used. Swap them in scene.yaml if this is better"
             )
     for s in [s for s in standing if s.called == "sweep"]:
-        roles.unused[s.name] = "called a sweep, but the camera stands: walk around the scene with it"
+        roles.faulty[s.name] = "called a sweep, but the camera stands: walk around the scene with it"
         standing.remove(s)
     if roles.sweep is None:
         roles.doubts.append(
             "no sweep: no clip in which the camera moves, and no folder of photos. Film the scene at rest with one "
-            "moving camera, walking around it"
+            "moving camera, walking around it; without one, `run --until flow` is all that can be done"
         )
 
 
@@ -217,10 +255,10 @@ def _cameras(standing: list[Seen], roles: Roles) -> None:
 
 def _boards(boards: list[Seen], roles: Roles) -> None:
     cameras = {**roles.cameras, **roles.tests}
-    if roles.sweep is None:
-        for name, s in cameras.items():
-            if s.board_share > 0:
-                roles.joint[name] = s
+    if roles.sweep is None and cameras and all(s.board_share > 0 for s in cameras.values()):
+        roles.joint |= cameras
+        for s in cameras.values():
+            roles.why[s.name] += f"; the board is in {100 * s.board_share:.0f} % of its pictures"
     owners = {"static": roles.sweep} if roles.sweep is not None else {}
     owners |= cameras
     left = []
@@ -235,13 +273,21 @@ def _boards(boards: list[Seen], roles: Roles) -> None:
         if len(free) == 1:
             _give_board(s, free[0], "the only camera of this size without one", roles)
         else:
-            fits = f"fits {', '.join(free)}" if free else "has the size of no camera that lacks one"
+            fits = f"fits {', '.join(free)}" if free else "fits none that lacks one"
             roles.unused[s.name] = (
                 f"a board clip, but of which camera? It {fits}; put CAMERA: {s.name} into capture.board.clips"
             )
-    if roles.sweep is None and len(roles.boards) > 1:  # the rig must come from them
-        roles.joint |= {name: s for name, s in roles.boards.items() if name not in roles.joint}
-        roles.boards = {}
+    if roles.sweep is None and not roles.joint and _filmed_at_once(roles.boards, cameras):
+        roles.doubts.append(
+            "the board clips are taken as filmed at once: without a sweep only they tell the cameras' places"
+        )
+        roles.joint, roles.boards = roles.boards, {}
+
+
+def _filmed_at_once(boards: dict[str, Seen], cameras: dict[str, Seen]) -> bool:
+    """Whether every camera has a board clip, and all are about as long."""
+    lengths = [s.look.duration_s or 0.0 for s in boards.values()]
+    return len(lengths) > 1 and set(boards) == set(cameras) and 0 < max(lengths) <= AS_LONG * min(lengths)
 
 
 def _give_board(s: Seen, owner: str, how: str, roles: Roles) -> None:
@@ -302,6 +348,6 @@ def _relative(path: Path, root: Path) -> str:
     return path.relative_to(root).as_posix()
 
 
-def _some(items: list) -> list:
-    step = max(1, len(items) // TRIAL_PICTURES)
-    return items[step // 2 :: step][:TRIAL_PICTURES]
+def _some(items: list[Grey], count: int) -> list[Grey]:
+    step = max(1, len(items) // count)
+    return items[step // 2 :: step][:count]

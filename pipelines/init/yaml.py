@@ -40,7 +40,10 @@ def scene_yaml(name: str, found: Found) -> str:
         )
     if roles.board is not None:
         lines += _board(roles.board.spec, roles.boards, roles.joint)
-    for file, reason in roles.unused.items():
+    if found.given is not None:
+        lines.append("calibration:")
+        lines.append(f"  rig: {{given: {_text(found.given)}}}   # {roles.why[found.given]}")
+    for file, reason in {**roles.faulty, **roles.unused}.items():
         lines.append(f"# not used: {file}: {reason}".replace("\n", " "))
     return "\n".join(lines) + "\n"
 

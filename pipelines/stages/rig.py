@@ -1,6 +1,5 @@
 """Stage `rig`: the fixed cameras in one world with the sweep, their doubts, and the length of a unit."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 
@@ -24,6 +23,7 @@ from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import FrameSet
+from devrf.capture.progress import Progress, part
 from devrf.pipelines.board_clips import BoardClips, files_of
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.given_calibration import given_calibration
@@ -57,7 +57,8 @@ def run(context: StageContext) -> None:
     write_rig(context.out / "rig.json", replace(rig, cameras=cameras))
     for name, calibration in job.boards.items():
         context.health.extend(board_rows(name, calibration))
-    context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale)])
+    unmeasured_board = job.spec is not None and not job.board_is_measured
+    context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale, unmeasured_board)])
 
 
 class _Job:
@@ -133,8 +134,8 @@ class _Job:
         context = self.context
         model = read_static_poses(self.sweep_folder)
         given = {} if self.given is None else self.given.intrinsics
-        known = self._clip_calibrations(_part(context.progress, 0.0, 0.3)) | given
-        swept = self._register(model, known, _part(context.progress, 0.3, 0.6))
+        known = self._clip_calibrations(part(context.progress, 0.0, 0.3)) | given
+        swept = self._register(model, known, part(context.progress, 0.3, 0.6))
         cameras = {
             n: replace(c, intrinsics_source="given") if n in given else c for n, c in swept.cameras.items()
         }
@@ -145,7 +146,7 @@ class _Job:
         joint = [name for name in cameras if name in self.frames.joint]
         graph = camera_graph(swept.solution.problem, swept.index)
         if self.spec is not None and len(joint) >= MIN_CAMERAS:
-            together = self._together(swept, cameras, joint, _part(context.progress, 0.7, 0.3))
+            together = self._together(swept, cameras, joint, part(context.progress, 0.7, 0.3))
             if together is not None:
                 cameras, graph = together
         if not self.scales and (gps := scale_from_gps(model)) is not None:
@@ -177,7 +178,7 @@ class _Job:
         swept: SweepRig,
         cameras: dict[str, RigCamera],
         names: list[str],
-        progress: Callable[[float, str], None],
+        progress: Progress,
     ) -> tuple[dict[str, RigCamera], tuple[Link, ...]] | None:
         """Both routes compared, then one adjustment of both; None where the joint clips cannot be used."""
         try:
@@ -222,9 +223,7 @@ class _Job:
             files = [self.ingest / file for file, _ in seen]
             self.rows.append(bump_row(name, find_bump(files, [t for _, t in seen])))
 
-    def _register(
-        self, model: SweepModel, known: dict[str, Intrinsics], progress: Callable[[float, str], None]
-    ) -> SweepRig:
+    def _register(self, model: SweepModel, known: dict[str, Intrinsics], progress: Progress) -> SweepRig:
         clean = self.context.out / "clean"
         clean.mkdir()
         rest = self.context.config.capture.rest if self.context.config.capture else "none"
@@ -239,7 +238,7 @@ class _Job:
                 picture.unlink()
         return found
 
-    def _clip_calibrations(self, progress: Callable[[float, str], None]) -> dict[str, Intrinsics]:
+    def _clip_calibrations(self, progress: Progress) -> dict[str, Intrinsics]:
         """Intrinsics from each camera's own board clip, else from its joint clip where that shows enough."""
         if self.clips is None:
             return {}
@@ -248,15 +247,13 @@ class _Job:
             entry = own or joint
             if entry is None:
                 continue
-            step = _part(progress, n / len(self.moving), 1 / len(self.moving))
+            step = part(progress, n / len(self.moving), 1 / len(self.moving))
             clip = self.clips.search(name, entry, progress=step, required=own is not None)
             if own is not None or len(clip.views) >= MIN_VIEWS:
                 self.boards[name] = clip.calibration
         return {name: board.intrinsics for name, board in self.boards.items()}
 
-    def _board_rig(
-        self, names: list[str], progress: Callable[[float, str], None]
-    ) -> tuple[JointViews, BoardRig]:
+    def _board_rig(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
         """Cameras from the joint clips, with clocks applied, and what they measure on views kept out of a fit."""
         assert self.clips is not None
         known = {} if self.given is None else dict(self.given.intrinsics)
@@ -265,9 +262,9 @@ class _Job:
             if name not in known and own is not None:
                 self.boards[name] = self.clips.search(name, own).calibration
                 known[name] = self.boards[name].intrinsics
-        seen = read_joint_views(self.clips, names, known, _part(progress, 0.0, 0.7))
+        seen = read_joint_views(self.clips, names, known, part(progress, 0.0, 0.7))
         self.boards = seen.own | self.boards
-        found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, _part(progress, 0.7, 0.2))
+        found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, part(progress, 0.7, 0.2))
         progress(0.9, "held-out lengths")
         measured = self.board_is_measured  # without a measured square there are no millimetres to check
         check = cross_check(seen.views, seen.spec, seen.start, seen.known) if measured else None
@@ -358,8 +355,3 @@ def _scaled(c: RigCamera, factor: float) -> RigCamera:
         details["position_covariance"] = (np.array(details["position_covariance"]) * factor**2).tolist()
     std = None if c.position_std is None else c.position_std * factor
     return replace(c, camera=c.camera.moved(similarity_matrix), position_std=std, details=details)
-
-
-def _part(progress: Callable[[float, str], None], start: float, share: float) -> Callable[[float, str], None]:
-    """A part of a larger piece of work."""
-    return lambda fraction, message: progress(start + share * fraction, message)

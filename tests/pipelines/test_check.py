@@ -10,17 +10,20 @@ import cv2
 import numpy as np
 import pytest
 
+from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.field.fixed import FixedGlance, glance_at_fixed
 from devrf.calibration.field.matching import features
-from devrf.calibration.field.steady import steadiness
+from devrf.calibration.field.steady import Steadiness, steadiness
 from devrf.calibration.field.sweep import glance_at_sweep
 from devrf.capture.planned import planned_frames, sweep_pictures
+from devrf.capture.progress import no_progress
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import look_at_clip
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.check import rows as check_rows
+from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.estimate import estimate_rows
 from devrf.pipelines.config.scene import SceneConfig
@@ -28,6 +31,7 @@ from devrf.pipelines.health.rows import HealthRow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
 LIMIT_S = 60.0
+WALKS = Steadiness(False, np.nan, 0.0)
 
 
 def verdict(rows: list[HealthRow], check: str) -> str:
@@ -64,6 +68,9 @@ def test_the_example_is_a_go_in_a_minute(devrf: Callable, tmp_path: Path) -> Non
     assert result.code == 0, result.said
     found = json.loads((tmp_path / "rows.json").read_text())
     assert found["go"] and {row["verdict"] for row in found["rows"]} == {"ok"}
+    assert {"sweep", "cam0", "witness", "all cameras", "clocks", "board"} < {
+        row["about"] for row in found["rows"]
+    }
     assert found["seconds"] <= LIMIT_S
     assert not (tmp_path / "run").exists()
     assert "GO" in result.out
@@ -121,15 +128,30 @@ def test_a_damaged_clip_gives_what_decodes(tmp_path: Path, textures: Callable) -
 def test_a_walk_shows_depth_and_a_turn_does_not(textures: Callable) -> None:
     room, posters = textures(0), textures(1)
     walk = [features(view(room, posters, 6.0 * n)) for n in range(10)]
-    rows = check_rows.sweep_rows(glance_at_sweep(walk, lambda n: None), [str(n) for n in range(10)])
+    rows = check_rows.sweep_rows(
+        glance_at_sweep(walk, lambda n: None), WALKS, False, [str(n) for n in range(10)]
+    )
     assert (
         verdict(rows, "overlap") == "ok"
         and verdict(rows, "depth") == "ok"
         and verdict(rows, "exposure") == "ok"
     )
     turn = [features(turned(room, 3.0 * n - 15)) for n in range(10)]
-    rows = check_rows.sweep_rows(glance_at_sweep(turn, lambda n: None), [str(n) for n in range(10)])
+    rows = check_rows.sweep_rows(
+        glance_at_sweep(turn, lambda n: None), WALKS, False, [str(n) for n in range(10)]
+    )
     assert verdict(rows, "overlap") == "ok" and verdict(rows, "depth") == "fail"
+
+
+def test_a_sweep_from_a_tripod_or_of_a_lens_cap_is_refused(textures: Callable) -> None:
+    here = view(textures(0), textures(1), 20.0)
+    glance = glance_at_sweep([features(here)] * 6, lambda n: None)
+    steady = steadiness([here[:, :, 0]] * 6)
+    rows = check_rows.sweep_rows(glance, steady, False, [str(n) for n in range(6)])
+    assert verdict(rows, "movement of the sweep's camera") == "fail" and verdict(rows, "depth") == "fail"
+    assert verdict(rows, "overlap") == "ok"
+    rows = check_rows.sweep_rows(glance, steady, True, [str(n) for n in range(6)])
+    assert [row.verdict for row in rows] == ["fail"] and "lens cap" in rows[0].remedy
 
 
 def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -> None:
@@ -138,7 +160,7 @@ def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -
     walk = [features(view(room, posters, x)) for x in places]
     open_gap = glance_at_sweep(walk, lambda n: None)
     assert open_gap.breaks == (2,)
-    rows = check_rows.sweep_rows(open_gap, [f"{n} s" for n in range(6)])
+    rows = check_rows.sweep_rows(open_gap, WALKS, False, [f"{n} s" for n in range(6)])
     assert "2 s to 3 s" in next(row.remedy for row in rows if "overlap" in row.check)
     assert open_gap.linked == pytest.approx(0.8)
     far, between = [0.0, 310.0], 155.0  # of a picture 320 wide
@@ -151,7 +173,7 @@ def test_exposure_that_changes_over_the_sweep(textures: Callable) -> None:
     room, posters = textures(0), textures(1)
     walk = [features(view(room, posters, 6.0 * n, light=1.0 if n < 5 else 0.6)) for n in range(10)]
     glance = glance_at_sweep(walk, lambda n: None)
-    rows = check_rows.sweep_rows(glance, [str(n) for n in range(10)])
+    rows = check_rows.sweep_rows(glance, WALKS, False, [str(n) for n in range(10)])
     assert verdict(rows, "exposure") == "warn"
     # sRGB levels times 0.6: light changes by 0.6 ** 2.4 to 0.6 ** 2.0 (the curve is steeper where it is dark).
     assert 2.0 * np.log2(1 / 0.6) <= np.ptp(glance.light_stops[:, 1]) <= 2.4 * np.log2(1 / 0.6)
@@ -202,6 +224,13 @@ def test_a_camera_that_moves_and_one_with_its_cap_on(textures: Callable) -> None
     assert [row.verdict for row in rows] == ["fail"] and "lens cap" in rows[0].remedy
 
 
+def test_without_a_sweep_nothing_is_asked_of_the_rest(textures: Callable) -> None:
+    still = steadiness([textures(0)[:, :, 0]] * 6)
+    glance = FixedGlance(**healthy() | {"rest_share": 0.2, "shared": None, "subject_agrees": None})
+    rows = check_rows.camera_rows("cam1", glance, still, False, "start", has_sweep=False)
+    assert {row.verdict for row in rows} == {"ok"} and not any("at the start" in row.check for row in rows)
+
+
 def test_what_a_fixed_camera_shares_with_the_sweep(textures: Callable) -> None:
     """The subject is a poster that is at its place, then away from it; sweep and camera see the rest alike."""
     room, posters = textures(0), textures(1)
@@ -218,6 +247,30 @@ def test_what_a_fixed_camera_shares_with_the_sweep(textures: Callable) -> None:
     )  # most of the picture is the same to the last level
     elsewhere = glance_at_fixed(clip, [here] * 4, features(textures(5)[:240, :320]), sweep)
     assert elsewhere.shared is not None and elsewhere.shared < check_rows.SHARED_FAIL
+
+
+# --- boards ---
+
+
+def test_a_board_clip_without_its_board_is_a_no_go(tmp_path: Path, textures: Callable) -> None:
+    """One clip shows the board in half of its pictures, one in few, one never; never is no failure of a joint clip."""
+    image = charuco_picture()
+    spec = BoardSpec("charuco", (5, 4), 0.06, 0.045, "DICT_4X4_50", False, False)
+    paths = {}
+    for name, every in (("cam0", 2), ("cam1", 6), ("cam2", 0)):
+        pictures = [image if every and n % every == 0 else textures(0)[:240, :320] for n in range(24)]
+        paths[name] = tmp_path / f"{name}.mp4"
+        write_video(paths[name], pictures, 25.0)
+    session = CaptureSession(board_clips=paths, joint_clips={"cam2": paths["cam2"]})
+    rows = board_rows(session, spec, no_progress)
+    assert [row.verdict for row in rows] == ["ok", "warn", "fail", "warn"]
+    assert "never seen in the board clip of cam2" in rows[2].remedy
+
+
+def charuco_picture() -> np.ndarray:
+    board = cv2.aruco.CharucoBoard((5, 4), 0.06, 0.045, dictionary("DICT_4X4_50"))
+    grey = cv2.copyMakeBorder(board.generateImage((250, 200)), 20, 20, 35, 35, cv2.BORDER_CONSTANT, value=255)
+    return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
 
 
 # --- clocks, disk ---

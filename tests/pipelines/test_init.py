@@ -175,14 +175,14 @@ def test_without_a_sweep_the_boards_are_joint_clips() -> None:
 def test_content_wins_over_names_and_what_contradicts_is_said() -> None:
     roles = roles_of(seen("static.mp4", MOVES), seen("cam0.mp4"), seen("cam1.mp4", MOVES))
     assert list(roles.cameras) == ["cam0"]
-    assert "its picture moves" in roles.unused["cam1.mp4"]
+    assert "its picture moves" in roles.faulty["cam1.mp4"]
     roles = roles_of(seen("static.mp4", STANDS), seen("walk1.mp4", MOVES), seen("cam0.mp4"))
     assert roles.sweep is not None and roles.sweep.name == "walk1.mp4"
-    assert "the camera stands" in roles.unused["static.mp4"]
+    assert "the camera stands" in roles.faulty["static.mp4"]
     roles = roles_of(seen("cam0.mp4", MOVES))
     assert any("called a fixed camera, but its picture moves" in text for text in roles.doubts)
     roles = roles_of(seen("static.mp4", MOVES), seen("cam0.mp4"), seen("board_cam0.mp4"))
-    assert "no board is seen" in roles.unused["board_cam0.mp4"]
+    assert "no board is seen" in roles.faulty["board_cam0.mp4"]
 
 
 def test_two_sweeps_black_clips_and_few_photos() -> None:
@@ -192,9 +192,35 @@ def test_two_sweeps_black_clips_and_few_photos() -> None:
     )  # fmt: skip
     assert roles.sweep is not None and roles.sweep.name == "walk_b.mp4"
     assert "second sweep" in roles.unused["walk_a.mp4"]
-    assert roles.unused["cam1.mp4"].startswith("black")
+    assert roles.faulty["cam1.mp4"].startswith("black")
     assert "too few for a sweep" in roles.unused["stills"]
     assert "too little to see" in roles.why["cam0.mp4"]
+
+
+def test_photos_of_a_board_are_no_sweep() -> None:
+    roles = roles_of(
+        seen("static.mp4", MOVES), seen("clips/cam1.mp4"),
+        seen("intrinsics/int_cam1_img", UNKNOWN, board=0.4, is_clip=False, count=7),
+        seen("photos", STANDS, board=0.9, is_clip=False, width=1280, height=720),
+    )  # fmt: skip
+    assert {camera: s.name for camera, s in roles.boards.items()} == {"cam1": "intrinsics/int_cam1_img"}
+    assert "of which camera" in roles.unused["photos"]
+    roles = roles_of(seen("photos", MOVES, board=0.9, is_clip=False))
+    assert roles.sweep is not None and any("taken for the board" in text for text in roles.doubts)
+    roles = roles_of(seen("static", STANDS, is_clip=False))
+    assert roles.sweep is None and "stands still" in roles.faulty["static"]
+
+
+def test_board_clips_are_joint_where_they_can_be() -> None:
+    """Without a sweep, and where every camera has one as long as the others'."""
+    cameras = [seen("cam0.mp4"), seen("cam1.mp4")]
+    boards = [seen("board_cam0.mp4", board=1.0), seen("board_cam1.mp4", board=1.0)]
+    assert list(roles_of(*cameras, *boards).joint) == ["cam0", "cam1"]
+    assert roles_of(*cameras, *boards, seen("static.mp4", MOVES)).joint == {}
+    boards[1] = seen("board_cam1.mp4", board=1.0, duration_s=9.0)  # the others: 4 s
+    assert roles_of(*cameras, *boards).joint == {}
+    one_sees_it = roles_of(seen("cam0.mp4", board=0.9), seen("cam1.mp4"))
+    assert one_sees_it.joint == {}
 
 
 def test_names_become_cameras_and_the_file_is_what_run_takes(tmp_path: Path) -> None:
@@ -202,7 +228,7 @@ def test_names_become_cameras_and_the_file_is_what_run_takes(tmp_path: Path) -> 
     files = [seen("walk/a: 1.mp4", MOVES, board=0.3), *map(seen, cameras), seen("board_x.mp4")]
     roles = guess_roles(files, GUESS)
     path = tmp_path / "scene.yaml"
-    path.write_text(scene_yaml("on", Found(roles, "end", None, False)))
+    path.write_text(scene_yaml("on", Found(roles, "end", None, None, False)))
     config = load_scene(path, check_files=False)
     assert config.name == "on" and config.capture is not None
     assert config.capture.static == "walk/a: 1.mp4" and config.capture.rest == "end"
@@ -245,7 +271,7 @@ def test_a_folder_of_nothing_is_named(
     if content == "stills":
         for n in range(3):
             cv2.imwrite(str(tmp_path / f"{n}.jpg"), textures(n))
-        says = "3 photos"
+        says = ".: 3 of the 8 photos"
     elif content == "broken":
         (tmp_path / "cam0.mp4").write_text("This is no video.\n" * 50)
         (tmp_path / "notes.txt").write_text("take 3 is good")
@@ -257,6 +283,37 @@ def test_a_folder_of_nothing_is_named(
         init(Talk("quiet"), tmp_path, None, False)
     assert says in str(error.value)
     assert not (tmp_path / "scene.yaml").exists()
+
+
+def standing_clips(folder: Path, textures: Callable[[int], np.ndarray]) -> None:
+    for n in range(2):
+        frames = [textures(n)[:240, :320].copy() for _ in range(8)]
+        for k, frame in enumerate(frames):
+            cv2.circle(frame, (60 + 20 * k, 100), 20, (250, 250, 250), -1)
+        write_video(folder / f"cam{n}.mp4", frames, 25.0)
+
+
+def test_fixed_cameras_alone_are_placed_by_a_calibration_or_refused(
+    tmp_path: Path, textures: Callable[[int], np.ndarray], capsys: pytest.CaptureFixture
+) -> None:
+    standing_clips(tmp_path, textures)
+    with pytest.raises(InputError, match="do not tell where the cameras are"):
+        init(Talk(), tmp_path, None, False)
+    assert not (tmp_path / "scene.yaml").exists()
+    said = capsys.readouterr().out
+    assert "fixed camera cam0" in said and "no sound track: cam0, cam1" in said and "no sweep" in said
+
+    table = (
+        "[cam_{0}]\nname = 'cam{0}'\nsize = [{1}, 240]\nmatrix = [[300.0, 0.0, 160.0], [0.0, 300.0, 120.0], "
+    )
+    table += "[0.0, 0.0, 1.0]]\ndistortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.{0}, 0.0]\n"
+    table += "translation = [{0}.0, 0.0, 0.0]\nfisheye = false\n"
+    (tmp_path / "Calib_other.toml").write_text(table.format(0, 400) + table.format(1, 400))
+    (tmp_path / "Calib_rig.toml").write_text(table.format(0, 320) + table.format(1, 320))
+    init(Talk(), tmp_path, None, False)
+    config = load_scene(tmp_path / "scene.yaml")
+    assert config.calibration.rig.given == "Calib_rig.toml"
+    assert "Calib_other.toml: a calibration (Pose2Sim), but" in (tmp_path / "scene.yaml").read_text()
 
 
 def test_a_data_set_is_told(tmp_path: Path) -> None:
@@ -287,4 +344,6 @@ def test_a_folder_of_photos_is_a_sweep_and_a_table_gives_times(
     assert config.capture.static == "." and list(config.capture.cameras) == ["GX010", "GX011"]
     assert config.capture.timestamps == "times.csv"
     said = capsys.readouterr().out
-    assert "no sound track: GX010, GX011" in said and "no calibration board" in said
+    assert "no calibration board" in said
+    assert "no sound track" not in said  # the table tells the times
+    assert "other.csv" not in said  # nothing says that it holds times

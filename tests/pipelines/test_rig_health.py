@@ -211,3 +211,5 @@ def test_scales_that_disagree_are_named():
     assert row.value == pytest.approx(4.0) and "measure the squares" in row.remedy
     (row,) = warned(scale_rows([], ARBITRARY))
     assert "board stand in the scene" in row.remedy
+    (row,) = warned(scale_rows([], ARBITRARY, unmeasured_board=True))
+    assert "capture.board.square_m" in row.remedy and "stand in the scene" not in row.remedy
