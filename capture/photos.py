@@ -127,9 +127,8 @@ def _put(pictures: list[Path], out: Path, name: str, raw: RawOptions, progress: 
             level = float(np.median(grey))
             yield _Photo(picture.name, photo.file, size, sharpness(grey), level, linear=photo.linear)
             continue
-        info = probe_picture(picture)
+        info, rgb = probe_picture(picture), read_picture(picture)
         file = f"frames/{name}/{copy_upright(info, out / 'frames' / name, f'{i:06d}')}"
-        rgb = read_picture(out / file)
         grey = grey_small(rgb)
         yield _Photo(
             name=picture.name,

@@ -17,7 +17,6 @@ from jaxtyping import Float, Int
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
-from devrf.capture.raw import is_raw
 from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions
 from devrf.capture.video import probe_video
 
@@ -216,10 +215,8 @@ def _check_folder(path: Path) -> list[Path]:
     broken = []
     for picture in pictures:
         try:
-            if is_raw(picture):  # developing is slow: only look whether there is something
-                check_file(picture)
-            else:
-                probe_picture(picture)
+            check_file(picture)
+            probe_picture(picture)
         except InputError as error:
             broken.append(str(error))
     if broken:

@@ -7,6 +7,7 @@ import pytest
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
+from devrf.capture.errors import CaptureError
 from devrf.capture.photo_curve import declared_gamma
 from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import write_picture
@@ -67,3 +68,17 @@ def test_photos_are_called_by_their_names(tmp_path):
     got = extract_folder(folder, tmp_path, "static", "sweep", "in")
     assert [frame.place for frame in got.frames] == [f"IMG_{n}.png" for n in (7, 8, 9, 10)]
     assert "1 of 32x20 are not (IMG_9.png)" in got.notes[-1]
+
+
+def test_a_photo_that_breaks_off_is_named(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    for name in ("a.jpg", "b.jpg"):
+        Image.fromarray(noise).save(folder / name)
+    whole = (folder / "b.jpg").read_bytes()
+    (folder / "b.jpg").write_bytes(whole[: 2 * len(whole) // 3])
+    with pytest.raises(
+        CaptureError, match="in/b.jpg: the picture does not decode; copy it from the camera again"
+    ):
+        extract_folder(folder, tmp_path, "static", "sweep", "in")

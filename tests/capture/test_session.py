@@ -67,6 +67,13 @@ def test_broken_photo_is_named(tmp_path):
     assert len(problems) == 1 and "b.jpg" in problems[0] and "not a picture" in problems[0]
 
 
+def test_raw_photos_are_looked_into(tmp_path):
+    (tmp_path / "a.dng").write_text("not a photo")
+    (tmp_path / "b.nef").touch()
+    (problem,) = preflight(CaptureSession(static=tmp_path))
+    assert "a.dng: not a RAW file that LibRaw reads" in problem and "(and 1 more)" in problem
+
+
 @pytest.mark.parametrize(
     "rows, words",
     [
