@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy import sparse
 
 from devrf.calibration.sweep.static_poses import SweepModel
-from devrf.capture.camera import Camera
+from devrf.capture.camera import Camera, distort
 
 FEWEST_OBSERVATIONS = 40  # of a picture, for a fit of 13 numbers to its residuals
 SURE_FOCAL = 0.02  # standard deviation of a picture's own focal, relative; others have no say
@@ -127,6 +127,15 @@ def principal_point_off(camera: Camera) -> float:
     """Largest distance of the principal point from the middle, over the width."""
     off = np.abs(camera.K[:2, 2] - [camera.width / 2, camera.height / 2])
     return float(off.max() / camera.width)
+
+
+def bend(camera: Camera) -> float:
+    """How far the lens moves what lies half-way to the corners outwards, over its distance from the middle."""
+    radius = 0.25 * np.hypot(camera.width, camera.height) / camera.K[0, 0]
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    x = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    there = distort(x, camera.distortion, camera.model)
+    return float((np.linalg.norm(there, axis=-1) / radius - 1).mean())
 
 
 def plane_share(model: SweepModel) -> float:

@@ -6,8 +6,11 @@ The measures come from `calibration`; here is how much is too much, and what a c
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.checks import (
+    bend,
     field_of_view_deg,
     fold,
     open_loop,
@@ -25,6 +28,10 @@ STARVED_PER_PIXEL = 1 / 250  # ... of small pictures: this many per pixel
 MOVING_SHARE = 0.1  # of a picture's textured tiles
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 EXIF_WARN, EXIF_BAD = 5.0, 15.0  # percent
+STRAIGHT, BENT = (
+    0.3,
+    1.5,
+)  # percent of distortion, half-way to the corners: of a corrected lens, of one that is not
 CROP = "; is it the 35 mm equivalent of another crop?"
 FOCAL_REMEDY = (
     "Zoom, stabilisation or a wrong EXIF focal length: film the sweep at one fixed zoom without "
@@ -55,10 +62,36 @@ def mask_rows(without: Sequence[str]) -> list[HealthRow]:
     return [note("masks", text, verdict="warn", remedy="What moves in them is matched: add their masks.")]
 
 
+def board_bend_rows(model: SweepModel, board: Intrinsics) -> list[HealthRow]:
+    """A row where only one of sweep and board was filmed with the camera's own lens correction; else none."""
+    ids, frames = _board_lenses(model), model.report["frames"]
+    seen = [c for name, c in zip(model.names, model.cameras, strict=True) if frames[name]["camera_id"] in ids]
+    if not seen:
+        return []
+    of_sweep, of_board = 100 * bend(seen[0]), 100 * bend(board.at(np.eye(3, 4)))
+    straight, bent = sorted((abs(of_sweep), abs(of_board)))
+    if straight > STRAIGHT or bent < BENT:
+        return []
+    return [
+        note(
+            "lens correction in the camera",
+            f"the sweep's pictures bend by {of_sweep:+.1f} %, the board's by {of_board:+.1f} %",
+            verdict="warn",
+            remedy="The camera corrects its lens in one mode only: switch the correction off, or film the board in the "
+            "mode of the sweep (capture.board.clips.static).",
+        )
+    ]
+
+
+def _board_lenses(model: SweepModel) -> list[int]:
+    """Cameras of the model that started from a board."""
+    starts = [s for s in model.report["start"] if s["source"] == "board"]
+    return [s["camera_id"] for s in starts if s["camera_id"] is not None]
+
+
 def board_focal_row(model: SweepModel, board: Intrinsics) -> HealthRow:
     """Whether the sweep and the board agree on the lens; not measured where no picture of that lens is in the model."""
-    ids = [s["camera_id"] for s in model.report["start"] if s["source"] == "board"]
-    focals = [model.report["cameras"][str(n)]["K"][0][0] for n in ids if n is not None]
+    focals = [model.report["cameras"][str(n)]["K"][0][0] for n in _board_lenses(model)]
     return row(
         "focal length against the board",
         100 * abs(focals[0] / board.K[0, 0] - 1) if focals else None,

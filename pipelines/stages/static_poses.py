@@ -18,7 +18,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.health.board import board_rows
-from devrf.pipelines.health.sweep import board_focal_row, mask_rows, sweep_rows
+from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, mask_rows, sweep_rows
 from devrf.pipelines.stage import StageContext
 
 
@@ -41,6 +41,7 @@ def run(context: StageContext) -> None:
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
         context.health.append(board_focal_row(model, board.intrinsics))
+        context.health.extend(board_bend_rows(model, board.intrinsics))
         context.health.extend(board_rows(SWEEP, board))
 
 

@@ -19,7 +19,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
 from devrf.pipelines.health.rows import HealthRow
-from devrf.pipelines.health.sweep import board_focal_row, loop_rows, mask_rows, sweep_rows
+from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, loop_rows, mask_rows, sweep_rows
 
 FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
 
@@ -320,6 +320,26 @@ def test_a_board_is_compared_with_its_own_device(corner):
     assert judged(2).value == 0 and judged(2).verdict == "ok"
     assert judged(1).value == pytest.approx(20) and judged(1).verdict == "fail"  # 1 / 1.25 of the board's
     assert judged(None).value is None and judged(None).verdict == "warn"
+
+
+@pytest.mark.parametrize("k1, fires", [(0.0, False), (-0.02, False), (-0.3, True)])
+def test_a_lens_corrected_in_one_mode_only_is_named(corner, k1, fires):
+    """A21: the sweep as made is straight, the board's clip is not. Half-way to the corners k1 r² = -3.3 %."""
+    start = corner.model.report["start"][0] | {"source": "board"}
+    straight = changed(
+        replace(
+            corner.model, cameras=tuple(replace(c, distortion=np.zeros(5)) for c in corner.model.cameras)
+        ),
+        start=[start],
+    )
+    board = Intrinsics(
+        *SIZE, np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]), np.array([k1, 0, 0, 0, 0])
+    )
+    rows = board_bend_rows(straight, board)
+    assert bool(rows) == fires
+    if fires:
+        assert "the board's by -3.3 %" in str(rows[0].value) and "mode" in rows[0].remedy
+    assert board_bend_rows(changed(straight, start=[start | {"camera_id": None}]), board) == []
 
 
 def test_an_open_loop_is_named():
