@@ -1,7 +1,7 @@
 """Write pictures of a clip beside the decoding of the next ones, with a bounded number in flight.
 
 Pictures are stored as JPEG of quality 95 with halved colour, as nearly all video has it: a tenth of the time of
-writing PNG and a fifth of its size. Board corners stay where they were within 0.03 px (root mean square), and against
+writing PNG and a fifth of its size. Board corners stay where they were within 0.04 px (root mean square), and against
 what was filmed the pictures are as good as the decoded ones (docs/ingest.md).
 """
 
