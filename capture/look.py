@@ -99,7 +99,7 @@ def _levels(linear: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
 
 @lru_cache(maxsize=16)  # one per camera
 def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height width"]:
-    """A flat field at the size of a picture: bilinear between the centres of its cells, even outside them.
+    """A flat field at the size of a picture: bilinear between the centres of its cells, straight on outside them.
 
     Raises:
         CaptureError: The file is not such a map.
@@ -111,8 +111,8 @@ def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height wid
     if cells.ndim != 2 or not min(cells.shape) > 1 or not np.all((cells > 0) & (cells <= 1)):
         raise CaptureError(f"{flat}: expected a map with values in (0, 1]; run again with --force colour")
     for axis, size in ((0, height), (1, width)):
-        at = np.clip((np.arange(size) + 0.5) / size * cells.shape[axis] - 0.5, 0, cells.shape[axis] - 1)
-        low = np.minimum(at.astype(int), cells.shape[axis] - 2)
+        at = (np.arange(size) + 0.5) / size * cells.shape[axis] - 0.5
+        low = np.clip(at.astype(int), 0, cells.shape[axis] - 2)
         share = (at - low).reshape((-1, 1) if axis == 0 else (1, -1))
         cells = (1 - share) * cells.take(low, axis) + share * cells.take(low + 1, axis)
     return cells.astype(np.float32)

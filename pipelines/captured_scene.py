@@ -53,8 +53,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
-    if frames.moving:
-        static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
+    static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if model is None else _points(model, factor)
     mattes = scene_mattes(

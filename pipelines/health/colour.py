@@ -42,7 +42,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
             return note(
                 f"colours of {name}", f"corrected by {WORDS.get(camera.kind, 'nothing')} from {camera.source}"
             )
-        text = "not compared: it shares too few surface points with cameras of known look"
+        text = "not compared: neither a chart nor enough surface points shared with cameras of known look"
         remedy = f"Film a colour chart with {name} and {target} (calibration.colour.chart), or let views overlap more."
         return note(f"colours of {name}", text, verdict="warn", remedy=remedy)
     side = "brighter" if camera.stops > 0 else "darker"

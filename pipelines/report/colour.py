@@ -31,6 +31,8 @@ def colour_section(run: RunFolder) -> str:
     if not cameras:
         return section("colour", "Colours", lead, absent(run.why_absent("colour")))
     rows = [_row(name, camera) for name, camera in cameras.items() if name != SWEEP]
+    if not rows:
+        return section("colour", "Colours", lead, absent("Only the sweep: nothing to compare with."))
     by_sweep = cameras.get(SWEEP, {}).get("source") == "reference"
     against = "against the sweep" if by_sweep else "against the reference"
     head = ("camera", against, "by", "correction", "points fitted", "kept out", "before", "after")

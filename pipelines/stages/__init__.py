@@ -138,7 +138,7 @@ STAGES = (
         name="colour",
         reads=("ingest", "static_poses", "sync", "rig"),
         config_keys=("calibration.colour", "capture.rest"),
-        applies=_from_fixed_cameras,
+        applies=_from_raw_files,
         run=_glue("colour"),
         inputs=_charts,
     ),

@@ -15,7 +15,7 @@ from devrf.calibration.colour.surface import Pairs, View
 from devrf.calibration.colour.sweep_points import sweep_pairs
 from devrf.calibration.flicker import steady_gains
 from devrf.calibration.rigs.clean_picture import REST_FRAMES
-from devrf.calibration.rigs.rig import read_rig
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.calibration.vignetting import flat_field
 from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
@@ -48,7 +48,8 @@ class _Job:
         self.frames = FrameSet.read(self.ingest)
         self.moving = self.frames.moving
         self.test_cameras = {name for name, camera in self.moving.items() if camera.role == "test"}
-        self.rig = read_rig(context.run_dir / "rig" / "rig.json")
+        rig = context.run_dir / "rig" / "rig.json"
+        self.rig = read_rig(rig) if self.moving else Rig({}, ARBITRARY)
         poses = context.run_dir / "static_poses"
         in_sweep = (poses / "static_poses.json").is_file() and self.rig.route != "board"
         self.model = read_static_poses(poses) if in_sweep else None
@@ -79,7 +80,7 @@ class _Job:
             camera = CameraColour("reference" if name == self.reference else "none")
             white, light = self.ingest / "white" / f"{name}.npy", self.ingest / "light" / f"{name}.npy"
             if white.is_file():
-                np.save(out / f"flat_{name}.npy", flat_field(np.load(white)))
+                np.save(out / f"flat_{name}.npy", flat_field(np.load(white), f"white sheet of {name}"))
                 camera = replace(camera, flat=f"flat_{name}.npy")
             if light.is_file() and name not in self.test_cameras:
                 course = LightCourse.read(light)

@@ -1,7 +1,7 @@
 """Stage `colour` through the command line: fixed cameras and a test camera of known colours, and charts of them."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from devrf.calibration.colour.match import Apart
 from devrf.calibration.colour.result import CameraColour, Colours, read_colours
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.frames import SWEEP
+from devrf.capture.frames import SWEEP, CameraFrames, FrameRecord, FrameSet
 from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import load_image
+from devrf.capture.srgb import LINEAR_OF_LEVEL
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.load import load_scene
@@ -224,6 +225,89 @@ def test_settings_that_cannot_be(session: Path, settings: list[str], expected: s
     assert any(expected in mistake for mistake in caught.value.mistakes), caught.value.mistakes
 
 
+# --- against a sweep ---
+
+
+def fall_off(width: int, height: int) -> np.ndarray:
+    """Relative light of the sweep's camera [height, width, 1]: 1 - 0.4 r², r = 1 in the corners."""
+    y, x = np.mgrid[:height, :width] + 0.5
+    r2 = ((x - width / 2) ** 2 + (y - height / 2) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)
+    return (1 - 0.4 * r2)[..., None]
+
+
+@pytest.fixture
+def swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., StageContext]:
+    """What earlier stages leave of a sweep, whose lens darkens corners, and of fixed cameras beside it."""
+    model = room.sweep()
+    monkeypatch.setattr(colour, "read_static_poses", lambda folder: model)
+    ingest, clean = tmp_path / "ingest", tmp_path / "rig" / "clean"
+    for folder in (ingest / "white", ingest / "frames" / "static", clean, tmp_path / "static_poses"):
+        folder.mkdir(parents=True)
+    (tmp_path / "static_poses" / "static_poses.json").write_text("{}")
+    dark = fall_off(*room.SIZE)
+    for n, (name, camera) in enumerate(zip(model.names, model.cameras, strict=True)):
+        light = LINEAR_OF_LEVEL[room.show(camera, noise=0.0).rgb] * dark
+        write_png(ingest / "frames" / name, room.developed(light, 0.01, np.random.default_rng(n)))
+    np.save(ingest / "white" / "static.npy", 0.6 * fall_off(64, 48) * np.ones(3))
+
+    def with_cameras(*names: str) -> StageContext:
+        def frames(role: Any) -> CameraFrames:
+            record = FrameRecord(0, 0.0, 10.0, True, "frames/0.png")
+            return CameraFrames(role, "clip.mp4", *room.SIZE, 30.0, False, False, None, 0, (record,))
+
+        roles = {name: "test" if name == "witness" else "camera" for name in names}
+        FrameSet({SWEEP: frames("sweep")} | {name: frames(role) for name, role in roles.items()}).write(
+            ingest
+        )
+        stands = {name: RigCamera(room.camera(0.5 + 0.2 * n), "self") for n, name in enumerate(names)}
+        for n, (name, stand) in enumerate(stands.items()):
+            write_png(clean / f"{name}_rest.png", room.show(stand.camera, LOOKS[name], seed=50 + n).rgb)
+        if names:
+            write_rig(tmp_path / "rig" / "rig.json", Rig(stands, Scale(True, "board", 1.0, None)))
+        content = {
+            "name": "swept",
+            "capture": {"static": "s.mp4", "cameras": {"cam1": "a.mp4", "cam2": "b.mp4"}},
+        }
+        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(content))
+        config = load_scene(tmp_path / "scene.yaml", check_files=False)
+        (tmp_path / "out").mkdir()
+        return StageContext(config, tmp_path, tmp_path, tmp_path / "out", no_progress, "cpu")
+
+    return with_cameras
+
+
+def test_cameras_are_brought_to_the_look_of_the_sweep(swept: Callable[..., StageContext]) -> None:
+    context = swept("cam1", "cam2", "witness")
+    colour.run(context)
+    colours = read_colours(context.out)
+    assert colours.reference == SWEEP
+    assert {name: (c.source, c.kind) for name, c in colours.cameras.items()} == {
+        SWEEP: ("reference", "none"),
+        "cam1": ("points", "gain"),
+        "cam2": ("points", "diagonal"),
+        "witness": ("none", "none"),
+    }
+    for name in ("cam1", "cam2"):
+        std = colours.cameras[name].stops_std
+        assert std is not None and miss(colours, name) < 4 * std * np.log(2)
+    assert [row.verdict for row in context.health] == ["ok", "ok", "warn"]
+    assert "cam1 0.62 EV darker than the sweep" in context.health[0].check
+
+
+def test_a_lens_that_darkens_corners_is_evened_out(swept: Callable[..., StageContext]) -> None:
+    """The sweep alone: nothing to compare with, but its white sheet counts."""
+    context = swept()
+    colour.run(context)
+    colours = read_colours(context.out)
+    look = colours.look(SWEEP, 0)
+    assert look is not None and look == Look(flat=context.out / "flat_static.npy")
+    assert [row.value for row in context.health] == ["only the sweep: nothing to compare with"]
+    grey = room.developed(0.4 * fall_off(*room.SIZE) * np.ones(3), 0.0, np.random.default_rng(0))
+    # half a level of rounding before, which 1 / 0.6 more light makes 0.6, and after; 1 - 0.4 r² is all but straight
+    # within a cell of the map
+    assert np.ptp(look.apply(grey).astype(int)) <= 2 < np.ptp(grey.astype(int))
+
+
 # --- rows ---
 
 
@@ -249,7 +333,7 @@ def test_a_camera_that_few_points_tell_of() -> None:
 
 def test_a_camera_without_common_points() -> None:
     (row,) = rows_of(source="none")
-    assert row.verdict == "warn" and "shares too few surface points" in str(row.value)
+    assert row.verdict == "warn" and "neither a chart nor enough surface points" in str(row.value)
     assert "Film a colour chart with cam2 and the sweep" in row.remedy
 
 

@@ -48,7 +48,7 @@ def test_every_stage_reads_only_what_was_made_before() -> None:
 
 def test_what_applies() -> None:
     assert applying(DYNAMIC) == CONTRACT
-    rest = [name for name in CONTRACT if name not in ("sync", "rig", "colour", "flow", "deformation")]
+    rest = [name for name in CONTRACT if name not in ("sync", "rig", "flow", "deformation")]
     assert applying(SWEEP) == rest
     assert applying(CAMERAS) == ["ingest", "sync", "rig", "colour", "scene", "flow"]
     assert applying(DATASET) == CONTRACT[5:]
