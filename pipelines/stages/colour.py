@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.colour.camera_points import camera_pairs
@@ -20,7 +20,7 @@ from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.calibration.vignetting import flat_field
 from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
 from devrf.capture.light import LightCourse
-from devrf.capture.look import Look, as_matrix
+from devrf.capture.look import as_matrix
 from devrf.capture.picture_files import read_pixels
 from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.health.colour import colour_rows
@@ -61,16 +61,14 @@ class _Job:
         """All cameras with what corrects them."""
         if self.settings.method == "none":
             return self.base
-        charts: list[Pairs] = []
-        if self.settings.chart and self.settings.method != "points":
-            charts = self._chart_pairs()
+        charts = [] if self.settings.method == "points" else self._chart_pairs()
         by_chart = {pair.second for pair in charts}
-        cameras = self._with(self.base.cameras, match_cameras(charts, self.reference), "chart")
+        cameras = _with_match(self.base.cameras, match_cameras(charts, self.reference), "chart")
         total = Apart(0, None, None)
         if self.settings.method != "chart":
             # of test pictures nothing is fitted; what a chart says of a camera is surer than points
             matched = match_cameras(self._surface_pairs(), self.reference, self.test_cameras | by_chart)
-            cameras, total = self._with(cameras, matched, "points"), matched.total
+            cameras, total = _with_match(cameras, matched, "points"), matched.total
         return replace(self.base, reference=self.reference, cameras=cameras, total=total)
 
     def _before_matching(self) -> Colours:
@@ -91,40 +89,15 @@ class _Job:
             cameras[name] = camera
         return Colours(out, None, cameras, Apart(0, None, None))
 
-    def _with(
-        self, cameras: dict[str, CameraColour], matched: Matched, source: Source
-    ) -> dict[str, CameraColour]:
-        """The cameras with what a match has found of them."""
-        out = dict(cameras)
-        for name, apart in matched.apart.items():
-            if out[name].source == "chart":
-                continue
-            out[name] = replace(out[name], apart=apart)
-            if name in matched.corrections:
-                found = matched.corrections[name]
-                out[name] = replace(
-                    out[name],
-                    source=source,
-                    kind=found.kind,
-                    matrix=as_matrix(found.matrix),
-                    fitted=matched.fitted[name],
-                )
-            if name in matched.brightness:
-                stops, std = matched.brightness[name]
-                out[name] = replace(out[name], stops=stops, stops_std=std)
-        return out
-
     def _chart_pairs(self) -> list[Pairs]:
         """The chart as the reference and the other cameras show it."""
-        files = {
-            n: self.context.config.path(self.context.scene_dir, f) for n, f in self.settings.chart.items()
-        }
-        charts = {}
+        files, charts = self.settings.chart, {}
         for n, (name, file) in enumerate(files.items()):
             self.context.progress(0.2 * n / len(files), f"chart of {name}")
-            charts[name] = read_chart(file, self.base.before_matching(name, None))
-        own = charts.pop(self.reference)
-        return [chart_pairs(self.reference, own, name, chart) for name, chart in charts.items()]
+            path = self.context.config.path(self.context.scene_dir, file)
+            charts[name] = read_chart(path, self.base.before_matching(name, None))
+        own = charts.pop(self.reference, None)  # missing only where there are no charts at all
+        return [] if own is None else [chart_pairs(self.reference, own, n, c) for n, c in charts.items()]
 
     def _surface_pairs(self) -> list[Pairs]:
         """Surface points that two cameras see."""
@@ -167,17 +140,35 @@ class _Job:
             return
         from_s, to_s = max(t[0] for t in times.values()), min(t[-1] for t in times.values())
         moments_s = np.linspace(from_s, to_s, MOMENTS + 2)[1:-1]  # clips begin and end with hands on cameras
-        for n, time_s in enumerate(moments_s):
-            self.context.progress(0.2 + 0.8 * n / MOMENTS, f"what cameras share at {time_s:.1f} s")
-            near = {name: shown[name][int(np.argmin(np.abs(t - time_s)))] for name, t in times.items()}
-            yield {name: self._view(name, frame) for name, frame in near.items()}
+        # by frames: a clip of a few frames has fewer moments
+        moments = {tuple(int(np.argmin(np.abs(t - s))) for t in times.values()): float(s) for s in moments_s}
+        for n, (frames, time_s) in enumerate(moments.items()):
+            self.context.progress(0.2 + 0.8 * n / len(moments), f"what cameras share at {time_s:.1f} s")
+            yield {name: self._view(name, shown[name][k]) for name, k in zip(times, frames, strict=True)}
 
     def _view(self, name: str, frame: FrameRecord) -> View:
         assert frame.file is not None
-        look: Look = self.base.before_matching(name, frame.index)
+        look = self.base.before_matching(name, frame.index)
         rgb = look.apply(read_pixels(self.ingest / frame.file)[..., :3])
         return View(self.rig.cameras[name].camera, rgb)
 
 
-def _true_times(clock: Clock, frames: list[FrameRecord]) -> np.ndarray:
+def _with_match(
+    cameras: dict[str, CameraColour], matched: Matched, source: Source
+) -> dict[str, CameraColour]:
+    """The cameras with what a match has found of them; those that have a chart keep what it says."""
+    out = dict(cameras)
+    for name, apart in matched.apart.items():
+        if out[name].source == "chart":
+            continue
+        stops, stops_std = matched.brightness.get(name, (None, None))
+        out[name] = replace(out[name], apart=apart, stops=stops, stops_std=stops_std)
+        if name in matched.corrections:
+            found, fitted = matched.corrections[name], matched.fitted[name]
+            matrix = as_matrix(found.matrix)
+            out[name] = replace(out[name], source=source, kind=found.kind, matrix=matrix, fitted=fitted)
+    return out
+
+
+def _true_times(clock: Clock, frames: list[FrameRecord]) -> Float[np.ndarray, " n"]:
     return clock.true_time(np.array([f.time_s for f in frames], dtype=np.float64))
