@@ -65,8 +65,8 @@ def clip_flow(
         FlowError: Pictures of different sizes, or that no method takes.
     """
     pairs = range(1, len(index))
-    moving = [n for n in pairs if not gap[n - 1]]
-    asked = set(moving[:: max(1, len(moving) // ASKED_ELSEWHERE)])
+    whole = [n for n in pairs if not gap[n - 1]]
+    asked = set(whole[:: max(1, len(whole) // ASKED_ELSEWHERE)])
 
     def make(n: int) -> PairChecks:
         path = pair_path(folder, camera, index[n])
@@ -96,7 +96,7 @@ def clip_flow(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return summary([checks[n - 1] for n in moving], int(gap.sum()))
+    return summary([checks[n - 1] for n in whole], int(gap.sum()))
 
 
 def _cores() -> int:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from devrf.capture.errors import CaptureError
+from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.mattes.tidy import tidy
 from devrf.capture.picture_files import read_pixels
 
@@ -80,8 +80,19 @@ def key_share(
 
 
 def parse_colour(text: str) -> Float[np.ndarray, "3"]:
-    """RGB in 0 to 255 of `#rrggbb`."""
-    return np.array([int(text[n : n + 2], 16) for n in (1, 3, 5)], np.float64)
+    """RGB in 0 to 255 of `#rrggbb`.
+
+    Raises:
+        InputError: A grey, which has no chroma to tell the screen by.
+    """
+    rgb = np.array([int(text[n : n + 2], 16) for n in (1, 3, 5)], np.float64)
+    chroma = float(np.hypot(*_ycc(rgb.astype(np.float32)[None])[1][0]))
+    if chroma < LEAST_CHROMA:
+        raise InputError(
+            f"{text} is nearly grey (chroma {chroma:.0f} of 255), expected a strong colour (at least "
+            f"{LEAST_CHROMA:.0f}): a grey screen cannot be told from shadow and cloth; use another method"
+        )
+    return rgb
 
 
 def _ycc(rgb: Float32[np.ndarray, "*n 3"]) -> tuple[Float32[np.ndarray, "*n"], Float32[np.ndarray, "*n 2"]]:

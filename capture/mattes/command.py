@@ -108,19 +108,24 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
     except OSError as error:
         raise CaptureError(f"{_named(command)}: cannot be started ({error}); check capture.mattes") from None
     running.add(process)
+    late = False
     try:
         said, _ = process.communicate(timeout=command.timeout_s)
-    except subprocess.TimeoutExpired:
+    except subprocess.TimeoutExpired as expired:
+        late, said = True, (expired.output or b"").decode(errors="replace")  # bytes, whatever was asked for
         _end(process)
-        raise CaptureError(
-            f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s; allow more "
-            "(capture.mattes.timeout_s), or give it a smaller model"
-        ) from None
     finally:
         running.discard(process)
     with (name.parent / "command.log").open("a", encoding="utf-8") as log:
-        log.write(f"{picture}: exit code {process.returncode}\n{said}")
+        log.write(
+            f"{picture}: {'ended after its time' if late else f'exit code {process.returncode}'}\n{said}"
+        )
     last = "\n".join(said.strip().splitlines()[-LAST_LINES:]) or "it said nothing"
+    if late:
+        raise CaptureError(
+            f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s; what it said last:\n{last}\n"
+            "allow more (capture.mattes.timeout_s), or give it a smaller model"
+        )
     if process.returncode != 0:
         raise CaptureError(
             f"{_named(command)}: exit code {process.returncode} for {picture}; what it said last:\n{last}\n"

@@ -121,6 +121,11 @@ def test_no_screen_is_named(passing: Passing, tmp_path: Path) -> None:
         find_key("cam0", clip.files)
 
 
+def test_a_grey_screen_is_refused() -> None:
+    with pytest.raises(InputError, match="#808a80 is nearly grey .chroma 5 of 255.*at least 18"):
+        parse_colour("#808a80")
+
+
 def test_light_of_the_screen_on_the_subject_is_measured(tmp_path: Path) -> None:
     picture = np.full((100, 100, 3), (30, 160, 70), np.uint8)
     picture[20:80, 20:80] = (150, 120, 110)
@@ -261,6 +266,7 @@ PROGRAM = """
     with open("calls.txt", "a") as log:
         log.write(Path(image).name + "\\n")
     if how == "slow":
+        print("loading weights", flush=True)
         time.sleep(60)
     if how == "fails":
         sys.exit("out of memory\\nno weights")
@@ -322,10 +328,12 @@ def test_a_program_that_fails_is_named(program: Path, how: str, said: str) -> No
 def test_a_program_that_hangs_is_ended(program: Path) -> None:
     start = time.monotonic()
     with pytest.raises(
-        CaptureError, match="not done with .* after 0.5 s; allow more .capture.mattes.timeout_s"
+        CaptureError,
+        match="not done with .* after 2 s; what it said last:\nloading weights\nallow more .capture.mattes.timeout_s",
     ):
-        run_on_pictures(command(program, "slow", 0.5), sorted(program.glob("my *.png")), program / "kept")
+        run_on_pictures(command(program, "slow", 2.0), sorted(program.glob("my *.png"))[:1], program / "kept")
     assert time.monotonic() - start < 20
+    assert "ended after its time\nloading weights" in (program / "kept" / "command.log").read_text()
 
 
 def test_what_keeps_a_program_from_running(tmp_path: Path) -> None:
