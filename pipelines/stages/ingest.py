@@ -131,7 +131,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
             "",
             warn=0.8,
             fail=0.3,
-            remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred: {places(blurred)}. Walk "
+            remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred ({places(blurred)}). Walk "
             "more slowly, or use a shorter shutter and more light.",
         ),
     ]

@@ -186,7 +186,7 @@ def test_health_of_a_good_and_of_a_bad_capture():
     ):
         assert found[check][0] == verdict, (check, found)
     assert found["sound"] == ("ok", "silent: cam1")
-    blurred = "4 of 12 pictures are blurred: frame 0 (0.00 s), frame 3 (0.10 s)"
+    blurred = "4 of 12 pictures are blurred (frame 0 (0.00 s), frame 3 (0.10 s)"
     assert blurred in str(found["sharp share of the sweep"][1])
     assert "3 frames missing in 1 gaps, after 1.20 s" in str(
         found["share of frames dropped while filming, worst camera (cam0)"][1]
