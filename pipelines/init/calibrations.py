@@ -6,7 +6,7 @@ from pathlib import Path
 from devrf.calibration.formats import find_calibration
 from devrf.calibration.rigs.given import read_given
 from devrf.capture.errors import DevrfError
-from devrf.pipelines.init.roles import Roles
+from devrf.pipelines.init.found import Roles
 
 SUFFIXES = frozenset((".toml", ".yml", ".yaml", ".xml", ".txt", ".json"))
 NOT_OURS = frozenset(("scene.yaml", "ground_truth.json"))  # a truth is for comparing, never for calibrating

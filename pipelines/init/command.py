@@ -13,16 +13,9 @@ from devrf.capture.survey import Look, Material, find_material, look_at, still_e
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
 from devrf.pipelines.init.calibrations import given_calibration
-from devrf.pipelines.init.roles import (
-    BY_NAME,
-    FEWEST_PHOTOS,
-    Found,
-    Roles,
-    called,
-    guess_roles,
-    roles_called,
-    see,
-)
+from devrf.pipelines.init.found import Found, Roles
+from devrf.pipelines.init.names import BY_NAME, called, roles_called
+from devrf.pipelines.init.roles import FEWEST_PHOTOS, guess_roles, see
 from devrf.pipelines.init.summary import nothing, summary
 from devrf.pipelines.init.yaml import dataset_yaml, scene_yaml
 

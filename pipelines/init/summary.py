@@ -4,7 +4,8 @@ from pathlib import Path
 
 from devrf.capture.survey import Look, Material
 from devrf.pipelines.console import Talk, duration
-from devrf.pipelines.init.roles import FEWEST_PHOTOS, Found, Roles
+from devrf.pipelines.init.found import Found, Roles
+from devrf.pipelines.init.roles import FEWEST_PHOTOS
 
 LISTED = 10  # files that were not looked into
 

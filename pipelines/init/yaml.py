@@ -4,7 +4,7 @@ import json
 import re
 
 from devrf.calibration.boards.spec import BoardSpec
-from devrf.pipelines.init.roles import Found, Seen
+from devrf.pipelines.init.found import Found, Seen
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")  # what YAML reads as text without quotes ...
 WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))  # ... but for these

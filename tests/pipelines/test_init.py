@@ -19,7 +19,8 @@ from devrf.capture.video_writer import write_video
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
 from devrf.pipelines.init.command import init
-from devrf.pipelines.init.roles import Found, Roles, Seen, guess_roles
+from devrf.pipelines.init.found import Found, Roles, Seen
+from devrf.pipelines.init.roles import guess_roles
 from devrf.pipelines.init.yaml import scene_yaml
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
@@ -164,6 +165,13 @@ def test_a_board_clip_belongs_by_name_by_folder_or_by_size() -> None:
     assert owners == {
         "static": "charuco_static.mp4", "cam1": "charuco_cam1.mp4", "gopro": "c/board.mp4", "cam11": "calibration.mp4",
     }  # fmt: skip
+
+
+def test_the_longest_name_owns_a_board_clip() -> None:
+    roles = roles_of(
+        seen("static.mp4", MOVES), seen("cam.mp4"), seen("cam_b.mp4"), seen("board_cam_b.mp4", board=1.0)
+    )
+    assert {camera: s.name for camera, s in roles.boards.items()} == {"cam_b": "board_cam_b.mp4"}
 
 
 def test_without_a_sweep_the_boards_are_joint_clips() -> None:

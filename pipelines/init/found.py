@@ -1,0 +1,80 @@
+"""What `init` has seen and guessed; `roles.py` and `boards.py` fill it, the page and scene.yaml are made of it."""
+
+from dataclasses import dataclass, field
+
+from devrf.calibration.boards.guess import BoardGuess
+from devrf.calibration.field.steady import Steadiness
+from devrf.capture.session import Rest
+from devrf.capture.survey import Look
+from devrf.pipelines.init.names import called, roles_called
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A clip or folder and what its pictures show."""
+
+    look: Look
+    name: str
+    steady: Steadiness
+    board_share: float
+
+    @property
+    def called(self) -> str:
+        """What its name says it is; empty where it says nothing."""
+        return called(self.name)
+
+    @property
+    def called_board(self) -> bool:
+        """Whether its name says that it shows a board; of photos any part of it, `intrinsics/cam0` holds no clip."""
+        return self.called == "board" or (not self.look.is_clip and "board" in roles_called(self.name))
+
+    @property
+    def moves(self) -> bool:
+        """Whether it was filmed or photographed on the way; photos are unless their background says no."""
+        return self.steady.stands is False or (not self.look.is_clip and self.steady.stands is None)
+
+
+@dataclass
+class Roles:
+    """What was guessed.
+
+    Attributes:
+        sweep: Clip or folder; None without one.
+        cameras, tests: Camera name -> clip.
+        boards, joint: Camera name (or static) -> clip with the board before it alone, or before several at once.
+        board: The board; None where none is seen.
+        why: File -> what it was taken for, and why.
+        doubts: Contradictions and what is missing, one sentence each.
+        unused: File -> why it is not used.
+        faulty: File -> what is wrong with it, so that it cannot be used as it is.
+    """
+
+    sweep: Seen | None = None
+    cameras: dict[str, Seen] = field(default_factory=dict)
+    tests: dict[str, Seen] = field(default_factory=dict)
+    boards: dict[str, Seen] = field(default_factory=dict)
+    joint: dict[str, Seen] = field(default_factory=dict)
+    board: BoardGuess | None = None
+    why: dict[str, str] = field(default_factory=dict)
+    doubts: list[str] = field(default_factory=list)
+    unused: dict[str, str] = field(default_factory=dict)
+    faulty: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What init knows when it writes.
+
+    Attributes:
+        roles: What is what.
+        rest: When the moving clips show the scene as in the sweep.
+        timestamps: A table of true times, relative to the folder; None without one.
+        given: A calibration that places the cameras where nothing else does, relative to the folder; None without one.
+        has_gpu: Whether an NVIDIA GPU is there.
+    """
+
+    roles: Roles
+    rest: Rest
+    timestamps: str | None
+    given: str | None
+    has_gpu: bool
