@@ -100,7 +100,7 @@ def test_a_room_is_no_board(textures: Callable[[int], np.ndarray]) -> None:
 
 
 def test_real_chessboard_photos(data_dir: Path) -> None:
-    files = sorted((data_dir / "caliscope_chessboard_intrinsic").glob("cam_0*.jpg"))
+    files = sorted((data_dir / "caliscope_chessboard_intrinsic").glob("cam_0*.jpg"))[:3]
     found = guess_board([read_grey(file) for file in files])
     assert found is not None
     assert found.spec.squares == (9, 6)  # its README
@@ -336,8 +336,8 @@ def test_a_folder_of_photos_is_a_sweep_and_a_table_gives_times(
 ) -> None:
     large = np.hstack([textures(0), textures(1)])
     for n in range(9):
-        cv2.imwrite(str(tmp_path / f"IMG_{n}.jpg"), large[:, 40 * n : 40 * n + 480])
-    frames = [textures(0).copy() for _ in range(12)]
+        cv2.imwrite(str(tmp_path / f"IMG_{n}.jpg"), large[:240, 40 * n : 40 * n + 320])
+    frames = [textures(0)[:240, :320].copy() for _ in range(12)]
     for n, frame in enumerate(frames):
         cv2.circle(frame, (100 + 10 * n, 100), 30, (250, 250, 250), -1)
     write_video(tmp_path / "GX010.mp4", frames, 25.0)
