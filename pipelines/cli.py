@@ -68,7 +68,9 @@ def init(
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None
     except OSError as error:
-        talk.error(f"{folder}: cannot be written ({error.strerror or error}); copy it to a disk that can")
+        talk.error(
+            f"{folder}: cannot be written ({error.strerror or error}); make room, or copy it to another disk"
+        )
         raise typer.Exit(FAILED) from None
 
 

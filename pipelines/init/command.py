@@ -41,7 +41,7 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
     name = name or _scene_name(folder)
     dataset = guess_format(folder)
     if dataset is not None:
-        path.write_text(dataset_yaml(name, dataset), encoding="utf-8")
+        _write(path, dataset_yaml(name, dataset))
         talk.say(f"{folder}: a finished data set ({dataset}); wrote {path}")
         return path
     material = find_material(folder)
@@ -57,8 +57,7 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
             "rest, or a board that several cameras see at once, or put a calibration you own into the folder; "
             "nothing was written"
         )
-    path.write_text(scene_yaml(name, found), encoding="utf-8")
-    load_scene(path)  # what is written must be what `run` takes
+    _write(path, scene_yaml(name, found))
     talk.say(f"wrote {path}; look through it, then: devrf-pipeline check {path}", style="bold")
     return path
 
@@ -127,6 +126,17 @@ def _timestamps(folder: Path, material: Material, roles: Roles) -> str | None:
         roles.why[relative] = "true times of the cameras' frames"
         return relative
     return None
+
+
+def _write(path: Path, text: str) -> None:
+    """All of it or nothing, and only what `run` takes: a full disk leaves the file that was there."""
+    new = path.with_name(f".{path.name}.new")
+    try:
+        new.write_text(text, encoding="utf-8")
+        load_scene(new)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def _scene_name(folder: Path) -> str:

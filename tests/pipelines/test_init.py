@@ -1,5 +1,7 @@
 """`devrf-pipeline init`: which file is what, by content before name, and what is written and said."""
 
+import errno
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -322,6 +324,22 @@ def test_fixed_cameras_alone_are_placed_by_a_calibration_or_refused(
     config = load_scene(tmp_path / "scene.yaml")
     assert config.calibration.rig.given == "Calib_rig.toml"
     assert "Calib_other.toml: a calibration (Pose2Sim), but" in (tmp_path / "scene.yaml").read_text()
+
+
+def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "transforms_train.json").write_text("{}")
+    (tmp_path / "scene.yaml").write_text("name: mine")
+
+    def full(path: Path, text: str, **_: str) -> int:
+        with path.open("w") as file:
+            file.write(text[:3])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space left"):
+        init(Talk("quiet"), tmp_path, None, True)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.yaml", "transforms_train.json"]
+    assert (tmp_path / "scene.yaml").read_text() == "name: mine"
 
 
 def test_a_data_set_is_told(tmp_path: Path) -> None:
