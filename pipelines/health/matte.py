@@ -12,7 +12,7 @@ from devrf.pipelines.scene_mattes import SceneMattes
 
 MOST_EMPTY = 0.5  # of a camera's pictures; a subject may walk in and out
 MOST_AREA = 0.9  # of a picture: all of it is no subject
-MOST_HOLES = 0.01  # of the subject's area (facts/capture.md 7E 14 has the same)
+MOST_HOLES = 0.01  # of the subject's area
 MOST_RIM = 0.5  # of the outermost pixels; of a matte that is right to the pixel they mix both
 MOST_SPILL = (
     0.05  # of the screen's colour on the subject, well within its edge; from 0.2 on mattes let through
@@ -29,7 +29,7 @@ def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
         else "of the moving cameras: they tell where the subject is; the surroundings are modelled as without"
     )
     rows = [note("mattes", f"{method}, {acts} ({', '.join(made)})")]
-    rows += _inverted(made)
+    rows += _inverted(made) + _screens(made)
     name, empty = _worst(made, lambda m: float(np.mean([f.area < LEAST_SUBJECT for f in m.facts])))
     rows.append(
         _at_most(
@@ -97,6 +97,15 @@ def _inverted(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
             "(capture.mattes.inverted: true, or false if that is wrong).",
         )
     ]
+
+
+def _screens(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
+    """Which colour each camera's screen has."""
+    keys = {name: mattes.key_rgb for name, mattes in made.items() if mattes.key_rgb is not None}
+    if not keys:
+        return []
+    colours = [f"{name} #{''.join(f'{round(value):02x}' for value in key)}" for name, key in keys.items()]
+    return [note("the screen's colour", ", ".join(colours))]
 
 
 def _worst(made: Mapping[str, CameraMattes], value: Callable[[CameraMattes], float]) -> tuple[str, float]:

@@ -46,7 +46,8 @@ def _checks_table(run: RunFolder) -> str:
         trip = number(checks.get("round_trip_px"), "px", 2, file=CHECKS, key=f"{key}.round_trip_px")
         rows.append([f"<strong>{text(name)}</strong>", pairs, *shares, trip])
     head = ("camera", "pairs", "with texture", "of it valid", "moving", "of it valid", "round trip")
-    return table(head, rows, source=CHECKS, numeric=range(1, 7))
+    method = f"<p>Method: {text(str(run.object(CHECKS).get('method', 'unknown')))}.</p>"
+    return method + table(head, rows, source=CHECKS, numeric=range(1, 7))
 
 
 def _pictures(run: RunFolder) -> str:

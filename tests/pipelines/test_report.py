@@ -307,6 +307,10 @@ def test_speed_is_shown_where_it_was_measured(full_run):
     assert NASTY in page.text
 
 
+def test_the_method_of_the_flow_is_said(full_run):
+    assert "Method: dis." in _page(full_run)[1].text
+
+
 def test_needs_nothing_from_outside(full_run):
     html, page = _page(full_run)
     for address in page.addresses:

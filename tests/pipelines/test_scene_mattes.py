@@ -1,6 +1,7 @@
 """Stage `scene` with mattes: who gets them, what they do to background and box, what rows say."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -156,6 +157,10 @@ def test_mattes_of_every_picture_make_the_background_plain(session: Session, met
     assert scene.background == "white"
     assert all(row.verdict == "ok" for name, row in rows.items() if name != "what moves"), rows
     assert "before a plain background" in rows["mattes"].value
+    if method == "chroma":  # found to the levels that the pictures vary by
+        found = re.findall(r"(static|cam0) #(..)(..)(..)", rows["the screen's colour"].value)
+        assert [name for name, *_ in found] == ["static", "cam0"]
+        assert all(np.abs([int(x, 16) for x in rgb] - GREEN.astype(int)).max() <= 3 for _, *rgb in found)
     for frame in scene.frames:
         true = session.true[f"frames/{frame.camera_name}/{frame.path.name}"]
         assert (
