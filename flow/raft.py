@@ -28,12 +28,12 @@ class RaftFlow:
         InputError: Weights that are not RAFT's, all of them and nothing else.
     """
 
-    name = "raft"
     parallel = False  # one pair keeps all cores busy
 
     def __init__(self, weights: Path, device: str = "cpu") -> None:
         self.device = device
         self.network = load_raft(weights).to(device)
+        self.name = f"raft {self.network.sizes.name}"
 
     def estimate(
         self,

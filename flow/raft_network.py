@@ -23,6 +23,7 @@ class Sizes:
     """What tells the two networks apart: numbers of channels, and the radius of a look.
 
     Attributes:
+        name: small or large.
         stem, blocks, features: Of the encoders: first convolution, three pairs of blocks, what comes out.
         hidden, context: Of the gated unit: its state, and what it is told of the first picture.
         correlation, motion, joined: Of the motion encoder: from correlation, from flow, from both.
@@ -30,6 +31,7 @@ class Sizes:
         radius: In cells of an eighth, on each level.
     """
 
+    name: str
     stem: int
     blocks: tuple[int, int, int]
     features: int
@@ -42,8 +44,8 @@ class Sizes:
     radius: int
 
 
-SMALL = Sizes(32, (32, 64, 96), 128, 96, 64, (96,), (64, 32), 80, 128, 3)
-LARGE = Sizes(64, (64, 96, 128), 256, 128, 128, (256, 192), (128, 64), 126, 256, 4)
+SMALL = Sizes("small", 32, (32, 64, 96), 128, 96, 64, (96,), (64, 32), 80, 128, 3)
+LARGE = Sizes("large", 64, (64, 96, 128), 256, 128, 128, (256, 192), (128, 64), 126, 256, 4)
 
 
 class Raft(nn.Module):

@@ -50,7 +50,7 @@ def load_raft(path: Path) -> Raft:
             f"(large) filters; the file has {_listed(named)}"
         )
     network = Raft(sizes)
-    _check(path, named, network.state_dict(), "small" if sizes == SMALL else "large")
+    _check(path, named, network.state_dict(), sizes.name)
     network.load_state_dict(named, strict=True)
     return network.eval().requires_grad_(False)
 

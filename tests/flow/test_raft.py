@@ -45,6 +45,7 @@ def test_any_size_and_a_batch(small):
     flow = small.estimate(pictures, later)
     assert flow.shape == (2, 50, 171, 2)
     np.testing.assert_array_equal(flow[1], small.estimate(pictures[1], later[1]))
+    assert small.name == "raft small"
     assert np.abs(np.median(flow[:, 10:-10, 20:-20], axis=(0, 1, 2)) - [4, 0]).max() < 0.5
 
 
@@ -79,7 +80,7 @@ def test_published_names_load_strictly(who, size, tmp_path):
     weights = published(who, size)
     torch.save(weights, tmp_path / "raft.pth")
     loaded = load_raft(tmp_path / "raft.pth")
-    assert loaded.sizes == SIZES[size] and not loaded.training
+    assert loaded.sizes == SIZES[size] and loaded.sizes.name == size and not loaded.training
     assert len(loaded.state_dict()) == TENSORS[size][0]
     assert sum(p.numel() for p in loaded.parameters()) == TENSORS[size][1]
     # every tensor is somewhere, as it was
