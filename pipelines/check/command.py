@@ -90,7 +90,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
             sounds[name] = sound
         role = "test" if name in session.test_names else "camera"
         moving[name] = planned_frames(looks[name], role, path.name, sound)
-        sections[name] = camera_rows(name, looks[name], session, sweep)
+        sections[f"camera {name}"] = camera_rows(name, looks[name], session, sweep)
     if moving:
         sections["all cameras"] = ingest.health(FrameSet(moving))
         progress(0.75, "clocks")
@@ -99,7 +99,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     if spec is not None:
         sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
     sections["scale"] = _scale(config)
-    sections[FILES] = _left_out(session, scene_dir)
+    sections[FILES] = left_out(config, session, scene_dir)
     progress(0.95, RESOURCES)
     free = shutil.disk_usage(_existing(run_dir)).free
     sections[RESOURCES] = estimate_rows(config, run_dir, {**planned, **moving}, looks, free)
@@ -114,17 +114,13 @@ def _scale(config: SceneConfig) -> list[HealthRow]:
     return scale_rows([], ARBITRARY, unmeasured_board=board is not None)
 
 
-def _left_out(session: CaptureSession, scene_dir: Path) -> list[HealthRow]:
+def left_out(config: SceneConfig, session: CaptureSession, scene_dir: Path) -> list[HealthRow]:
     """Clips beside scene.yaml that it does not name: a camera that was forgotten, or one that `init` could not use."""
-    used = {file.resolve() for file in session.files()}
-    clips = [
-        clip.relative_to(scene_dir) for clip in find_material(scene_dir).clips if clip.resolve() not in used
-    ]
-    return (
-        [note("clips in this folder that scene.yaml does not use", ", ".join(map(str, clips)))]
-        if clips
-        else []
-    )
+    charts = [config.path(scene_dir, file) for file in config.calibration.colour.chart.values()]
+    used = {file.resolve() for file in (*session.files(), *charts)}
+    clips = [clip for clip in find_material(scene_dir).clips if clip.resolve() not in used]
+    names = ", ".join(str(clip.relative_to(scene_dir)) for clip in clips)
+    return [note("clips in this folder that scene.yaml does not use", names)] if clips else []
 
 
 def _number(count: int, what: str) -> str:

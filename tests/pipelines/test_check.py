@@ -25,6 +25,7 @@ from devrf.capture.video_writer import write_video
 from devrf.pipelines.check import rows as check_rows
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clocks import clock_rows
+from devrf.pipelines.check.command import left_out
 from devrf.pipelines.check.estimate import estimate_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
@@ -68,7 +69,7 @@ def test_the_example_is_a_go_in_a_minute(devrf: Callable, tmp_path: Path) -> Non
     assert result.code == 0, result.said
     found = json.loads((tmp_path / "rows.json").read_text())
     assert found["go"] and {row["verdict"] for row in found["rows"]} == {"ok"}
-    assert {"sweep", "cam0", "witness", "all cameras", "clocks", "board"} < {
+    assert {"sweep", "camera cam0", "camera witness", "all cameras", "clocks", "board"} < {
         row["about"] for row in found["rows"]
     }
     assert found["seconds"] <= LIMIT_S
@@ -247,6 +248,25 @@ def test_what_a_fixed_camera_shares_with_the_sweep(textures: Callable) -> None:
     )  # most of the picture is the same to the last level
     elsewhere = glance_at_fixed(clip, [here] * 4, features(textures(5)[:240, :320]), sweep)
     assert elsewhere.shared is not None and elsewhere.shared < check_rows.SHARED_FAIL
+
+
+# --- clips that are left out ---
+
+
+def test_a_clip_that_the_scene_does_not_name_is_said(tmp_path: Path) -> None:
+    for name in ("static.mp4", "chart.mov", "cam2.mp4"):
+        (tmp_path / name).touch()
+    config = SceneConfig.model_validate(
+        {
+            "name": "x",
+            "capture": {"static": "static.mp4"},
+            "calibration": {"colour": {"chart": {"static": "chart.mov"}}},
+        }
+    )
+    (found,) = left_out(config, CaptureSession(static=tmp_path / "static.mp4"), tmp_path)
+    assert found.value == "cam2.mp4" and found.verdict == "ok"
+    (tmp_path / "cam2.mp4").unlink()
+    assert left_out(config, CaptureSession(static=tmp_path / "static.mp4"), tmp_path) == []
 
 
 # --- boards ---
