@@ -7,12 +7,12 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := examples/waving-sheet
-DEMO_OUT := runs/demo
+DEMO_OUT := $(DEMO)/runs
 
 .PHONY: demo test venv clean
 
 demo: $(VENV)/.installed
-	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny --set output=$(CURDIR)/$(DEMO_OUT)
+	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny
 
 test: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
