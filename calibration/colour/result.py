@@ -26,6 +26,7 @@ class CameraColour:
         kind: What was fitted: none, gain, diagonal or matrix.
         matrix: Linear light of the reference from its own.
         stops, stops_std: By how much it is brighter than the reference, and how sure; None where not known.
+        stops_by_points: The same by surface points, where a chart has given `stops`; None elsewhere.
         fitted: Points that were fitted.
         apart: How far it lies from the cameras it was compared with, on points kept out of the fit.
         flat: Its flat field's file beside colour.json; None without one.
@@ -37,6 +38,7 @@ class CameraColour:
     matrix: Matrix = SAME
     stops: float | None = None
     stops_std: float | None = None
+    stops_by_points: float | None = None
     fitted: int = 0
     apart: Apart = field(default_factory=lambda: Apart(0, None, None))
     flat: str | None = None

@@ -7,6 +7,9 @@ from devrf.pipelines.health.rows import HealthRow, note, row
 WORDS = {"gain": "one gain", "diagonal": "three gains", "matrix": "a 3x3 matrix"}
 UNIT = "of 1, rms of sRGB"
 MIXED = 0.05  # rms of sRGB: from here on seams between cameras are seen in renderings
+CHART_STOPS = (
+    0.2  # twice as vague as a camera's brightness may be: a chart in the scene's light agrees far better
+)
 VAGUE_STOPS = 0.1  # standard deviation of a camera's brightness: more than many cameras differ
 
 
@@ -20,6 +23,18 @@ def colour_rows(colours: Colours, test_cameras: set[str]) -> list[HealthRow]:
         if name in (colours.reference, SWEEP):
             continue
         rows.append(_camera(name, camera, target, name in test_cameras))
+        if camera.stops is not None and camera.stops_by_points is not None:
+            rows.append(
+                row(
+                    f"brightness of {name} by its chart against that by surface points",
+                    abs(camera.stops - camera.stops_by_points),
+                    "EV",
+                    warn=CHART_STOPS,
+                    low_is_bad=False,
+                    remedy=f"The chart of {name} or of {target} was filmed in other light or with other settings than "
+                    "the scene: film it with both in one place, or leave it out.",
+                )
+            )
         if camera.stops_std is not None and camera.stops_std > VAGUE_STOPS:
             rows.append(
                 row(

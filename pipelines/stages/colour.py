@@ -159,9 +159,10 @@ def _with_match(
     """The cameras with what a match has found of them; those that have a chart keep what it says."""
     out = dict(cameras)
     for name, apart in matched.apart.items():
-        if out[name].source == "chart":
-            continue
         stops, stops_std = matched.brightness.get(name, (None, None))
+        if out[name].source == "chart":
+            out[name] = replace(out[name], stops_by_points=stops)
+            continue
         out[name] = replace(out[name], apart=apart, stops=stops, stops_std=stops_std)
         if name in matched.corrections:
             found, fitted = matched.corrections[name], matched.fitted[name]

@@ -194,6 +194,20 @@ def test_a_chart_goes_before_points(matched: Path, session: Path, tmp_path: Path
     }
 
 
+def test_a_chart_filmed_in_other_light_is_named(matched: Path, session: Path, tmp_path: Path) -> None:
+    """Both charts in the scene's light agree with its surface points; one with two thirds of the light does not."""
+    _, rows = again(session, tmp_path / "agrees", charts("cam0", "cam1"))
+    agrees = next(row for row in rows if "by its chart against that by surface points" in row.check)
+    assert agrees.verdict == "ok"
+    write_png(session.parent / "chart_dim.png", room.show_chart(2 / 3 * LOOKS["cam1"], seed=1))
+    _, rows = again(session, tmp_path / "dim", charts("cam0", "cam1").replace("chart_cam1", "chart_dim"))
+    dim = next(row for row in rows if "by its chart against that by surface points" in row.check)
+    assert dim.verdict == "warn" and "filmed in other light" in dim.remedy
+    assert isinstance(dim.value, float) and isinstance(agrees.value, float)
+    # 2/3 of the light are log2(3/2) stops; both use the same points and the same patches
+    assert abs(dim.value - np.log2(1.5)) < agrees.value + 0.03
+
+
 def test_a_picture_without_a_chart_stops_the_run(devrf: Command, matched: Path, session: Path) -> None:
     write_png(session.parent / "wall.png", room.show(STANDS["cam1"]).rgb)
     chart = "calibration.colour.chart={cam0: chart_cam0.png, cam1: wall.png}"
