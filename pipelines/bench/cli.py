@@ -264,9 +264,7 @@ def _accuracy(
             )
         chosen = list(parts) if only is None else _names("--only", only, list(parts))
         folder = out or Path(f"bench-{title}")
-        check_folder(folder, "--out")
-        if json is not None:
-            check_file(json, "--json")
+        _check_places(folder, json)
         folder.mkdir(parents=True, exist_ok=True)
         run_parts(title, parts, chosen, Cases(data, folder, talk), json or folder / f"{title}.json")
 
@@ -309,12 +307,18 @@ def _measure(
     def with_run(talk: Talk) -> None:
         run = _run(name, scene, preset, overrides, device, talk)
         folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
-        check_folder(folder, "--out")
-        if json is not None:
-            check_file(json, "--json")
+        _check_places(folder, json)
         measure(run, folder)
 
     _coded(with_run, quiet)
+
+
+def _check_places(out: Path, json: Path | None) -> None:
+    """Refuse places that cannot be written; nothing is made yet."""
+    check_folder(out, "--out")
+    in_new_folder = json is not None and json.absolute().parent == out.absolute() and not out.exists()
+    if json is not None and not in_new_folder:
+        check_file(json, "--json")
 
 
 def _coded(measure: Callable[[Talk], None], quiet: bool) -> None:

@@ -83,6 +83,17 @@ def test_what_cannot_be_read_is_bad_input(devrf: Callable, tmp_path: Path) -> No
     assert result.code == 2 and "sweep.mp4: not a video" in result.err
 
 
+def test_rows_that_cannot_be_written_are_refused_before_any_work(devrf: Callable, tmp_path: Path) -> None:
+    path = tmp_path / "gone" / "rows.json"
+    (tmp_path / "scene.yaml").write_text("name: x\ncapture: {static: sweep.mp4}\n")
+    (tmp_path / "sweep.mp4").write_text("This is no video.")  # which would be said if it were looked into
+    result = devrf("check", tmp_path, "--json", path)
+    assert result.code == 2
+    assert (
+        result.err.strip() == f"--json {path}: there is no folder {path.parent}; make it, or choose another"
+    )
+
+
 # --- pictures by seeking ---
 
 
