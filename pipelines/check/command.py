@@ -32,6 +32,7 @@ from devrf.pipelines.stages import ingest
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
 RESOURCES, FILES = "disk and time", "files"
 SHOWN = (RESOURCES, FILES)  # whose rows are printed even where all is well
+NO_GO = "NO-GO: mend what is marked so and check again"
 WORDS: dict[Verdict, str] = {"ok": "go", "warn": "warn", "fail": "no-go"}
 STYLE: dict[Verdict, str] = {"ok": "green", "warn": "yellow", "fail": "red"}
 
@@ -49,16 +50,18 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
         with talk.progress("checking") as progress:
             sections = look_at_capture(config, scene_dir, run_dir, progress)
     seconds = time.monotonic() - begin
+    verdicts = [row.verdict for rows in sections.values() for row in rows]
+    go = "fail" not in verdicts
+    if not go and talk.loudness == "quiet":
+        _say_failures(talk, sections)
     for title, rows in sections.items():
         worst = _worst(rows)
         talk.say(f"{WORDS[worst]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[worst])
         for row in rows:
             shown = row.verdict != "ok" or title in SHOWN
             (talk.say if shown else talk.detail)(f"    {WORDS[row.verdict]:>6}  {describe(row)}")
-    verdicts = [row.verdict for rows in sections.values() for row in rows]
-    go = "fail" not in verdicts
     warnings = f", with {_number(verdicts.count('warn'), 'warning')}" if "warn" in verdicts else ""
-    word = f"GO{warnings}" if go else "NO-GO: mend what is marked so and check again"
+    word = f"GO{warnings}" if go else NO_GO
     talk.say(
         f"{word} ({duration(seconds)} for a few pictures of each clip; `run` looks at all)", style="bold"
     )
@@ -121,6 +124,15 @@ def left_out(config: SceneConfig, session: CaptureSession, scene_dir: Path) -> l
     clips = [clip for clip in find_material(scene_dir).clips if clip.resolve() not in used]
     names = ", ".join(str(clip.relative_to(scene_dir)) for clip in clips)
     return [note("clips in this folder that scene.yaml does not use", names)] if clips else []
+
+
+def _say_failures(talk: Talk, sections: Sections) -> None:
+    """What is wrong, for those who asked for errors alone."""
+    for title, rows in sections.items():
+        for row in rows:
+            if row.verdict == "fail":
+                talk.error(f"{WORDS[row.verdict]}  {title}: {describe(row)}")
+    talk.error(NO_GO)
 
 
 def _number(count: int, what: str) -> str:

@@ -94,6 +94,15 @@ def test_rows_that_cannot_be_written_are_refused_before_any_work(devrf: Callable
     )
 
 
+def test_a_quiet_no_go_says_what_is_wrong(devrf: Callable, tmp_path: Path) -> None:
+    write_video(tmp_path / "sweep.mp4", [np.zeros((120, 160, 3), np.uint8)] * 12, 25.0)
+    (tmp_path / "scene.yaml").write_text("name: x\npreset: tiny\ncapture: {static: sweep.mp4}\n")
+    result = devrf("check", tmp_path, "--quiet")
+    assert result.code == 3 and result.out == "", result.said
+    assert "no-go  sweep: picture of the sweep: black; Nothing was filmed" in result.err
+    assert "NO-GO" in result.err and "disk" not in result.err
+
+
 # --- pictures by seeking ---
 
 
