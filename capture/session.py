@@ -18,6 +18,7 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
 from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions
+from devrf.capture.sampled import picture_times
 from devrf.capture.video import probe_video
 
 Rest = Literal["start", "end", "none"]
@@ -111,7 +112,10 @@ def preflight(session: CaptureSession) -> list[str]:
         table = session.timestamps
         times: dict[str, FrameTimes] = {}
         attempt(lambda: times.update(read_timestamps(table, session.cameras)), "capture.timestamps")
-        problems += _outside_range(times, session.range_s)
+        problems += _outside_range(times, session.range_s, "times in capture.timestamps go")
+    elif session.cameras and session.range_s is not None and not problems:
+        first = next(iter(session.cameras))
+        attempt(lambda: problems.extend(_outside_clip(session, first)), f"capture camera {first}")
     problems += _same_file_twice(session.cameras)
     return problems
 
@@ -225,14 +229,26 @@ def _check_folder(path: Path) -> list[Path]:
     return pictures
 
 
-def _outside_range(times: Mapping[str, FrameTimes], range_s: tuple[float, float] | None) -> list[str]:
-    """Cameras of which a table of true times leaves nothing in the range."""
+def _outside_clip(session: CaptureSession, first: str) -> list[str]:
+    """Whether the first camera's clip, whose clock is the session's, has nothing in the range."""
+    path, range_s = session.cameras[first], session.range_s
+    duration_s = probe_video(path).duration_s
+    if range_s is None or duration_s is None or (range_s[0] <= duration_s and range_s[1] >= 0):
+        return []
+    time_s = picture_times(path)  # an announced duration is not always true
+    return _outside_range({first: FrameTimes(np.arange(len(time_s)), time_s)}, range_s, "clip goes")
+
+
+def _outside_range(
+    times: Mapping[str, FrameTimes], range_s: tuple[float, float] | None, source: str
+) -> list[str]:
+    """Cameras of which the range leaves nothing; `source` goes from the first to the last of their times."""
     if range_s is None:
         return []
     from_s, to_s = range_s
     return [
-        f"capture.range_s: [{from_s:g}, {to_s:g}]: camera {name} has no frame in it, its times in "
-        f"capture.timestamps go from {t.time_s[0]:.2f} to {t.time_s[-1]:.2f} s; change the range"
+        f"capture.range_s: [{from_s:g}, {to_s:g}]: camera {name} has no frame in it, its {source} from "
+        f"{t.time_s[0]:.2f} to {t.time_s[-1]:.2f} s; change the range"
         for name, t in times.items()
         if not ((t.time_s >= from_s) & (t.time_s <= to_s)).any()
     ]

@@ -259,6 +259,22 @@ def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, mat
     assert "go from 40.00 to 41.10 s" in result.err
 
 
+@pytest.mark.parametrize("range_s", [[50, 60], [-9, -2]])
+def test_a_range_outside_the_first_clip(
+    devrf: Callable, tmp_path: Path, material: Path, range_s: list[float]
+) -> None:
+    path = scene(tmp_path, material, range_s=range_s)
+    for command in (["run", path, "--dry-run"], ["check", path]):
+        result = devrf(*command)
+        assert result.code == 2, result.said
+        assert (
+            f"range_s: [{range_s[0]}, {range_s[1]}]: camera cam0 has no frame in it, its clip" in result.err
+        )
+        assert f"goes from 0.00 to {(CLIP_FRAMES - 1) / 10:.2f} s; change the range" in result.err
+    overlaps = devrf("run", scene(tmp_path, material, range_s=[0.5, 60]), "--dry-run")
+    assert overlaps.code == 0, overlaps.said
+
+
 def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, material: Path) -> None:
     path = scene(tmp_path, material, static=str(material / "blank.mp4"), cameras=None)
     result = devrf("run", path, "--until", "static_poses")
