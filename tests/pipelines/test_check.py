@@ -26,7 +26,7 @@ from devrf.pipelines.check import rows as check_rows
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.command import left_out
-from devrf.pipelines.check.estimate import estimate_rows
+from devrf.pipelines.check.estimate import MOTION_S, estimate_rows, time_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 
@@ -346,3 +346,22 @@ def test_a_full_disk_and_a_short_time_are_said(tmp_path: Path) -> None:
     assert verdict(rows(10e6), "room") == "fail"
     assert verdict(rows(100e9, disk_gb=0.01), "room") == "fail"
     assert verdict(rows(100e9, time_minutes=1.0), "time") == "warn"
+
+
+@pytest.mark.parametrize("preset", ["tiny", "fast"])
+def test_a_scene_at_rest_takes_less_time_than_one_in_motion(preset: str) -> None:
+    look = look_at_clip(EXAMPLE / "static.mp4", 3)
+    planned = {"static": planned_frames(look, "sweep", "static.mp4")}
+    moving = {"static": "s.mp4", "cameras": {"cam0": "cam0.mp4"}}
+
+    def time(capture: dict) -> HealthRow:
+        (row,) = time_rows(
+            SceneConfig.model_validate({"name": "x", "preset": preset, "capture": capture}), planned
+        )
+        return row
+
+    at_rest, in_motion = time({"static": "s.mp4"}), time(moving)
+    assert isinstance(at_rest.value, float) and isinstance(in_motion.value, float)
+    # The sweep is the same in both, so only the motion's training makes the difference, in minutes.
+    assert in_motion.value - at_rest.value == pytest.approx(MOTION_S[preset] / 60)
+    assert "optical flow" in in_motion.check and "optical flow" not in at_rest.check
