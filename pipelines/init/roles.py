@@ -12,7 +12,8 @@ from devrf.calibration.field.steady import steadiness
 from devrf.capture.survey import Look
 from devrf.pipelines.init.boards import BOARD_SHARE, give_boards, is_board_clip
 from devrf.pipelines.init.found import Roles, Seen
-from devrf.pipelines.init.names import camera_name
+from devrf.pipelines.init.names import camera_name, photos
+from devrf.pipelines.stages.ingest import FEWEST_SWEEP_PICTURES
 
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one
 MOST_TRIALS = 24  # pictures in which a board of unknown kind is looked for; each takes a second
@@ -72,7 +73,7 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
 def _sweep(moving: list[Seen], standing: list[Seen], roles: Roles) -> None:
     few = [s for s in moving if not s.look.is_clip and s.look.count < FEWEST_PHOTOS and s.called != "sweep"]
     for s in few:
-        roles.unused[s.name] = f"{s.look.count} photos: too few for a sweep"
+        roles.unused[s.name] = f"{photos(s.look.count)}: too few for a sweep"
     wanted = sorted(
         (s for s in moving if s not in few),
         key=lambda s: (s.called != "sweep", s.called in ("camera", "test"), -s.look.count),
@@ -99,7 +100,7 @@ def _sweep(moving: list[Seen], standing: list[Seen], roles: Roles) -> None:
 
 def _take_sweep(s: Seen, roles: Roles) -> None:
     roles.sweep = s
-    what = "the camera moves" if s.look.is_clip else f"{s.look.count} photos"
+    what = "the camera moves" if s.look.is_clip else photos(s.look.count)
     roles.why[s.name] = f"the sweep: {what}" + (", and so it is called" if s.called == "sweep" else "")
     if not s.look.is_clip and s.board_share >= BOARD_SHARE:
         roles.doubts.append(
@@ -133,6 +134,8 @@ def _fault(s: Seen) -> str | None:
         return "black: a lens cap, or no light; film again"
     if s.look.is_clip and s.look.count < 2:
         return "a single picture; expected a clip"
+    if not s.look.is_clip and s.called == "sweep" and s.look.count < FEWEST_SWEEP_PICTURES:
+        return f"called a sweep, but has {photos(s.look.count)}: photograph the scene at rest from all around"
     return None
 
 

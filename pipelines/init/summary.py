@@ -5,6 +5,7 @@ from pathlib import Path
 from devrf.capture.survey import Look, Material
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.init.found import Found, Roles
+from devrf.pipelines.init.names import photos
 from devrf.pipelines.init.roles import FEWEST_PHOTOS
 
 LISTED = 10  # files that were not looked into
@@ -30,7 +31,8 @@ def summary(talk: Talk, folder: Path, material: Material, found: Found) -> None:
         )
         talk.say(f"  board: {roles.board.spec.words}, {how}")
     if roles.cameras and roles.sweep is not None:
-        talk.say(f"  rest: {found.rest}: when the clips show the scene as in the sweep")
+        how = "end" if found.rest == "end" else "begin"
+        talk.say(f"  the clips {how} with the scene as the sweep shows it (rest: {found.rest})")
     _section(talk, "cannot be used as it is", _listed(roles.faulty), "bold red")
     _section(talk, "not used", _unused(folder, material, roles))
     _section(talk, "doubtful or missing", [*roles.doubts, *_missing(found)])
@@ -94,7 +96,7 @@ def _missing(found: Found) -> list[str]:
 def _words(look: Look) -> str:
     if not look.is_clip:
         device = f", {look.device}" if look.device else ""
-        return f"{look.count} photos, {look.width}x{look.height}{device}"
+        return f"{photos(look.count)}, {look.width}x{look.height}{device}"
     fps = f", {look.fps:.4g} fps" if look.fps else ""
     sound = ", with sound" if look.has_audio else ""
     return f"{look.width}x{look.height}{fps}, {duration(look.duration_s or 0.0)}{sound}"

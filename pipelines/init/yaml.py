@@ -76,7 +76,9 @@ def _board(spec: BoardSpec, clips: dict[str, Seen], joint: dict[str, Seen]) -> l
     if spec.type != "chessboard":
         lines.append(f"    marker_m: {share:.2f}               # side of a marker, in proportion as seen")
         lines.append(f"    dictionary: {spec.dictionary}")
-        lines.append(f"    inverted: {str(spec.inverted is True).lower()}              # white on black")
+        lines.append(
+            f"    inverted: {str(spec.inverted is True).lower()}              # true: printed white on black"
+        )
     if spec.type == "aruco_grid":
         lines.append(
             f"    separation_m: {1 - share:.2f}           # gap between markers, in proportion as seen"

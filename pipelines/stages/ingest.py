@@ -18,6 +18,7 @@ from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet
 TRUSTED = 0.5  # confidence from which a clock limits what is kept
+FEWEST_SWEEP_PICTURES = 3  # with fewer nothing is registered
 LEAST_LEFT = 10  # frames of a damaged clip, ...
 LEAST_LEFT_SHARE = (
     0.5  # ... and share of what its file announces: with less it is not the clip that was filmed
@@ -122,7 +123,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
             float(len(sweep.used)),
             "",
             warn=20.0,
-            fail=3.0,
+            fail=float(FEWEST_SWEEP_PICTURES),
             remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
         ),
         row(

@@ -207,6 +207,14 @@ def test_two_sweeps_black_clips_and_few_photos() -> None:
     assert "too little to see" in roles.why["cam0.mp4"]
 
 
+def test_a_sweep_of_two_photos_cannot_be_used() -> None:
+    for count, words in ((1, "1 photo:"), (2, "2 photos:")):
+        roles = roles_of(seen("sweep", UNKNOWN, is_clip=False, count=count), seen("cam0.mp4"))
+        assert roles.sweep is None and f"has {words}" in roles.faulty["sweep"]
+    roles = roles_of(seen("sweep", UNKNOWN, is_clip=False, count=3))  # `check` refuses fewer than three
+    assert roles.sweep is not None and not roles.faulty
+
+
 def test_photos_of_a_board_are_no_sweep() -> None:
     roles = roles_of(
         seen("static.mp4", MOVES), seen("clips/cam1.mp4"),
