@@ -45,6 +45,7 @@ def given_calibration(folder: Path, files: Sequence[Path], roles: Roles) -> str 
             )
             continue
         chosen = name
+        roles.metric = given.rig.scale.metric
         roles.why[name] = f"a calibration ({words}): lenses and poses of the cameras"
         roles.doubts += [
             f"{name}: {note.check}: {note.text}. {note.remedy}" for note in given.notes if note.remedy

@@ -76,12 +76,12 @@ def _listed(files: dict[str, str]) -> list[str]:
 
 def _missing(found: Found) -> list[str]:
     roles, out = found.roles, []
-    if roles.board is not None:
+    if roles.board is not None and not roles.metric:
         out.append(
             "size of the board's squares: unknown, so the scale is arbitrary. Measure one, put it into "
             "capture.board.square_m (and marker_m), and remove metric: false"
         )
-    elif roles.sweep is not None:
+    elif roles.board is None and roles.sweep is not None:
         out.append("no calibration board: lenses come from the sweep, and the scale is arbitrary")
     silent = [name for name, s in {**roles.cameras, **roles.tests}.items() if not s.look.has_audio]
     if silent and len(roles.cameras) + len(roles.tests) > 1 and found.timestamps is None:

@@ -4,7 +4,7 @@ import json
 import re
 
 from devrf.calibration.boards.spec import BoardSpec
-from devrf.pipelines.init.found import Found, Seen
+from devrf.pipelines.init.found import Found, Roles, Seen
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")  # what YAML reads as text without quotes ...
 WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))  # ... but for these
@@ -39,7 +39,7 @@ def scene_yaml(name: str, found: Found) -> str:
             f"  rest: {found.rest}                      # the clips show the scene as in the sweep: start, end or none"
         )
     if roles.board is not None:
-        lines += _board(roles.board.spec, roles.boards, roles.joint)
+        lines += _board(roles.board.spec, roles)
     if found.given is not None:
         lines.append("calibration:")
         lines.append(f"  rig: {{given: {_text(found.given)}}}   # {roles.why[found.given]}")
@@ -57,7 +57,7 @@ def dataset_yaml(name: str, dataset_format: str) -> str:
     )
 
 
-def _board(spec: BoardSpec, clips: dict[str, Seen], joint: dict[str, Seen]) -> list[str]:
+def _board(spec: BoardSpec, roles: Roles) -> list[str]:
     lines = [
         "  board:                         # told from the pictures, but for its size",
         f"    type: {spec.type}",
@@ -66,10 +66,17 @@ def _board(spec: BoardSpec, clips: dict[str, Seen], joint: dict[str, Seen]) -> l
     lines.append(
         f"    squares: [{spec.squares[0]}, {spec.squares[1]}]              # columns and rows of {what}"
     )
-    lines.append(
-        "    metric: false                # nobody measured it: the scale stays arbitrary. To have metres,"
-    )
-    lines.append("    #                              give true lengths in the next lines and remove this one")
+    if roles.metric:
+        lines.append(
+            "    metric: false                # nobody measured it: metres come from the calibration"
+        )
+    else:
+        lines.append(
+            "    metric: false                # nobody measured it: the scale stays arbitrary. To have metres,"
+        )
+        lines.append(
+            "    #                              give true lengths in the next lines and remove this one"
+        )
     share = spec.marker_m or 0.75
     if spec.type != "aruco_grid":
         lines.append("    square_m: 1.0                # side of a square")
@@ -83,9 +90,9 @@ def _board(spec: BoardSpec, clips: dict[str, Seen], joint: dict[str, Seen]) -> l
         lines.append(
             f"    separation_m: {1 - share:.2f}           # gap between markers, in proportion as seen"
         )
-    lines += ["  " + line for line in _clips("clips", clips, "the board before one camera at a time")]
+    lines += ["  " + line for line in _clips("clips", roles.boards, "the board before one camera at a time")]
     lines += [
-        "  " + line for line in _clips("joint_clips", joint, "the board before several cameras at once")
+        "  " + line for line in _clips("joint_clips", roles.joint, "the board before several cameras at once")
     ]
     return lines
 
