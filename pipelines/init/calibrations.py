@@ -37,6 +37,7 @@ def given_calibration(folder: Path, files: Sequence[Path], roles: Roles) -> str 
             given = read_given(file, list(cameras), sizes)
         except DevrfError as error:
             roles.unused[name] = f"a calibration ({words}), but {str(error).removeprefix(f'{file}: ')}"
+            roles.unfit.append(name)
             continue
         if given.rig is None or roles.sweep is not None or roles.joint or chosen is not None:
             what = "lenses" if given.rig is None else "lenses and poses"

@@ -52,11 +52,7 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
         raise InputError(nothing(folder, material, roles))
     summary(talk, folder, material, found)
     if roles.sweep is None and not roles.joint and found.given is None:
-        raise InputError(
-            f"{folder}: clips of fixed cameras alone do not tell where the cameras are; film a sweep of the scene at "
-            "rest, or a board that several cameras see at once, or put a calibration you own into the folder; "
-            "nothing was written"
-        )
+        raise InputError(_unplaced(folder, roles))
     _write(path, scene_yaml(name, found))
     talk.say(f"wrote {path}; look through it, then: devrf-pipeline check {path}", style="bold")
     return path
@@ -91,6 +87,20 @@ def survey(folder: Path, material: Material, progress: Progress) -> Found:
     rest = _rest(roles)
     times = _timestamps(folder, material, roles)
     return Found(roles, rest, times, given, shutil.which("nvidia-smi") is not None)
+
+
+def _unplaced(folder: Path, roles: Roles) -> str:
+    """What to say where nothing tells the cameras' places."""
+    calibration = "put a calibration you own into the folder"
+    if roles.unfit:
+        calibration = (
+            f"make {roles.unfit[0]} fit, which is there but is for other pictures or cameras: film at the size that it was "
+            "calibrated at, or leave the clip of the camera that it does not fit out of the folder"
+        )
+    return (
+        f"{folder}: clips of fixed cameras alone do not tell where the cameras are; film a sweep of the scene at "
+        f"rest, or a board that several cameras see at once, or {calibration}; nothing was written"
+    )
 
 
 def _too_few(relative: str, count: int) -> bool:

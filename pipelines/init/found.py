@@ -44,6 +44,7 @@ class Roles:
         boards, joint: Camera name (or static) -> clip with the board before it alone, or before several at once.
         board: The board; None where none is seen.
         metric: Whether the calibration that is used gives metres.
+        unfit: Calibrations that do not fit the cameras' clips.
         why: File -> what it was taken for, and why.
         doubts: Contradictions and what is missing, one sentence each.
         unused: File -> why it is not used.
@@ -57,6 +58,7 @@ class Roles:
     joint: dict[str, Seen] = field(default_factory=dict)
     board: BoardGuess | None = None
     metric: bool = False
+    unfit: list[str] = field(default_factory=list)
     why: dict[str, str] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
     unused: dict[str, str] = field(default_factory=dict)

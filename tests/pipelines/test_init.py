@@ -16,13 +16,15 @@ from devrf.calibration.boards.layout import read_grey
 from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.field.steady import Steadiness, steadiness
 from devrf.capture.errors import InputError
-from devrf.capture.survey import Look
+from devrf.capture.survey import Look, find_material
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
+from devrf.pipelines.init.calibrations import given_calibration
 from devrf.pipelines.init.command import init
 from devrf.pipelines.init.found import Found, Roles, Seen
 from devrf.pipelines.init.roles import guess_roles
+from devrf.pipelines.init.summary import summary
 from devrf.pipelines.init.yaml import scene_yaml
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
@@ -241,6 +243,27 @@ def test_board_clips_are_joint_where_they_can_be() -> None:
     assert one_sees_it.joint == {}
 
 
+POSE2SIM = (
+    "[cam_{0}]\nname = 'cam{0}'\nsize = [{1}, {2}]\nmatrix = [[300.0, 0.0, 160.0], [0.0, 300.0, 120.0], "
+    "[0.0, 0.0, 1.0]]\ndistortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.{0}, 0.0]\n"
+    "translation = [{0}.0, 0.0, 0.0]\nfisheye = false\n"
+)  # of camera {0} in pictures {1} x {2}; lengths are in metres
+
+
+def test_a_calibration_in_metres_leaves_no_scale_unknown(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = tmp_path / "Calib.toml"
+    file.write_text("".join(POSE2SIM.format(n, 1920, 1080) for n in range(2)))
+    for files, unknown in (([], True), ([file], False)):
+        roles = roles_of(seen("cam0.mp4", board=0.3), seen("cam1.mp4"))  # the board lies in the scene
+        given = given_calibration(tmp_path, files, roles)
+        found = Found(roles, "start", None, given, False)
+        summary(Talk(), tmp_path, find_material(tmp_path), found)
+        assert ("size of the board's squares: unknown" in capsys.readouterr().out) is unknown
+        assert ("the scale stays arbitrary" in scene_yaml("x", found)) is unknown
+
+
 def test_names_become_cameras_and_the_file_is_what_run_takes(tmp_path: Path) -> None:
     cameras = ["no.mp4", "null/clip.mp4", "gopro 2/GX01.mp4", "gopro 3/GX01.mp4", "wit.mp4"]
     files = [seen("walk/a: 1.mp4", MOVES, board=0.3), *map(seen, cameras), seen("board_x.mp4")]
@@ -321,13 +344,15 @@ def test_fixed_cameras_alone_are_placed_by_a_calibration_or_refused(
     said = capsys.readouterr().out
     assert "fixed camera cam0" in said and "no sound track: cam0, cam1" in said and "no sweep" in said
 
-    table = (
-        "[cam_{0}]\nname = 'cam{0}'\nsize = [{1}, 240]\nmatrix = [[300.0, 0.0, 160.0], [0.0, 300.0, 120.0], "
-    )
-    table += "[0.0, 0.0, 1.0]]\ndistortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.{0}, 0.0]\n"
-    table += "translation = [{0}.0, 0.0, 0.0]\nfisheye = false\n"
-    (tmp_path / "Calib_other.toml").write_text(table.format(0, 400) + table.format(1, 400))
-    (tmp_path / "Calib_rig.toml").write_text(table.format(0, 320) + table.format(1, 320))
+    def calibrate(name: str, *widths: int) -> None:
+        (tmp_path / name).write_text("".join(POSE2SIM.format(n, w, 240) for n, w in enumerate(widths)))
+
+    calibrate("Calib_other.toml", 320, 400)
+    with pytest.raises(InputError, match="film at the size") as error:
+        init(Talk(), tmp_path, None, False)
+    assert "make Calib_other.toml fit" in str(error.value) and "you own" not in str(error.value)
+    assert "camera 'cam1' is calibrated at 400x240" in capsys.readouterr().out
+    calibrate("Calib_rig.toml", 320, 320)
     init(Talk(), tmp_path, None, False)
     config = load_scene(tmp_path / "scene.yaml")
     assert config.calibration.rig.given == "Calib_rig.toml"
