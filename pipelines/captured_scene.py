@@ -64,6 +64,8 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
             m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
         ]
     else:
+        assert config.capture.mattes is not None
+        context.health.extend(matte_health(mattes, config.capture.mattes.method))
         static, dynamic, masks = mattes.static, mattes.dynamic, mattes.hull_masks
         if points is not None and mattes.everywhere:
             small = [fact.small for fact in mattes.cameras[SWEEP].facts]
@@ -81,9 +83,6 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         masks,
         "what moves" if mattes is None else "the subject's mattes",
     )
-    if mattes is not None:
-        assert config.capture.mattes is not None
-        context.health.extend(matte_health(mattes, config.capture.mattes.method))
     context.health.extend(box_health(bounds, masks, mattes, dynamic))
     rest = config.capture.rest
     scene = Scene(

@@ -6,6 +6,7 @@ keying; the sector is 90 degrees wide), over its luma: shade changes it little. 
 screen's, opaque where it is small, in between at edges, which mix both.
 """
 
+import colorsys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,6 +25,9 @@ LEAST_SHARE = 0.15  # of the pictures: a screen behind the subject shows at leas
 BINS, BIN_DEG = 72, 5.0
 SECTOR_DEG = 15.0  # to either side of the commonest direction; screens vary by a few degrees
 DARK = 20.0  # levels of luma: chroma of darker pixels is noise
+# Paints and cloths made for screens lie at 120 to 142 (green) and 217 to 226 (blue) degrees of hue, as sRGB; the limits
+# leave room for warm and cold light and a wrong white balance. Skin, wood, and yellow to red cloths stay below 60.
+SCREEN_HUES_DEG = (80.0, 165.0), (195.0, 255.0)
 CLEAR, OPAQUE = 0.6, 0.2  # of the screen's key: at least so much is screen, at most so much is subject
 
 
@@ -49,6 +53,12 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
             "evenly, name its colour (capture.mattes: {method: chroma, colour: '#00b140'}), or use another method"
         )
     return np.median(rgb[near], axis=0)
+
+
+def is_screen_hue(rgb: Float[np.ndarray, "3"]) -> bool:
+    """Whether a colour, RGB in 0 to 255, can be that of a green or blue screen."""
+    hue_deg = 360 * colorsys.rgb_to_hsv(*(float(value) / 255 for value in rgb))[0]
+    return any(least <= hue_deg <= most for least, most in SCREEN_HUES_DEG)
 
 
 def chroma_matte(

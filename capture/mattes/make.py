@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.capture.mattes.chroma import chroma_matte, find_key, key_share
+from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue, key_share
 from devrf.capture.mattes.clean_plate import clean_plate, plate_matte
 from devrf.capture.mattes.command import MatteCommand, run_on_pictures
 from devrf.capture.mattes.given import find_mattes, is_inverted, read_given
@@ -49,6 +49,7 @@ class CameraMattes:
         facts: What each says about itself.
         inverted: Whether given mattes were found to show the subject black.
         key_rgb: The screen's colour, 0 to 255.
+        doubtful_key: Whether that colour was found, not named, and is neither a green nor a blue screen's.
         spill: Share of the screen's colour within the subject's edge; None without a screen.
         hidden: Share of what the subject ever covers that has no lasting background; None without a clean plate.
     """
@@ -57,6 +58,7 @@ class CameraMattes:
     facts: tuple[MatteFacts, ...]
     inverted: bool = False
     key_rgb: tuple[float, float, float] | None = None
+    doubtful_key: bool = False
     spill: float | None = None
     hidden: float | None = None
 
@@ -95,7 +97,8 @@ def chroma_mattes(
     files, facts = _write(clip, source, out, progress)
     red, green, blue = (float(value) for value in key)
     spill = float(np.median(spills)) if spills else None
-    return CameraMattes(files, facts, key_rgb=(red, green, blue), spill=spill)
+    doubtful = colour is None and not is_screen_hue(key)
+    return CameraMattes(files, facts, key_rgb=(red, green, blue), doubtful_key=doubtful, spill=spill)
 
 
 def background_mattes(clip: Clip, out: Path, progress: Progress = no_progress) -> CameraMattes:

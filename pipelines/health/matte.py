@@ -100,12 +100,26 @@ def _inverted(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
 
 
 def _screens(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
-    """Which colour each camera's screen has."""
+    """Which colour each camera's screen has; a colour that was found and can be no screen's fails."""
     keys = {name: mattes.key_rgb for name, mattes in made.items() if mattes.key_rgb is not None}
     if not keys:
         return []
-    colours = [f"{name} #{''.join(f'{round(value):02x}' for value in key)}" for name, key in keys.items()]
-    return [note("the screen's colour", ", ".join(colours))]
+    colours = {
+        name: f"{name} #{''.join(f'{round(value):02x}' for value in key)}" for name, key in keys.items()
+    }
+    doubtful = [colours[name] for name in keys if made[name].doubtful_key]
+    return [
+        note(
+            "the screen's colour",
+            ", ".join(colours.values()),
+            verdict="fail" if doubtful else "ok",
+            remedy=f"The commonest strong colour is neither a green nor a blue screen's ({', '.join(doubtful)}) and may "
+            "be the subject: film before a green or blue screen, name the screen's colour (capture.mattes: {method: "
+            "chroma, colour: '#00b140'}), or use another method."
+            if doubtful
+            else "",
+        )
+    ]
 
 
 def _worst(made: Mapping[str, CameraMattes], value: Callable[[CameraMattes], float]) -> tuple[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.mattes.chroma import find_key, parse_colour
+from devrf.capture.mattes.chroma import find_key, is_screen_hue, parse_colour
 from devrf.capture.mattes.clean_plate import clean_plate
 from devrf.capture.mattes.command import MatteCommand, run_on_pictures
 from devrf.capture.mattes.given import cameras_with_mattes, find_mattes, is_inverted, read_given
@@ -119,6 +119,21 @@ def test_no_screen_is_named(passing: Passing, tmp_path: Path) -> None:
         CaptureError, match="camera 'cam0': no key colour found: .*expected at least 15 %.*colour"
     ):
         find_key("cam0", clip.files)
+
+
+@pytest.mark.parametrize(
+    ("colour", "screen"),
+    [
+        ("#00b140", True),  # chroma key green
+        ("#0047bb", True),  # chroma key blue
+        ("#c06020", False),  # an orange cloth
+        ("#e0ac69", False),  # skin
+        ("#b01030", False),  # red
+        ("#8020a0", False),  # purple
+    ],
+)
+def test_green_and_blue_are_screens(colour: str, screen: bool) -> None:
+    assert is_screen_hue(parse_colour(colour)) == screen
 
 
 def test_a_grey_screen_is_refused() -> None:

@@ -55,8 +55,10 @@ def ball(camera: Camera, centre: np.ndarray) -> np.ndarray:
 class Session:
     """A run folder up to `rig`: a ball at rest for a sweep, and in motion for one fixed camera."""
 
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, step: float = 0.004) -> None:
-        self.folder, self.run = folder, folder / "run"
+    def __init__(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch, step: float = 0.004, behind: np.ndarray = GREEN
+    ) -> None:
+        self.folder, self.run, self.behind = folder, folder / "run", behind
         self.sweep = [look_at(a, 0.3 + 0.2 * (n % 3)) for n, a in enumerate(np.linspace(0, 6, 10))]
         self.fixed = look_at(0.4)
         self.true: dict[str, np.ndarray] = {}
@@ -88,7 +90,7 @@ class Session:
         (self.run / "ingest" / "frames" / name).mkdir(parents=True)
         for n, (camera, centre) in enumerate(views):
             mask = ball(camera, centre)
-            picture = np.where(mask[..., None], [190, 60, 70], GREEN).astype(np.int16)
+            picture = np.where(mask[..., None], [190, 60, 70], self.behind).astype(np.int16)
             picture += rng.integers(-3, 4, picture.shape)
             file = f"frames/{name}/{n:06d}.png"
             write_png(self.run / "ingest" / file, picture.clip(0, 255).astype(np.uint8))
@@ -233,6 +235,18 @@ def test_bad_mattes_have_rows(session: Session) -> None:
     rows = session.scene("empty")[1]
     assert rows["pictures without a subject (cam0)"].verdict == "warn"
     assert rows["subject's share of the picture (sweep)"].verdict == "warn"
+
+
+def test_a_common_colour_is_no_screen_unless_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Session(tmp_path, monkeypatch, behind=np.array([170, 130, 30], np.uint8))
+    row = session.scene("chroma")[1]["the screen's colour"]
+    assert row.verdict == "fail" and isinstance(row.value, str)
+    assert f"neither a green nor a blue screen's ({row.value})" in row.remedy
+    assert re.fullmatch("static #[0-9a-f]{6}, cam0 #[0-9a-f]{6}", row.value)
+    named = session.scene({"method": "chroma", "colour": "#aa821e"})[1]["the screen's colour"]
+    assert named.verdict == "ok"
 
 
 def test_a_missing_matte_is_named(session: Session) -> None:
