@@ -32,6 +32,7 @@ from devrf.pipelines.runner import (
     UNHEALTHY,
     Run,
     check_choice,
+    check_reads,
     dry_run,
     execute,
 )
@@ -162,7 +163,9 @@ def report(
     if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
         _only("report", scene, preset, overrides, talk)
     if not done:
-        talk.error(f"{job.run_dir}: nothing has been run yet; run the scene first")
+        talk.error(
+            f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
+        )
         raise typer.Exit(BAD_INPUT)
     from devrf.pipelines.stages.report import report_so_far
 
@@ -171,7 +174,8 @@ def report(
     except OSError as error:
         talk.error(f"{job.run_dir}: the report cannot be written ({error.strerror or error})")
         raise typer.Exit(FAILED) from None
-    _where_to_look(job)
+    job.fresh.append("report")
+    say_where(job)
 
 
 @app.command()
@@ -327,7 +331,7 @@ def _start(job: Run, device: str) -> int:
     if code == DONE:
         code = execute(job)
     if code == DONE:
-        _where_to_look(job)
+        say_where(job)
     return code
 
 
@@ -339,6 +343,7 @@ def _check(job: Run, device: str) -> int:
         if now.state in ("stale", "missing")
     }
     try:
+        check_reads(job)
         if to_do:
             job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
             check_folder(job.run_dir, "output:")
@@ -385,26 +390,28 @@ def _only(
     choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
     job = _prepare(talk, scene, preset, overrides, choice)
     try:
+        check_reads(job, f"run the scene first (devrf-pipeline run {scene})")
         job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None
     code = execute(job)
     if code == DONE:
-        _where_to_look(job)
+        say_where(job)
     raise typer.Exit(code)
 
 
-def _where_to_look(job: Run) -> None:
-    """Name what people want to see."""
+def say_where(job: Run) -> None:
+    """Name what people want to see, of the stages that are fresh now."""
     found = [
-        ("report", job.run_dir / "report" / "index.html"),
-        *(("film", film) for film in sorted((job.run_dir / "render").glob("*.mp4"))),
-        ("numbers", job.run_dir / "evaluate" / "metrics.json"),
+        ("report", "report", "index.html"),
+        ("film", "render", "*.mp4"),
+        ("numbers", "evaluate", "metrics.json"),
     ]
-    for what, path in found:
-        if path.is_file():
-            job.talk.say(f"  {what}: {path}")
+    for what, stage, pattern in found:
+        if stage in job.fresh:
+            for path in sorted((job.run_dir / stage).glob(pattern)):
+                job.talk.say(f"  {what}: {path}")
 
 
 if __name__ == "__main__":

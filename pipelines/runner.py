@@ -57,7 +57,8 @@ class Run:
         choice: Which stages to run.
         talk: Where to speak.
         device: "cpu" or "cuda".
-        lines: How each stage ended, for the summary.
+        executed: The stages that were made.
+        fresh: Those, and the ones that were skipped because nothing they depend on has changed.
     """
 
     config: SceneConfig
@@ -67,6 +68,7 @@ class Run:
     talk: Talk
     device: str = "cpu"
     executed: list[str] = field(default_factory=list)
+    fresh: list[str] = field(default_factory=list)
 
     @property
     def run_dir(self) -> Path:
@@ -104,6 +106,25 @@ def check_choice(config: SceneConfig, stages: Sequence[Stage], choice: Choice) -
         raise InputError("\n".join(mistakes))
 
 
+def check_reads(run: Run, remedy: str | None = None) -> None:
+    """Refuse to start at a stage that reads what neither is made nor will be.
+
+    Raises:
+        InputError: With the remedy; None advises to start at the first stage that is missing.
+    """
+    applying = [stage for stage in run.stages if stage.applies(run.config) is None]
+    unmade = [stage.name for stage in applying if not (run.run_dir / stage.name).is_dir()]
+    chosen = [stage for stage in applying if is_chosen(stage.name, run.stages, run.choice)]
+    made = {stage.name for stage in chosen}
+    for stage in chosen:
+        missing = [name for name in stage.reads if name in unmade and name not in made]
+        if missing:
+            raise InputError(
+                f"{stage.name} reads {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} "
+                f"not made yet; {remedy or f'run without --from, or --from {unmade[0]}'}"
+            )
+
+
 def dry_run(run: Run) -> None:
     """Say what `execute` would do, and touch nothing."""
     for now in standings(run.stages, run.config, run.scene_dir, run.run_dir, run.choice):
@@ -124,6 +145,7 @@ def execute(run: Run) -> int:
     """
     previous = _terminate_like_ctrl_c()
     try:
+        check_reads(run)
         with Workspace(run.run_dir) as workspace, log_file(run.run_dir):
             logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
             return _run_stages(run, workspace)
@@ -166,6 +188,8 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             run.executed.append(stage.name)
             now = standing(stage, run.stages, run.config, run.scene_dir, run.run_dir, digests)
             run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
+        if now.state == "fresh":
+            run.fresh.append(stage.name)
         code = _judge(run, now)
         if code is not None:
             return code
@@ -200,14 +224,6 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
     folder: Path | None = None
     context: StageContext | None = None
     try:
-        missing = [
-            name for name in reads_of(stage, run.stages, run.config) if not (run.run_dir / name).is_dir()
-        ]
-        if missing:
-            raise DevrfError(
-                f"{stage.name} reads {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} "
-                f"not made yet; run without --from, or --from {missing[0]}"
-            )
         _check_disk_budget(run)
         made_from = identity(
             stage,

@@ -113,9 +113,9 @@ def _screens(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
             "the screen's colour",
             ", ".join(colours.values()),
             verdict="fail" if doubtful else "ok",
-            remedy=f"The commonest strong colour is neither a green nor a blue screen's ({', '.join(doubtful)}) and may "
-            "be the subject: film before a green or blue screen, name the screen's colour (capture.mattes: {method: "
-            "chroma, colour: '#00b140'}), or use another method."
+            remedy=f"The commonest strong colour is neither a green nor a blue screen's ({', '.join(doubtful)}) and "
+            "may be the subject: film before a green or blue screen, name the screen's colour (capture.mattes: "
+            "{method: chroma, colour: '#00b140'}), or use another method."
             if doubtful
             else "",
         )

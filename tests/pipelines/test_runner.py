@@ -15,9 +15,11 @@ from pathlib import Path
 
 import pytest
 import torch
+import typer
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
 from devrf.pipelines import plan, stamp
+from devrf.pipelines.cli import render, say_where
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
@@ -158,8 +160,50 @@ def test_from_until_force(folder: Path) -> None:
 
 
 def test_from_without_what_it_reads_is_refused(folder: Path, capsys: pytest.CaptureFixture) -> None:
-    assert execute(job(folder, small_stages(), choice=Choice(first="third"))) == FAILED
-    assert "third reads second, which is not made yet; run without --from" in capsys.readouterr().err
+    third = Choice(first="third")
+    assert execute(job(folder, small_stages(), choice=third)) == BAD_INPUT
+    said = "third reads second, which is not made yet; run without --from, or --from first"
+    assert said in capsys.readouterr().err
+    assert not (folder / "run").exists()
+    executed(folder, choice=Choice(last="first"))
+    assert execute(job(folder, small_stages(), choice=third)) == BAD_INPUT
+    assert "--from second" in capsys.readouterr().err
+    assert not plan.error_path(folder / "run", "third").exists()
+
+
+def test_only_what_is_fresh_is_named(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    """Numbers and film of an earlier run are not this one's results."""
+
+    def named(choice: Choice) -> list[str]:
+        run = job(
+            folder,
+            (
+                stage("flow", (), ()),
+                stage("evaluate", ("flow",), (), lambda c: put(c.out / "metrics.json")),
+                stage("render", ("flow",), (), lambda c: put(c.out / "orbit.mp4")),
+            ),
+            choice=choice,
+        )
+        assert execute(run) == DONE
+        run.talk = Talk("normal")
+        say_where(run)
+        return [line.split(":")[0].strip() for line in capsys.readouterr().out.splitlines()]
+
+    def put(path: Path) -> None:
+        path.write_text("x")
+
+    assert named(Choice()) == ["film", "numbers"]
+    assert named(Choice()) == ["film", "numbers"]  # skipped as fresh
+    assert named(Choice(last="flow", force=("flow",))) == []
+    assert named(Choice(first="evaluate", last="evaluate")) == ["numbers"]
+
+
+def test_a_film_of_a_scene_that_never_ran_is_refused(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(typer.Exit) as ended:
+        render(folder / "scene.yaml")
+    assert ended.value.exit_code == BAD_INPUT
+    assert f"run the scene first (devrf-pipeline run {folder}/scene.yaml)" in capsys.readouterr().err
+    assert not (folder / "run").exists()
 
 
 @pytest.mark.parametrize(
