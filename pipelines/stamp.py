@@ -169,8 +169,7 @@ def why_stale(folder: Path, now: dict) -> list[str]:
     for key in sorted({*then["config"], *now["config"]}):
         old, new = then["config"].get(key), now["config"].get(key)
         if old != new:
-            is_file = any(isinstance(v, dict) and "content" in v for v in (old, new))
-            reasons.append(f"{key}: content changed" if is_file else f"{key}: {old} is now {new}")
+            reasons.append(f"{key}: {_change(old, new)}")
     for name in sorted({*then["inputs"], *now["inputs"]}):
         if then["inputs"].get(name) != now["inputs"].get(name):
             reasons.append(f"{name} changed")
@@ -182,6 +181,18 @@ def why_stale(folder: Path, now: dict) -> list[str]:
         reasons.append("the code changed")
     reasons += damage(folder, stamp)
     return reasons
+
+
+def _change(old: Any, new: Any) -> str:
+    """What happened to a key, in words. Values are those of `identity`, None where there is none."""
+    was_file, is_file = (isinstance(value, dict) and value.get("content") is not None for value in (old, new))
+    if was_file or is_file:
+        return "content changed" if was_file and is_file else "newly given" if is_file else "no longer given"
+    if old == {} or new == {}:  # what came or went stands at keys of its own
+        return "no longer empty" if old == {} else "now empty"
+    if old is None or new is None:
+        return f"was not set, is now {new}" if old is None else f"was {old}, is no longer set"
+    return f"{old} is now {new}"
 
 
 def damage(folder: Path, stamp: dict) -> list[str]:

@@ -37,7 +37,7 @@ OutOption = Annotated[
 DataOption = Annotated[
     Path | None, typer.Option(help="Folder of real captures with references, a folder each")
 ]
-OnlyOption = Annotated[str | None, typer.Option(help="Some of the parts, by name: boards,rigs; sound,motion")]
+PARTS_HELP = "Some of the parts, by name, with commas between; default: all of "
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
 
 
@@ -193,8 +193,10 @@ def reference(
 @bench.command()
 def calibration(
     data: DataOption = None,
-    only: OnlyOption = None,
-    out: OutOption = None,
+    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "boards,colour,sweeps,rigs")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what the parts make; default: bench-calibration")
+    ] = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -207,8 +209,10 @@ def calibration(
 @bench.command()
 def sync(
     data: DataOption = None,
-    only: OnlyOption = None,
-    out: OutOption = None,
+    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "flash,learned,motion,sound")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what the parts make; default: bench-sync")
+    ] = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -221,8 +225,10 @@ def sync(
 @bench.command()
 def flow(
     data: DataOption = None,
-    only: OnlyOption = None,
-    out: OutOption = None,
+    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "accuracy,speed,store")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what the parts make; default: bench-flow")
+    ] = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -235,8 +241,10 @@ def flow(
 @bench.command()
 def ingest(
     data: DataOption = None,
-    only: OnlyOption = None,
-    out: OutOption = None,
+    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "speed,memory,raw,quality")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what the parts make; default: bench-ingest")
+    ] = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:

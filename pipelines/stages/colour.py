@@ -18,6 +18,7 @@ from devrf.calibration.rigs.clean_picture import REST_FRAMES
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.calibration.vignetting import flat_field
+from devrf.capture.errors import DevrfError
 from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
 from devrf.capture.light import LightCourse
 from devrf.capture.look import as_matrix
@@ -95,7 +96,10 @@ class _Job:
         for n, (name, file) in enumerate(files.items()):
             self.context.progress(0.2 * n / len(files), f"chart of {name}")
             path = self.context.config.path(self.context.scene_dir, file)
-            charts[name] = read_chart(path, self.base.before_matching(name, None))
+            try:
+                charts[name] = read_chart(path, self.base.before_matching(name, None))
+            except DevrfError as error:
+                raise type(error)(f"calibration.colour.chart.{name}: {error}") from error
         own = charts.pop(self.reference, None)  # missing only where there are no charts at all
         return [] if own is None else [chart_pairs(self.reference, own, n, c) for n, c in charts.items()]
 

@@ -147,9 +147,10 @@ def test_code_in_a_file_is_not_run(tmp_path, capsys):
     with pytest.raises(InputError, match="raft.pth: not a file of plain weights"):
         load_raft(tmp_path / "raft.pth")
     assert capsys.readouterr().out == ""
-    (tmp_path / "raft.pth").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="raft.pth: not a file of plain weights"):
-        load_raft(tmp_path / "raft.pth")
+    for content in (b"nothing", b"", b"error 404: no such page\n"):
+        (tmp_path / "raft.pth").write_bytes(content)
+        with pytest.raises(InputError, match="raft.pth: not a file of plain weights; expected a state dict"):
+            load_raft(tmp_path / "raft.pth")
     torch.save([1, 2], tmp_path / "raft.pth")
     with pytest.raises(InputError, match="holds no state dict"):
         load_raft(tmp_path / "raft.pth")

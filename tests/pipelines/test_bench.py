@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
@@ -265,3 +266,16 @@ def test_rows_are_judged_against_goals() -> None:
     assert with_goal(Row("a", 1.9, "dB"), 2.0).met is False
     assert with_goal(Row("a", 0.1, ""), 0.2, low_is_good=True).met is True
     assert with_goal(Row("a", None, ""), 1.0).met is None
+
+
+def test_help_names_the_parts_there_are() -> None:
+    """--only lists the parts of its own benchmark, --out its own folder."""
+    from devrf.pipelines.bench.accuracy.parts import CALIBRATION, FLOW, SYNC
+    from devrf.pipelines.bench.cli import bench
+    from devrf.pipelines.bench.ingest import INGEST
+
+    commands = typer.main.get_command(bench).commands  # type: ignore[attr-defined]
+    for name, parts in {"calibration": CALIBRATION, "sync": SYNC, "flow": FLOW, "ingest": INGEST}.items():
+        said = {option.name: option.help for option in commands[name].params}
+        assert said["only"].split(" ")[-1].split(",") == list(parts)
+        assert said["out"].endswith(f"default: bench-{name}")

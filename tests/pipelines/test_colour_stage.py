@@ -1,6 +1,7 @@
 """Stage `colour` through the command line: fixed cameras and a test camera of known colours, and charts of them."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -213,7 +214,9 @@ def test_a_picture_without_a_chart_stops_the_run(devrf: Command, matched: Path, 
     chart = "calibration.colour.chart={cam0: chart_cam0.png, cam1: wall.png}"
     result = devrf("run", session, "--until", "colour", "--set", chart)
     assert result.code == 1
-    assert "wall.png: no colour chart in 1 picture; expected a chart of 6 x 4 patches" in result.said
+    assert re.search(
+        "calibration.colour.chart.cam1: .*wall.png: no colour chart in 1 picture; exp", result.said
+    )
     assert "Traceback" not in result.said
 
 
