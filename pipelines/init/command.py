@@ -94,8 +94,8 @@ def _unplaced(folder: Path, roles: Roles) -> str:
     calibration = "put a calibration you own into the folder"
     if roles.unfit:
         calibration = (
-            f"make {roles.unfit[0]} fit, which is there but is for other pictures or cameras: film at the size that it was "
-            "calibrated at, or leave the clip of the camera that it does not fit out of the folder"
+            f"make {roles.unfit[0]} fit, which is there but is for other pictures or cameras: film at the size that "
+            "it was calibrated at, or leave the clip of the camera that it does not fit out of the folder"
         )
     return (
         f"{folder}: clips of fixed cameras alone do not tell where the cameras are; film a sweep of the scene at "

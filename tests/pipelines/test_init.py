@@ -350,7 +350,9 @@ def test_fixed_cameras_alone_are_placed_by_a_calibration_or_refused(
     calibrate("Calib_other.toml", 320, 400)
     with pytest.raises(InputError, match="film at the size") as error:
         init(Talk(), tmp_path, None, False)
-    assert "make Calib_other.toml fit" in str(error.value) and "you own" not in str(error.value)
+    assert "make Calib_other.toml fit, which is there" in str(error.value) and "you own" not in str(
+        error.value
+    )
     assert "camera 'cam1' is calibrated at 400x240" in capsys.readouterr().out
     calibrate("Calib_rig.toml", 320, 320)
     init(Talk(), tmp_path, None, False)
