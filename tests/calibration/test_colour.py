@@ -370,7 +370,15 @@ def test_colours_come_back_from_disk(tmp_path):
     gains = np.column_stack([[0, 10, 20], np.array([[1.0, 1, 1], [1.1, 1, 1], [1.2, 1, 1]])])
     np.save(tmp_path / "gains_cam0.npy", gains)
     matched = CameraColour(
-        "points", "matrix", as_matrix(MIXED), 0.2, 0.01, 0.19, 300, Apart(90, 0.1, 0.02), gains="gains_cam0.npy"
+        "points",
+        "matrix",
+        as_matrix(MIXED),
+        0.2,
+        0.01,
+        0.19,
+        300,
+        Apart(90, 0.1, 0.02),
+        gains="gains_cam0.npy",
     )
     colours = Colours(
         tmp_path, SWEEP, {SWEEP: CameraColour("reference"), "cam0": matched}, Apart(90, 0.1, 0.02)
