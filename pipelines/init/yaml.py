@@ -27,7 +27,7 @@ def scene_yaml(name: str, found: Found) -> str:
         "capture:",
     ]
     if roles.sweep is not None:
-        lines.append(f"  static: {_text(_path(roles.sweep))}   # {roles.why[roles.sweep.name]}")
+        lines.append(f"  static: {_text(roles.sweep.name)}   # {roles.why[roles.sweep.name]}")
     lines += _clips(
         "cameras", roles.cameras, "fixed cameras of the moving scene; the first one's clock is everyone's"
     )
@@ -102,12 +102,8 @@ def _clips(key: str, clips: dict[str, Seen], comment: str) -> list[str]:
         return []
     return [
         f"  {key}:   # {comment}",
-        *(f"    {_text(name)}: {_text(_path(s))}" for name, s in clips.items()),
+        *(f"    {_text(name)}: {_text(s.name)}" for name, s in clips.items()),
     ]
-
-
-def _path(s: Seen) -> str:
-    return s.name
 
 
 def _text(text: str) -> str:
