@@ -28,13 +28,11 @@ def check_folder(folder: Path, what: str) -> None:
 
 
 def check_file(path: Path, what: str) -> None:
-    """Refuse a file that cannot be written.
+    """Refuse a file that cannot be written; its folder may be missing.
 
     Raises:
-        InputError: It is a folder, or its folder is missing or cannot be written.
+        InputError: It is a folder, or its folder cannot be written.
     """
     if path.is_dir():
         raise InputError(f"{what} {path}: is a folder; expected the name of a file")
-    if not os.path.lexists(path.parent):
-        raise InputError(f"{what} {path}: there is no folder {path.parent}; make it, or choose another")
     check_folder(path.parent, what)

@@ -324,8 +324,7 @@ def _measure(
 def _check_places(out: Path, json: Path | None) -> None:
     """Refuse places that cannot be written; nothing is made yet."""
     check_folder(out, "--out")
-    in_new_folder = json is not None and json.absolute().parent == out.absolute() and not out.exists()
-    if json is not None and not in_new_folder:
+    if json is not None:
         check_file(json, "--json")
 
 

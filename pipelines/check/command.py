@@ -68,6 +68,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     if json_file is not None:
         found = [{"about": title, **row.as_dict()} for title, rows in sections.items() for row in rows]
         content = {"go": go, "seconds": round(seconds, 1), "rows": found}
+        json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     return go
 
