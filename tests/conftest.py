@@ -1,5 +1,6 @@
 """Fixtures that many tests share."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -8,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
@@ -18,6 +19,44 @@ if TYPE_CHECKING:
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Sizes of the fault suite (tests/faults); here, so that they are known wherever pytest is called."""
+    group = parser.getgroup("faults", "fault suite")
+    group.addoption(
+        "--faults",
+        choices=("small", "full"),
+        default="small",
+        help="how many faults: small fits CI; full is what docs/reliability.md reports",
+    )
+    group.addoption(
+        "--figures", type=Path, metavar="FILE", help="append what the tests measured, as JSON lines"
+    )
+
+
+@pytest.fixture(scope="session")
+def faults(request: pytest.FixtureRequest) -> Literal["small", "full"]:
+    """How many faults the fault suite makes."""
+    return request.config.getoption("--faults")
+
+
+Figures = Callable[..., None]
+
+
+@pytest.fixture
+def figures(request: pytest.FixtureRequest) -> Figures:
+    """Append what a test measured to the file of `--figures`: `figures(kills=200, lost=0)`."""
+    file: Path | None = request.config.getoption("--figures")
+
+    def note(**values: Any) -> None:
+        line = json.dumps({"test": request.node.name, **values})
+        print(line)
+        if file is not None:
+            with file.open("a", encoding="utf-8") as lines:
+                lines.write(f"{line}\n")
+
+    return note
 
 
 @pytest.fixture(scope="session")
