@@ -24,20 +24,12 @@ from devrf.pipelines.cli_options import (
 )
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.plan import Choice, standings
-from devrf.pipelines.runner import (
-    BAD_INPUT,
-    DONE,
-    FAILED,
-    UNHEALTHY,
-    Run,
-    check_choice,
-    check_reads,
-    dry_run,
-    execute,
-)
+from devrf.pipelines.runner import Run, check_choice, check_reads, dry_run, execute
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
+from devrf.pipelines.supervise import supervised
 
 app = typer.Typer(
     help="From a field capture of a moving scene to novel views of it.",
@@ -293,10 +285,14 @@ def _options(
 
 def main() -> None:
     """Entry point of the console script."""
+    supervised(_command)
+
+
+def _command() -> None:
     try:
         app()
     except KeyboardInterrupt:
-        sys.exit(130)
+        sys.exit(STOPPED)
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(DONE)

@@ -9,7 +9,7 @@ from typing import Literal
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import HEALTH, Digests, identity, read_stamp, why_stale
+from devrf.pipelines.stamp import HEALTH, Digests, identity, read_stamp, why_stale, write_json
 
 State = Literal["fresh", "stale", "missing", "not applicable"]
 ALL = "all"  # --force all
@@ -156,3 +156,11 @@ def last_error(run_dir: Path, stage: str) -> str | None:
         return str(json.loads(error_path(run_dir, stage).read_text())["message"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def remember_error(run_dir: Path, stage: str, message: str, code: int) -> None:
+    """Leave the reason of a failure for `status` and the report."""
+    try:
+        write_json(error_path(run_dir, stage), {"message": message, "code": code})
+    except OSError:
+        pass  # no room to remember it; it has been said

@@ -1,8 +1,4 @@
-"""Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens.
-
-Exit codes are a contract: 0 done; 1 a stage failed; 2 bad configuration or input seen before anything was
-started; 3 a health check refused a result; 130 stopped by the user.
-"""
+"""Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens."""
 
 import json
 import logging
@@ -23,6 +19,7 @@ from devrf.capture.errors import DevrfError, HealthError, InputError
 from devrf.capture.progress import Progress
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, duration, log_file
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.plan import (
     Choice,
@@ -31,14 +28,14 @@ from devrf.pipelines.plan import (
     is_chosen,
     is_forced,
     reads_of,
+    remember_error,
     standing,
     standings,
 )
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamp import HEALTH, STAMP, Digests, files_of, identity, write_json
+from devrf.pipelines.supervise import crash_log, tell
 from devrf.pipelines.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
-
-DONE, FAILED, BAD_INPUT, UNHEALTHY, STOPPED = 0, 1, 2, 3, 130
 
 NO_ROOM = 1_000_000  # bytes: with less than this free, a failure to write is a full disk whatever it says
 NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
@@ -146,7 +143,8 @@ def execute(run: Run) -> int:
     previous = _terminate_like_ctrl_c()
     try:
         check_reads(run)
-        with Workspace(run.run_dir) as workspace, log_file(run.run_dir):
+        with Workspace(run.run_dir) as workspace, log_file(run.run_dir), crash_log(run.run_dir):
+            tell(run_dir=str(run.run_dir), **_memory_limit(run.config))
             logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
             return _run_stages(run, workspace)
     except InputError as error:
@@ -182,7 +180,9 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
         else:
             why = "; ".join(now.why) or "forced"
             run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: runs: {why}", style="bold")
+            tell(stage=stage.name)
             code = _run_stage(run, workspace, stage, digests)
+            tell(stage=None)
             if code is not None:
                 return code
             run.executed.append(stage.name)
@@ -261,10 +261,7 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
         code, message = _explain(run, stage, error, written, free)
         run.talk.health(rows)
         run.talk.error(message)
-        try:
-            write_json(error_path(run.run_dir, stage.name), {"message": message, "code": code})
-        except OSError:
-            pass  # no room to remember it; it has been said
+        remember_error(run.run_dir, stage.name, message, code)
         return code
 
 
@@ -332,6 +329,18 @@ def _peak_rss_gb() -> float:
         resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     return kilobytes * (1024 if sys.platform != "darwin" else 1) / 1e9
+
+
+def _memory_limit(config: SceneConfig) -> dict[str, int | str]:
+    """What the parent process is to keep the run below, and what it says where it does not."""
+    allowed_gb = config.budget.memory_gb
+    if allowed_gb is None:
+        return {}
+    return {
+        "memory": int(allowed_gb * 1e9),
+        "memory_why": f"budget.memory_gb allows {allowed_gb:g}: raise it, or lower reconstruct.image_scale, "
+        "reconstruct.rays or reconstruct.resolution",
+    }
 
 
 def _check_disk_budget(run: Run) -> None:

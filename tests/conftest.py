@@ -38,7 +38,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def faults(request: pytest.FixtureRequest) -> Literal["small", "full"]:
     """How many faults the fault suite makes."""
-    return request.config.getoption("--faults")
+    return "full" if request.config.getoption("--faults") == "full" else "small"
 
 
 Figures = Callable[..., None]

@@ -23,19 +23,10 @@ from devrf.pipelines.cli import render, say_where
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.plan import Choice, standings
-from devrf.pipelines.runner import (
-    BAD_INPUT,
-    DONE,
-    FAILED,
-    STOPPED,
-    UNHEALTHY,
-    Run,
-    check_choice,
-    dry_run,
-    execute,
-)
+from devrf.pipelines.runner import Run, check_choice, dry_run, execute
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.workspace import Workspace
 

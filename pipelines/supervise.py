@@ -1,0 +1,225 @@
+"""The parent of a command: it waits, passes signals on, watches memory, and says how the work ended.
+
+`devrf-pipeline` forks before anything heavy is imported; the child does all the work, in a process group of its own.
+The parent stays small and has one thread: whatever a native library does to the child (a crash, a signal handler that
+dead-locks, all the memory), someone is left to end what the child started, to put the run folder right and to say
+what happened. If the parent is killed, the kernel kills the child. Where a system cannot do this (Windows, macOS) the
+work is done without a parent.
+"""
+
+import faulthandler
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from devrf.capture.errors import DevrfError
+from devrf.capture.processes import adopt_orphans, descendants, die_with_parent, memory_of
+from devrf.pipelines.console import LOG_FILE, Talk, log_file
+from devrf.pipelines.exit_codes import FAILED, STOPPED
+from devrf.pipelines.plan import remember_error
+from devrf.pipelines.workspace import Workspace
+
+GRACE_S = (
+    15.0  # between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
+)
+TICK_S = 0.25  # between two looks at the child's memory; a core fills about 1 GB in this time at most
+TREE_EVERY_S = 2.0  # between two searches for what the child has started (reads all of /proc)
+CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
+
+_link: int | None = None  # in the child: where it tells the parent what it does
+
+
+def supervised(work: Callable[[], None]) -> None:
+    """Do a command's work in a child process. Returns in the child only; the parent ends with the exit code."""
+    if not hasattr(signal, "sigtimedwait") or sys.platform != "linux":
+        return work()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, a child's exit code would be lost
+    asked = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP)
+    waited = {s for s in asked if signal.getsignal(s) is not signal.SIG_IGN} | {
+        signal.SIGCHLD,
+        signal.SIGCONT,
+    }
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, waited)  # what comes before the parent waits is kept
+    parent = os.getpid()
+    read, write = os.pipe()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    child = os.fork()
+    if child:
+        os.close(write)
+        os.setpgid(child, child)  # both do it: neither can know who is first
+        sys.exit(_Supervisor(child, read, waited).exit_code())
+    os.close(read)
+    os.setpgid(0, 0)
+    die_with_parent(parent)
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # a group in the background may print
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    global _link
+    _link = write
+    return work()
+
+
+def tell(**facts: str | int | None) -> None:
+    """Let the parent, if there is one, know what it needs when this process dies.
+
+    Args:
+        facts: `run_dir`; `stage`, or None between two; `memory`, bytes to keep below, and `memory_why`.
+    """
+    if _link is not None:
+        os.write(_link, json.dumps(facts).encode() + b"\n")
+
+
+@contextmanager
+def crash_log(run_dir: Path) -> Iterator[None]:
+    """Let a crash of native code leave the Python stack in the run's log."""
+    if faulthandler.is_enabled():
+        yield
+        return
+    try:
+        file = (run_dir / LOG_FILE).open("a", encoding="utf-8")
+    except OSError:
+        yield
+        return
+    with file:
+        faulthandler.enable(file)
+        try:
+            yield
+        finally:
+            faulthandler.disable()
+
+
+class _Supervisor:
+    """Waits for the child.
+
+    Args:
+        child: Its process number, which is its group's too.
+        link: Where it tells what it does.
+        waited: Signals to wait for; blocked.
+    """
+
+    def __init__(self, child: int, link: int, waited: set[signal.Signals]) -> None:
+        self._child, self._link, self._waited = child, link, waited
+        self._facts: dict[str, str | int | None] = {}
+        self._heard = b""
+        self._kill_at: float | None = None  # when the time to end by itself is over
+        self._too_much: str | None = None  # why it was ended for its memory
+        self._tree, self._tree_at = [child], 0.0
+        self._peak = 0  # bytes
+        os.set_blocking(link, False)
+        adopt_orphans()
+
+    def exit_code(self) -> int:
+        """Wait until the child has ended, and say what it could not say itself."""
+        while True:
+            signalled = signal.sigtimedwait(self._waited, TICK_S)
+            self._listen()
+            if signalled is not None:
+                self._pass_on(signal.Signals(signalled.si_signo))
+            if os.waitid(os.P_PID, self._child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                break
+            if self._kill_at is not None and time.monotonic() > self._kill_at:
+                self._kill()
+            elif self._too_much is None:
+                self._watch_memory()
+        _, status = os.waitpid(self._child, 0)
+        self._listen()
+        if os.WIFEXITED(status):
+            return os.WEXITSTATUS(status)
+        self._kill_what_is_left()
+        return self._say_how_it_died(signal.Signals(os.WTERMSIG(status)))
+
+    def _listen(self) -> None:
+        try:
+            while some := os.read(self._link, 65536):
+                self._heard += some
+        except BlockingIOError:
+            pass
+        *lines, self._heard = self._heard.split(b"\n")
+        for line in lines:
+            self._facts |= json.loads(line)
+
+    def _pass_on(self, sign: signal.Signals) -> None:
+        """Ask the child to end, at the second time end it; stop and go on with it."""
+        if sign == signal.SIGTSTP:  # Ctrl-Z reaches the group in the foreground only
+            os.killpg(self._child, signal.SIGSTOP)
+            os.kill(os.getpid(), signal.SIGSTOP)
+        elif sign == signal.SIGCONT:
+            os.killpg(self._child, signal.SIGCONT)
+        elif sign != signal.SIGCHLD:
+            if self._kill_at is not None:
+                return self._kill()
+            self._kill_at = time.monotonic() + GRACE_S
+            os.kill(self._child, signal.SIGINT if sign == signal.SIGINT else signal.SIGTERM)
+            os.killpg(self._child, signal.SIGCONT)  # what sleeps hears nothing
+
+    def _watch_memory(self) -> None:
+        limit = self._facts.get("memory")
+        if not isinstance(limit, int):
+            return
+        now = time.monotonic()
+        if now - self._tree_at > TREE_EVERY_S:
+            self._tree, self._tree_at = [self._child, *descendants(self._child)], now
+        used = memory_of(self._tree)
+        if used > limit:
+            used = memory_of(self._tree, shared_once=True)
+        self._peak = max(self._peak, used)
+        if used > limit:
+            self._too_much = f"uses {used / 1e9:.2f} GB of memory; {self._facts.get('memory_why')}"
+            self._kill()
+
+    def _kill(self) -> None:
+        for pid in (self._child, *descendants(self._child)):
+            _kill(pid)
+
+    def _kill_what_is_left(self) -> None:
+        """What the child had started has become this process's."""
+        while left := descendants(os.getpid()):
+            for pid in left:
+                _kill(pid)
+            try:
+                os.waitpid(-1, 0)
+            except ChildProcessError:
+                break
+
+    def _say_how_it_died(self, sign: signal.Signals) -> int:
+        stage, run_dir = self._facts.get("stage"), self._facts.get("run_dir")
+        log = f"; log: {run_dir}/{LOG_FILE}" if run_dir else ""
+        code = FAILED
+        if self._too_much is not None:
+            message = f"{self._too_much}; finished stages are kept"
+        elif self._kill_at is not None:
+            code, message = STOPPED, "stopped; finished stages are kept, the next run goes on from there"
+        else:
+            why = "a native library crashed" if sign in CRASHES else "someone ended it"
+            if sign == signal.SIGKILL:
+                why = "out of memory, or someone killed it"
+            peak = f" after {self._peak / 1e9:.2f} GB of memory" if self._peak else ""
+            message = f"the program was ended by {sign.name}{peak} ({why}); finished stages are kept{log}"
+        if stage and code == FAILED:
+            message = f"{stage}: {message}"
+        talk = Talk()
+        talk.err.show_cursor()  # a bar had hidden it
+        if not run_dir:
+            talk.error(message)
+            return code
+        folder = Path(str(run_dir))
+        try:
+            with Workspace(folder), log_file(folder):  # entering it clears away what is half made
+                talk.error(message)
+                if stage and code == FAILED:
+                    remember_error(folder, str(stage), message, code)
+        except DevrfError:
+            talk.error(message)
+        return code
+
+
+def _kill(pid: int) -> None:
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass

@@ -1,0 +1,133 @@
+"""The parent process of a run: what it says when the child dies, what it passes on, and that nothing is left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from tests.faults.harness import Tiny, children_of, ends
+
+from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (
+            "segfault",
+            "parts: the program was ended by SIGSEGV (a native library crashed); finished stages are kept",
+        ),
+        ("abort", "parts: the program was ended by SIGABRT (a native library crashed)"),
+        ("killed", "parts: the program was ended by SIGKILL (out of memory, or someone killed it)"),
+    ],
+)
+def test_a_death_by_a_signal_is_explained(tiny: Tiny, fault: str, said: str) -> None:
+    result = tiny.run(f"fault={fault}")
+    assert result.returncode == FAILED
+    assert said in result.stderr and "Traceback" not in result.stderr
+    remembered = json.loads((tiny.run_dir / ".failed-parts.json").read_text())
+    assert remembered["code"] == FAILED and said in remembered["message"]
+    assert not [p.name for p in tiny.run_dir.iterdir() if p.name.startswith((".new", ".lock"))]
+    log = (tiny.run_dir / "devrf.log").read_text()
+    assert said in log
+    if fault != "killed":
+        assert "Fatal Python error" in log and "tiny_stages.py" in log  # where it crashed
+    again = tiny.run()
+    assert again.returncode == DONE
+    assert "frames: skipped" in again.stdout and "parts: runs" in again.stdout
+
+
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
+    started = tiny.start("fault=sleep", "stage=big")
+    tiny.at_work(started, "big")
+    started.send_signal(sign)
+    _, err = started.communicate(timeout=10)
+    assert started.returncode == STOPPED
+    assert err == "stopped; finished stages are kept, the next run goes on from there\n"
+    assert not list(tiny.run_dir.glob(".new-*"))
+
+
+def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
+    started = tiny.start("fault=deaf", "stage=big")
+    tiny.at_work(started, "big")
+    (child,) = children_of(started.pid)
+    started.terminate()
+    assert not ends(child, 0.5)
+    started.terminate()
+    _, err = started.communicate(timeout=10)
+    assert started.returncode == STOPPED and "stopped; finished stages are kept" in err
+    assert ends(child, 1)
+    assert not list(tiny.run_dir.glob(".new-*")) and not (tiny.run_dir / ".lock").exists()
+
+
+def test_ctrl_z_stops_the_child_too(tiny: Tiny) -> None:
+    def state(pid: int) -> str:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0]
+
+    def becomes(pid: int, states: str) -> bool:
+        deadline = time.monotonic() + 5
+        while state(pid) not in states and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return state(pid) in states
+
+    started = tiny.start("fault=sleep", "stage=big")
+    tiny.at_work(started, "big")
+    (child,) = children_of(started.pid)
+    started.send_signal(signal.SIGTSTP)
+    assert becomes(child, "T") and becomes(started.pid, "T")
+    started.send_signal(signal.SIGCONT)
+    assert becomes(child, "RS") and becomes(started.pid, "RS")
+    started.terminate()
+    started.communicate(timeout=10)
+    assert started.returncode == STOPPED
+
+
+def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
+    started = tiny.start("fault=deaf", "stage=big")
+    tiny.at_work(started, "big")
+    (child,) = children_of(started.pid)
+    started.kill()
+    started.communicate()
+    assert ends(child, 2)
+    assert tiny.run().returncode == DONE
+
+
+def test_what_the_child_started_ends_with_it(tiny: Tiny) -> None:
+    started = tiny.start("fault=orphan", "stage=big")
+    tiny.at_work(started, "big")
+    note = tiny.folder / "orphan.pid"
+    while not (note.exists() and note.read_text()):
+        time.sleep(0.01)
+    (child,) = children_of(started.pid)
+    os.kill(child, signal.SIGKILL)
+    started.communicate(timeout=10)
+    assert started.returncode == FAILED
+    assert ends(int(note.read_text()), 2)
+
+
+def test_more_memory_than_allowed_ends_the_run_before_the_system_does(tiny: Tiny) -> None:
+    result = tiny.run("fault=eat", "budget.memory_gb=0.3")
+    assert result.returncode == FAILED
+    assert "parts: uses 0." in result.stderr and "budget.memory_gb allows 0.3: raise it" in result.stderr
+    used = float(result.stderr.split("uses ")[1].split(" GB")[0])
+    assert 0.3 < used < 1
+    assert json.loads((tiny.run_dir / ".failed-parts.json").read_text())["code"] == FAILED
+
+
+def test_the_parent_is_small(tiny: Tiny) -> None:
+    """When it forks, nothing heavy has been imported and there is one thread."""
+    code = (
+        "import devrf.pipelines.cli, os, sys;"
+        "print(sorted({'torch', 'cv2', 'av', 'scipy', 'warp', 'pycolmap'} & sys.modules.keys()));"
+        "from devrf.pipelines.supervise import supervised;"
+        "supervised(lambda: print(open(f'/proc/{os.getppid()}/status').read()))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.startswith("[]\n")
+    assert "Threads:\t1\n" in said
+    assert int(said.split("VmRSS:")[1].split()[0]) < 150_000  # kB, nearly all shared with the child
