@@ -91,6 +91,7 @@ def standing(
     why = why_stale(folder, identity(stage, config, scene_dir, run_dir, reads, digests))
     why = [text for text in why if not any(text.startswith(f"{name} was made") for name in will_run)]
     why += [f"{name} runs" for name in reads if name in will_run]
+    why += ["forced before, and not finished"] if forced_path(run_dir, stage.name).exists() else []
     seconds = stamp.get("seconds")
     state: State = "stale" if why else "fresh"
     return Standing(stage, state, tuple(why), seconds, read_health(folder), error)
@@ -143,6 +144,11 @@ def read_health(folder: Path) -> tuple[HealthRow, ...]:
         return tuple(HealthRow(**row) for row in rows)
     except (OSError, ValueError, KeyError, TypeError):
         return ()
+
+
+def forced_path(run_dir: Path, stage: str) -> Path:
+    """There from when a stage is forced to run until it has: a run that was stopped goes on with it."""
+    return run_dir / f".forced-{stage}"
 
 
 def error_path(run_dir: Path, stage: str) -> Path:

@@ -25,6 +25,7 @@ from devrf.pipelines.plan import (
     Choice,
     Standing,
     error_path,
+    forced_path,
     is_chosen,
     is_forced,
     reads_of,
@@ -143,7 +144,7 @@ def execute(run: Run) -> int:
     previous = _terminate_like_ctrl_c()
     try:
         check_reads(run)
-        with Workspace(run.run_dir) as workspace, log_file(run.run_dir), crash_log(run.run_dir):
+        with Workspace(run.run_dir, run.talk.say) as workspace, log_file(run.run_dir), crash_log(run.run_dir):
             tell(run_dir=str(run.run_dir), **_memory_limit(run.config))
             logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
             return _run_stages(run, workspace)
@@ -233,6 +234,8 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
             reads_of(stage, run.stages, run.config),
             digests,
         )
+        if is_forced(stage.name, run.choice):
+            forced_path(run.run_dir, stage.name).touch()
         folder = workspace.fresh_folder(stage.name)
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
@@ -248,17 +251,19 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
             stage.run(context)
         _finish(folder, stage, context.health, made_from, time.monotonic() - start)
         workspace.commit(stage.name, folder)
-        error_path(run.run_dir, stage.name).unlink(missing_ok=True)
+        for done_with in (error_path, forced_path):
+            done_with(run.run_dir, stage.name).unlink(missing_ok=True)
         return None
     except BaseException as error:
         written = size_of(folder) if folder is not None else 0
         free = free_bytes(run.run_dir)
-        if folder is not None:
-            workspace.discard(folder)
+        logs = [] if folder is None else workspace.discard(folder)
         rows = context.health if context is not None else []
         if isinstance(error, KeyboardInterrupt):
             raise
         code, message = _explain(run, stage, error, written, free)
+        if logs:
+            message += f"\nlog: {', '.join(map(str, logs))}"
         run.talk.health(rows)
         run.talk.error(message)
         remember_error(run.run_dir, stage.name, message, code)

@@ -1,24 +1,24 @@
 """The run folder: one run at a time, and stages that appear whole or not at all.
 
-A stage writes into `.new-<stage>-...`; when it is complete (its stamp is written last) the folder that it
-replaces is renamed to `.old-<stage>-...`, the new one gets the stage's name, and only then the old one is
-removed. Whatever kills a run in between, `recover` finds either the old or the new folder whole.
+A stage writes into `.new-<stage>-...`; when it is complete (its stamp is written last) and lies on the disk, the folder
+that it replaces is renamed to `.old-<stage>-...`, the new one gets the stage's name, and only then the old one is
+removed. Whatever ends a run in between, a power cut too, `_recover` finds either the old or the new folder whole.
 """
 
 import errno
-import json
 import os
 import secrets
 import shutil
-import socket
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.durable import sync, sync_tree
+from devrf.pipelines.lock import Lock
 from devrf.pipelines.stamp import STAMP
 
 NEW, OLD = ".new-", ".old-"
-LOCK = ".lock"
+LOGS = "logs"  # what native programs said in stages that did not succeed
 
 
 class DiskFullError(DevrfError):
@@ -30,19 +30,20 @@ class Workspace:
 
     Args:
         run_dir: The folder; made where it is missing.
+        say: Told what it waits for.
     Raises:
         InputError: It cannot be written, or another run holds it.
         DiskFullError: There is not even room for the lock.
     """
 
-    def __init__(self, run_dir: Path) -> None:
+    def __init__(self, run_dir: Path, say: Callable[[str], None] = lambda text: None) -> None:
         self.run_dir = run_dir
-        self._locked = False
+        self._lock = Lock(run_dir, say)
 
     def __enter__(self) -> "Workspace":
         try:
             self.run_dir.mkdir(parents=True, exist_ok=True)
-            self._lock()
+            self._lock.take()
             self._recover()
         except OSError as error:
             self.release()
@@ -62,9 +63,7 @@ class Workspace:
 
     def release(self) -> None:
         """Let others run here."""
-        if self._locked:
-            self._locked = False
-            (self.run_dir / LOCK).unlink(missing_ok=True)
+        self._lock.release()
 
     def fresh_folder(self, stage: str) -> Path:
         """An empty folder for a stage to write into."""
@@ -73,57 +72,50 @@ class Workspace:
         return folder
 
     def commit(self, stage: str, folder: Path) -> None:
-        """Give a complete folder the stage's name."""
-        _sync_folder(folder)
+        """Give a complete folder the stage's name.
+
+        Raises:
+            DevrfError: The lock is no longer held.
+            OSError: The folder does not get onto the disk.
+        """
+        sync_tree(folder)
+        self._lock.check()
         finished = self.run_dir / stage
         old = self.run_dir / f"{OLD}{stage}-{secrets.token_hex(3)}"
         if finished.exists():
             finished.rename(old)
         folder.rename(finished)
-        _sync_folder(self.run_dir)
-        shutil.rmtree(old, ignore_errors=True)
+        sync(self.run_dir)
+        _remove(old)
+        for log in (self.run_dir / LOGS).glob(f"{stage}-*.log"):
+            log.unlink(missing_ok=True)
 
-    def discard(self, folder: Path) -> None:
-        """Remove what an unfinished stage wrote."""
-        shutil.rmtree(folder, ignore_errors=True)
-
-    def _lock(self) -> None:
-        path = self.run_dir / LOCK
-        with path.open("a+", encoding="utf-8") as file:
-            _exclusive(file.fileno())  # two processes that both find a dead run take turns here
-            file.seek(0)
-            holder = _parse(file.read())
-            if holder is not None and _alive(holder):
-                raise InputError(
-                    f"{self.run_dir}: another run (process {holder['pid']} on {holder['host']}, since "
-                    f"{holder['since']}) works in this folder; wait for it, stop it, or use another output"
-                )
-            file.seek(0)
-            file.truncate()
-            me = {
-                "pid": os.getpid(),
-                "host": socket.gethostname(),
-                "started": _start_of(os.getpid()),
-                "since": time.strftime("%Y-%m-%d %H:%M:%S"),
-            }
-            json.dump(me, file)
-            file.flush()
-            self._locked = True
-            if not path.exists() or os.fstat(file.fileno()).st_ino != path.stat().st_ino:
-                self._locked = False  # released between open and lock: the name is another file now
-        if not self._locked:
-            self._lock()
+    def discard(self, folder: Path) -> list[Path]:
+        """Remove what an unfinished stage wrote, but for the logs of native programs; where those are now."""
+        stage = _stage_of(folder, NEW)
+        kept = []
+        for log in sorted(folder.glob("*.log")):
+            place = self.run_dir / LOGS / f"{stage}-{log.name}"
+            try:
+                place.parent.mkdir(exist_ok=True)
+                kept.append(log.replace(place))
+            except OSError:
+                pass  # a full disk takes the log too
+        _remove(folder)
+        return kept
 
     def _recover(self) -> None:
         """Put right what a killed run left: a swap half done, folders never finished."""
         for old in self.run_dir.glob(f"{OLD}*"):
-            stage = old.name.removeprefix(OLD).rsplit("-", 1)[0]
+            stage = _stage_of(old, OLD)
             finished = self.run_dir / stage
-            if not finished.exists():
-                complete = [f for f in self.run_dir.glob(f"{NEW}{stage}-*") if (f / STAMP).is_file()]
-                (complete[0] if complete else old).rename(finished)
-        for leftover in (*self.run_dir.glob(f"{NEW}*"), *self.run_dir.glob(f"{OLD}*")):
-            shutil.rmtree(leftover, ignore_errors=True)
+            if not finished.exists():  # a new one lay on the disk before the old one was renamed
+                whole = [f for f in (*self.run_dir.glob(f"{NEW}{stage}-*"), old) if (f / STAMP).is_file()]
+                (whole or [old])[0].rename(finished)
+        for leftover in self.run_dir.glob(f"{NEW}*"):
+            self.discard(leftover)
+        for leftover in self.run_dir.glob(f"{OLD}*"):
+            _remove(leftover)
         for leftover in self.run_dir.glob(".*.tmp"):
             leftover.unlink(missing_ok=True)
 
@@ -175,54 +167,11 @@ def size_of(folder: Path) -> int:
     return total
 
 
-def _sync_folder(folder: Path) -> None:
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return  # not every system opens folders
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass
-    finally:
-        os.close(handle)
+def _stage_of(folder: Path, prefix: str) -> str:
+    return folder.name.removeprefix(prefix).split("-", 1)[0]
 
 
-def _exclusive(handle: int) -> None:
-    try:
-        import fcntl
-    except ImportError:
-        return  # no such lock on this system; the process number still protects
-    fcntl.flock(handle, fcntl.LOCK_EX)
-
-
-def _parse(text: str) -> dict | None:
-    try:
-        holder = json.loads(text)
-    except ValueError:
-        return None
-    return holder if isinstance(holder, dict) and {"pid", "host", "since"} <= holder.keys() else None
-
-
-def _alive(holder: dict) -> bool:
-    """Whether the process in a lock still runs. On another host nobody can tell: then yes."""
-    if holder["host"] != socket.gethostname():
-        return True
-    if holder["pid"] == os.getpid():
-        return False
-    try:
-        os.kill(holder["pid"], 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return holder.get("started") == _start_of(holder["pid"])  # numbers are used again
-
-
-def _start_of(pid: int) -> str | None:
-    """When a process started, in the kernel's ticks; None where it cannot be known or is a zombie."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    except (OSError, IndexError):
-        return None
-    return "dead" if fields[0] == "Z" else fields[19]
+def _remove(folder: Path) -> None:
+    """Remove a folder, the stamp first: what is left of it by a kill counts as nothing."""
+    (folder / STAMP).unlink(missing_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)

@@ -1,6 +1,7 @@
 """Run one job of the structure-from-motion worker in its own process and survive whatever happens to it."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -42,11 +43,11 @@ def run_job(
         CalibrationError: The worker crashed, was stopped or left no result; carries the last log lines.
     """
     job_file = work / "job.json"
-    job_file.write_text(json.dumps(job))
+    job_file.write_text(json.dumps(job | {"parent": os.getpid()}))
     command = command or [sys.executable, "-m", "devrf.calibration.sweep.sfm_worker", str(job_file)]
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     log.parent.mkdir(parents=True, exist_ok=True)
-    with open(log, "w") as log_file:
+    with open(log, "w", buffering=1) as log_file:  # line by line: what was said last is what counts
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -69,7 +70,7 @@ def run_job(
     ended = _how_it_ended(process.returncode, timeout_s if late else None)
     if not result.is_file():
         raise CalibrationError(
-            f"structure from motion (pycolmap) {ended}; the last lines of its log ({log}):\n{_tail(log)}"
+            f"structure from motion (pycolmap) {ended}; the last lines of its log ({log.name}):\n{_tail(log)}"
         )
     return json.loads(result.read_text()) | {"stopped": None if process.returncode == 0 else ended}
 

@@ -30,6 +30,7 @@ from devrf.calibration.sweep.sfm_output import (
     write_model,
     write_two_views,
 )
+from devrf.capture.processes import die_with_parent
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
 POLISH_TOLERANCE = 1e-8  # relative fall of the cost in one step; at 1e-6 focals still move by 0.01 px
@@ -41,6 +42,7 @@ EXTRACT_SHARE = 0.4  # of the time that is left; matching and mapping take about
 def main(job_file: Path) -> None:
     """Do the job and write `result.json` beside it."""
     job = json.loads(job_file.read_text())
+    die_with_parent(job["parent"])
     _leave(job, {"map": map_images, "extract": extract_only}[job["task"]](job))
 
 

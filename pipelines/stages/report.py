@@ -56,5 +56,7 @@ def write_report(config: SceneConfig, run_dir: Path, out: Path) -> dict[str, str
     run_folder = RunFolder(run_dir, names, reasons, errors)
     facts = [KINDS[config.kind], f"preset {config.preset}"]
     page = build_report(run_folder, config.name, facts)
-    (out / PAGE).write_text(page, encoding="utf-8")
+    new = out / f".{PAGE}.tmp"
+    new.write_text(page, encoding="utf-8")
+    new.replace(out / PAGE)
     return run_folder.unreadable

@@ -28,7 +28,6 @@ from devrf.pipelines.health.rows import row
 from devrf.pipelines.plan import Choice, standings
 from devrf.pipelines.runner import Run, check_choice, dry_run, execute
 from devrf.pipelines.stage import Stage, StageContext
-from devrf.pipelines.workspace import Workspace
 
 SCENE = """
 name: small
@@ -315,6 +314,30 @@ def test_a_failure_is_remembered_until_it_is_mended(folder: Path) -> None:
     assert standings(run.stages, run.config, folder, run.run_dir)[1].error is None
 
 
+def test_a_forced_stage_that_was_stopped_runs_again(folder: Path) -> None:
+    executed(folder)
+    forced = Choice(force=("second",))
+    assert execute(job(folder, small_stages(second=fail(KeyboardInterrupt())), choice=forced)) == STOPPED
+    run = job(folder, small_stages())
+    found = standings(run.stages, run.config, folder, run.run_dir)
+    assert [now.why for now in found] == [(), ("forced before, and not finished",), (), ("second runs",)]
+    assert executed(folder) == ["second", "third"]
+    assert executed(folder) == []
+
+
+def test_what_a_native_program_said_is_kept(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    def work(context: StageContext) -> None:
+        (context.out / "colmap.log").write_text("what it said last")
+        raise CaptureError("crashed")
+
+    assert execute(job(folder, small_stages(second=work))) == FAILED
+    log = folder / "run/logs/second-colmap.log"
+    assert f"log: {log}" in "".join(capsys.readouterr().err.splitlines())
+    assert log.read_text() == "what it said last"
+    executed(folder)
+    assert not log.exists()
+
+
 def unhealthy(context: StageContext) -> None:
     write("poor")(context)
     context.health.append(row("registered", 0.1, "", fail=0.4, remedy="Film more slowly."))
@@ -335,31 +358,6 @@ def test_output_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixtu
     (folder / "file").write_text("in the way")
     assert execute(job(folder, small_stages(), "output=file/run")) == BAD_INPUT
     assert "cannot be written" in capsys.readouterr().err
-
-
-def test_one_run_at_a_time(folder: Path, capsys: pytest.CaptureFixture) -> None:
-    sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
-    try:
-        with Workspace(folder / "run"):
-            lock = folder / "run/.lock"
-            holder = json.loads(lock.read_text())
-        assert not lock.exists()
-        started = Path(f"/proc/{sleeper.pid}/stat").read_text().rsplit(")", 1)[1].split()[19]
-        lock.write_text(json.dumps(holder | {"pid": sleeper.pid, "started": started}))
-        assert execute(job(folder, small_stages())) == BAD_INPUT
-        assert f"another run (process {sleeper.pid}" in capsys.readouterr().err
-    finally:
-        sleeper.kill()
-        sleeper.wait()
-    assert executed(folder) == ALL  # a dead run holds nothing
-
-
-def test_a_lock_of_a_process_number_used_again_is_dead(folder: Path) -> None:
-    (folder / "run").mkdir()
-    with Workspace(folder / "run"):
-        holder = json.loads((folder / "run/.lock").read_text())
-    (folder / "run/.lock").write_text(json.dumps(holder | {"pid": os.getppid(), "started": "1"}))
-    assert executed(folder) == ALL
 
 
 def test_a_swap_half_done_is_finished_or_undone(folder: Path) -> None:

@@ -1,0 +1,61 @@
+"""Files that outlive a power cut: what was written lies on the disk before it is given a name that counts."""
+
+import ctypes
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+MANY_FILES = (
+    32  # from here on the whole file system at once is quicker: 0.06 s instead of 0.28 s for 1000 files
+)
+NOT_FOR_FOLDERS = (
+    errno.EINVAL,
+    errno.EOPNOTSUPP,
+)  # network file systems that keep names by themselves say this
+
+
+def sync_tree(folder: Path) -> None:
+    """Return when all files and folders below a folder, and itself, lie on the disk.
+
+    Raises:
+        OSError: They do not: the disk is full after all, or fails.
+    """
+    paths = list(_tree(folder))
+    if len(paths) >= MANY_FILES and sync_file_system(folder):
+        return
+    for path in paths:
+        sync(path)
+
+
+def sync(path: Path) -> None:
+    """Return when one file, or the names in one folder, lie on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in NOT_FOR_FOLDERS or not path.is_dir():
+            raise
+    finally:
+        os.close(handle)
+
+
+def sync_file_system(folder: Path) -> bool:
+    """Put all that was written where a folder lies on the disk; False where the system cannot do this."""
+    if sys.platform != "linux":
+        return False
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        if ctypes.CDLL(None, use_errno=True).syncfs(handle) != 0:
+            raise OSError(ctypes.get_errno(), f"{os.strerror(ctypes.get_errno())}: {folder}")
+    finally:
+        os.close(handle)
+    return True
+
+
+def _tree(folder: Path) -> Iterator[Path]:
+    """Files, then the folders that hold them; links are names, which their folder holds."""
+    for root, _, files in os.walk(folder, topdown=False):
+        yield from (path for name in files if not (path := Path(root, name)).is_symlink())
+        yield Path(root)

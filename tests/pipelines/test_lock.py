@@ -1,0 +1,148 @@
+"""The lock of a run folder: the living keep it, the dead lose it, on this machine and on others."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines import lock
+from devrf.pipelines.lock import LOCK, Lock
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from devrf.pipelines.lock import Lock
+Lock(Path(sys.argv[1])).take()
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    """Another process that holds the lock."""
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def says(folder: Path, **changes: object) -> None:
+    """A lock of a process of this machine that ended long ago, with some of what it says changed."""
+    holder = {"pid": 2**22 + 1, "host": os.uname().nodename, "started": "1", "since": "2026-01-01 00:00:00"}
+    holder |= {"boot": Path("/proc/sys/kernel/random/boot_id").read_text().strip()}
+    holder |= {"pids": os.readlink("/proc/self/ns/pid")}
+    (folder / LOCK).write_text(json.dumps(holder | changes))
+
+
+def test_a_living_process_keeps_it_and_a_dead_one_does_not(
+    tmp_path: Path, holder: "subprocess.Popen[str]"
+) -> None:
+    with pytest.raises(InputError, match=f"another run .process {holder.pid} on .*wait for it, stop it"):
+        Lock(tmp_path).take()
+    # whatever the file says: containers may have equal process numbers and names, and someone may have emptied it
+    for text in (json.dumps({"pid": os.getpid(), "host": "x", "since": "y"}), "{", ""):
+        (tmp_path / LOCK).write_text(text)
+        with pytest.raises(InputError, match="another run"):
+            Lock(tmp_path).take()
+    holder.kill()
+    holder.wait()
+    taken = Lock(tmp_path)
+    taken.take()
+    taken.release()
+    assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "\0" * 200])
+def test_one_that_a_power_cut_has_emptied_is_dead(tmp_path: Path, text: str) -> None:
+    (tmp_path / LOCK).write_text(text)
+    Lock(tmp_path).take()
+
+
+def test_one_of_another_machine_is_dead_when_nobody_touches_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lock, "LEASE_S", 0.5)
+    monkeypatch.setattr(lock, "POLL_S", 0.05)
+    said: list[str] = []
+    says(tmp_path, host="node7", boot="another")
+    start = time.monotonic()
+    Lock(tmp_path, said.append).take()
+    assert 0.3 < time.monotonic() - start < 5
+    assert "held by process 4194305 on node7" in said[0] and len(said) == 1
+
+
+def test_one_of_another_machine_that_is_touched_is_alive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lock, "POLL_S", 0.3)
+    says(tmp_path, host="node7", boot="another")
+    touches = subprocess.Popen([sys.executable, "-c", f"import os; os.utime({str(tmp_path / LOCK)!r})"])
+    with pytest.raises(InputError, match="process 4194305 on node7"):
+        Lock(tmp_path).take()
+    touches.wait()
+    assert json.loads((tmp_path / LOCK).read_text())["host"] == "node7"
+
+
+def test_a_holder_touches_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lock, "BEAT_S", 0.02)
+    taken = Lock(tmp_path)
+    taken.take()
+    os.utime(tmp_path / LOCK, (1, 1))
+    deadline = time.monotonic() + 5
+    while (tmp_path / LOCK).stat().st_mtime == 1 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert (tmp_path / LOCK).stat().st_mtime > 1
+    taken.release()
+
+
+@pytest.mark.parametrize("living", [True, False])
+def test_without_locks_of_the_file_system_the_process_itself_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, living: bool
+) -> None:
+    monkeypatch.setattr(lock, "_lock", lambda handle: None)
+    started = Path(f"/proc/{os.getppid()}/stat").read_text().rsplit(")", 1)[1].split()[19]
+    says(tmp_path, pid=os.getppid(), started=started if living else "1")  # or its number was used again
+    if not living:
+        return Lock(tmp_path).take()
+    with pytest.raises(InputError, match="another run"):
+        Lock(tmp_path).take()
+
+
+def test_who_has_lost_it_is_told_and_leaves_it_alone(tmp_path: Path) -> None:
+    taken = Lock(tmp_path)
+    taken.take()
+    taken.check()
+    (tmp_path / LOCK).unlink()
+    (tmp_path / LOCK).write_text("another's")
+    with pytest.raises(DevrfError, match="is no longer this run's"):
+        taken.check()
+    taken.release()
+    assert (tmp_path / LOCK).read_text() == "another's"
+
+
+def test_of_many_that_start_at_once_one_gets_it(tmp_path: Path) -> None:
+    code = HOLD.replace("Lock(", "while time.time() < float(sys.argv[2]): pass\nLock(").replace(
+        "sleep(60)", "sleep(2)"
+    )
+    for _ in range(3):
+        begin = str(time.time() + 1.0)
+        started = [
+            subprocess.Popen(
+                [sys.executable, "-c", code, str(tmp_path), begin],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            for _ in range(4)
+        ]
+        said = [process.communicate() for process in started]
+        assert sorted(out for out, _ in said) == ["", "", "", "held\n"], said
+        assert sum("another run" in err for _, err in said) == 3
