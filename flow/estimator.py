@@ -108,5 +108,10 @@ def create_estimator(
     return estimator
 
 
+def plug_in(method: str) -> str | None:
+    """The module of an installed package that a method comes from; None for those built in."""
+    return None if method in BUILT_IN else _installed()[method].module
+
+
 def _installed() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=GROUP)}

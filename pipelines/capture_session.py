@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from devrf.capture.frames import SWEEP
 from devrf.capture.raw_set import RawOptions
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.config.scene import SceneConfig
@@ -36,3 +37,12 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
         range_s=capture.range_s,
         rest=capture.rest,
     )
+
+
+def raw_file(config: SceneConfig, scene_dir: Path, camera: str) -> Path:
+    """The clip, or folder of photos, of a camera or of the sweep; since ingest it may have been renamed."""
+    capture = config.capture
+    assert capture is not None
+    name = capture.static if camera == SWEEP else capture.all_cameras[camera]
+    assert name is not None
+    return config.path(scene_dir, name)

@@ -25,7 +25,7 @@ from devrf.pipelines.cli_options import (
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
-from devrf.pipelines.plan import Choice, standings
+from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import Run, check_choice, check_reads, dry_run, execute
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
@@ -134,7 +134,8 @@ def status(
     """Show each stage: fresh, stale (and why) or missing, its time, its health."""
     talk = Talk()
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
-    found = standings(STAGES, job.config, job.scene_dir, job.run_dir)
+    found = job.standings()
+    job.digests.save()
     if as_json:
         typer.echo(json.dumps(status_dict(job.config, job.run_dir, found), indent=1))
     else:
@@ -334,9 +335,7 @@ def _start(job: Run, device: str) -> int:
 def _check(job: Run, device: str) -> int:
     """Look at the device, the run folder and the raw files, where a stage is to run; the exit code."""
     to_do = {
-        now.stage.name
-        for now in standings(STAGES, job.config, job.scene_dir, job.run_dir, job.choice)
-        if now.state in ("stale", "missing")
+        now.stage.name for now in job.standings() if now.state in ("stale", "missing") and now.cached is None
     }
     try:
         check_reads(job)

@@ -1,12 +1,11 @@
-"""What a run says: a bar with the time left on a terminal, plain lines elsewhere, everything in devrf.log."""
+"""What a run says: a bar with the time left on a terminal, plain lines elsewhere, everything in the logs."""
 
 import logging
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from rich.console import Console
 from rich.markup import escape
@@ -15,22 +14,28 @@ from rich.progress import TimeRemainingColumn as TimeLeftColumn
 
 from devrf.capture.progress import Progress as ProgressCallback
 from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.logs import Events
 
 Loudness = Literal["quiet", "normal", "verbose"]
 
 PLAIN_EVERY_S = 15.0  # between two progress lines where there is no terminal
-LOG_FILE = "devrf.log"
-LOG_BYTES = 5_000_000  # a longer log is begun anew
+EVENT_EVERY_S = 5.0  # between two events of progress
 COLOUR = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 logger = logging.getLogger("devrf")
 
 
 class Talk:
-    """All that a run prints. Errors go to stderr, whatever the loudness."""
+    """All that a run prints. Errors go to stderr, whatever the loudness.
+
+    Attributes:
+        loudness: quiet: only errors; verbose: every health row, and why nothing runs.
+        events: Where programs read it; None outside a run.
+    """
 
     def __init__(self, loudness: Loudness = "normal") -> None:
         self.loudness: Loudness = loudness
+        self.events: Events | None = None
         if not logger.handlers:
             logger.addHandler(logging.NullHandler())  # or Python prints what is logged a second time
         self.out = Console(file=sys.stdout, highlight=False, soft_wrap=True)
@@ -48,14 +53,26 @@ class Talk:
         if self.loudness == "verbose":
             self.out.print(escape(text), style="dim")
 
+    def decision(self, stage: str, text: str) -> None:
+        """One line that stays about what a stage decided and why."""
+        self.event("decision", stage=stage, text=text.strip())
+        self.say(text)
+
+    def event(self, event: str, **fields: Any) -> None:
+        """One event for programs."""
+        if self.events is not None:
+            self.events.write(event, **fields)
+
     def error(self, text: str) -> None:
         """What went wrong."""
         logger.error("%s", text)
+        self.event("error", message=text)
         self.err.print(escape(text), style="red")
 
-    def health(self, rows: list[HealthRow]) -> None:
-        """Rows that are not ok (all of them when verbose)."""
+    def health(self, stage: str, rows: list[HealthRow]) -> None:
+        """A stage's rows that are not ok (all of them when verbose)."""
         for row in rows:
+            self.event("health", stage=stage, **row.as_dict())
             if row.verdict == "ok" and self.loudness != "verbose":
                 logger.info("%s", describe(row))
                 continue
@@ -67,6 +84,20 @@ class Talk:
     @contextmanager
     def progress(self, title: str) -> Iterator[ProgressCallback]:
         """A callback that shows how far a stage is."""
+        with self._shown(title) as show:
+            last = time.monotonic()
+
+            def told(fraction: float, message: str) -> None:
+                nonlocal last
+                if (now := time.monotonic()) - last >= EVENT_EVERY_S:
+                    last = now
+                    self.event("progress", stage=title, fraction=round(fraction, 4), text=message)
+                show(fraction, message)
+
+            yield told
+
+    @contextmanager
+    def _shown(self, title: str) -> Iterator[ProgressCallback]:
         if self.loudness == "quiet":
             yield lambda fraction, message: None
         elif self.out.is_terminal:
@@ -96,7 +127,9 @@ class Talk:
                 return
             last = now
             left = (now - start) * (1 - fraction) / fraction
-            self.out.print(escape(f"  {title} {100 * fraction:.0f} %, {duration(left)} left: {message}"))
+            text = f"  {title} {100 * fraction:.0f} %, {duration(left)} left: {message}"
+            logger.debug("%s", text)
+            self.out.print(escape(text))
 
         return line
 
@@ -126,32 +159,3 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
-
-
-@contextmanager
-def log_file(run_dir: Path) -> Iterator[None]:
-    """Write everything that is logged to devrf.log in the run folder, where it can be written."""
-    path = run_dir / LOG_FILE
-    try:
-        too_long = path.exists() and path.stat().st_size > LOG_BYTES
-        handler: logging.Handler = logging.FileHandler(path, mode="w" if too_long else "a", encoding="utf-8")
-    except OSError:
-        handler = logging.NullHandler()
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    handler.handleError = lambda record: None  # a full disk must not hide the error that says so
-    level, propagate = logger.level, logger.propagate
-    logger.setLevel(logging.DEBUG)
-    logger.propagate = False
-    logger.addHandler(handler)
-    warnings_logger = logging.getLogger("py.warnings")
-    warnings_logger.addHandler(handler)
-    logging.captureWarnings(True)
-    try:
-        yield
-    finally:
-        logging.captureWarnings(False)
-        warnings_logger.removeHandler(handler)
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        logger.propagate = propagate
-        handler.close()

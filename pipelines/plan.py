@@ -1,15 +1,19 @@
 """Which stages run, and why: the one place that compares stamps, for `run`, `--dry-run` and `status`."""
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from devrf.pipelines.cache import Cache
 from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.digests import Digests
+from devrf.pipelines.durable import write_json
 from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.reasons import why_stale
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import HEALTH, Digests, identity, read_stamp, why_stale, write_json
+from devrf.pipelines.stamp import HEALTH, identity, read_stamp
 
 State = Literal["fresh", "stale", "missing", "not applicable"]
 ALL = "all"  # --force all
@@ -43,6 +47,9 @@ class Standing:
         seconds: How long it took when it was made.
         health: What it found about its own result.
         error: Why it failed when it was last tried, if it did.
+        made_from: What it would be made from now (`identity`); None where that depends on stages that run before it,
+            or where the stage does not apply.
+        cached: Content of the same stage in the cache, where it need not run.
     """
 
     stage: Stage
@@ -51,6 +58,8 @@ class Standing:
     seconds: float | None = None
     health: tuple[HealthRow, ...] = ()
     error: str | None = None
+    made_from: dict | None = None
+    cached: str | None = None
 
     @property
     def verdict(self) -> Literal["ok", "warn", "fail"] | None:
@@ -66,7 +75,9 @@ def standing(
     scene_dir: Path,
     run_dir: Path,
     digests: Digests,
+    cache: Cache | None = None,
     will_run: Collection[str] = (),
+    expected: Mapping[str, str] | None = None,
 ) -> Standing:
     """Compare one stage with what would make it now.
 
@@ -77,43 +88,72 @@ def standing(
         scene_dir: Folder of scene.yaml.
         run_dir: The run folder.
         digests: Source of content digests.
-        will_run: Stages known to run before it; what reads them is stale.
+        cache: Where it may be found instead of made.
+        will_run: Stages known to run before it; what reads them is stale, unless they come out the same.
+        expected: Content of stages that will be there before it, by name.
     """
     reason = stage.applies(config)
     if reason is not None:
         return Standing(stage, "not applicable", (reason,))
     reads = reads_of(stage, stages, config)
+    made_from = identity(stage, config, scene_dir, run_dir, reads, digests, expected)
     folder = run_dir / stage.name
     stamp = read_stamp(folder)
-    error = last_error(run_dir, stage.name)
+    unknown = [name for name in reads if name in will_run]
+    asked = not unknown  # whether the cache may have it
     if stamp is None:
-        return Standing(stage, "missing", ("not made yet",), error=error)
-    why = why_stale(folder, identity(stage, config, scene_dir, run_dir, reads, digests))
-    why = [text for text in why if not any(text.startswith(f"{name} was made") for name in will_run)]
-    why += [f"{name} runs" for name in reads if name in will_run]
-    why += ["forced before, and not finished"] if forced_path(run_dir, stage.name).exists() else []
-    seconds = stamp.get("seconds")
-    state: State = "stale" if why else "fresh"
-    return Standing(stage, state, tuple(why), seconds, read_health(folder), error)
+        state, why = "missing", ["not made yet"]
+    else:
+        then = stamp["identity"].get("reads", {})
+        known = {
+            name: then.get(name) if name in unknown else made for name, made in made_from["reads"].items()
+        }
+        why = why_stale(folder, made_from | {"reads": known}, digests) + [f"{name} runs" for name in unknown]
+        again = forced_path(run_dir, stage.name).exists()
+        why += ["forced before, and not finished"] if again else []
+        state = "stale" if why else "fresh"
+        asked = asked and not again
+    cached = cache.has(stage, made_from) if cache is not None and asked and why else None
+    return Standing(
+        stage,
+        state,
+        tuple(why),
+        None if stamp is None else stamp.get("seconds"),
+        read_health(folder),
+        last_error(run_dir, stage.name),
+        None if unknown else made_from,
+        cached,
+    )
 
 
 def standings(
-    stages: Sequence[Stage], config: SceneConfig, scene_dir: Path, run_dir: Path, choice: Choice | None = None
+    stages: Sequence[Stage],
+    config: SceneConfig,
+    scene_dir: Path,
+    run_dir: Path,
+    choice: Choice | None = None,
+    digests: Digests | None = None,
+    cache: Cache | None = None,
 ) -> list[Standing]:
     """Where every stage stands, what must run before it considered.
 
     A stage that `choice` forces is stale; one that it leaves out does not make others stale.
     """
     choice = choice or Choice()
-    digests = Digests(run_dir)
+    digests = digests or Digests(run_dir)
     will_run: set[str] = set()
+    expected: dict[str, str] = {}
     found = []
     for stage in stages:
-        now = standing(stage, stages, config, scene_dir, run_dir, digests, will_run)
-        if now.state == "fresh" and is_forced(stage.name, choice):
-            now = replace(now, state="stale", why=("forced",))
+        now = standing(stage, stages, config, scene_dir, run_dir, digests, cache, will_run, expected)
+        if now.state in ("fresh", "stale", "missing") and is_forced(stage.name, choice):
+            why = ("forced",) if now.state == "fresh" else now.why
+            now = replace(now, state="stale" if now.state == "fresh" else now.state, why=why, cached=None)
         if now.state in ("stale", "missing") and is_chosen(stage.name, stages, choice):
-            will_run.add(stage.name)
+            if now.cached is None:
+                will_run.add(stage.name)
+            else:
+                expected[stage.name] = now.cached
         found.append(now)
     return found
 

@@ -3,24 +3,32 @@
 import json
 import logging
 import math
+import os
+import platform
 import resource
 import secrets
 import signal
+import socket
 import sys
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from types import FrameType
 
 import devrf
 from devrf.capture.errors import DevrfError, HealthError, InputError
 from devrf.capture.progress import Progress
+from devrf.pipelines.cache import Cache, cache_of
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.console import Talk, duration, log_file
+from devrf.pipelines.console import Talk, duration
+from devrf.pipelines.digests import Digests
+from devrf.pipelines.durable import write_json
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.logs import Events, log_file, new_run_name
 from devrf.pipelines.plan import (
     Choice,
     Standing,
@@ -28,13 +36,12 @@ from devrf.pipelines.plan import (
     forced_path,
     is_chosen,
     is_forced,
-    reads_of,
     remember_error,
     standing,
     standings,
 )
 from devrf.pipelines.stage import Stage, StageContext
-from devrf.pipelines.stamp import HEALTH, STAMP, Digests, files_of, identity, write_json
+from devrf.pipelines.stamp import HEALTH, STAMP, code_of_stage, content_of, files_of, read_stamp
 from devrf.pipelines.supervise import crash_log, tell
 from devrf.pipelines.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
 
@@ -55,7 +62,9 @@ class Run:
         choice: Which stages to run.
         talk: Where to speak.
         device: "cpu" or "cuda".
+        name: Its name in logs, events and stamps.
         executed: The stages that were made.
+        taken: The stages that were taken from the cache.
         fresh: Those, and the ones that were skipped because nothing they depend on has changed.
     """
 
@@ -65,13 +74,37 @@ class Run:
     choice: Choice
     talk: Talk
     device: str = "cpu"
+    name: str = field(default_factory=new_run_name)
     executed: list[str] = field(default_factory=list)
+    taken: list[str] = field(default_factory=list)
     fresh: list[str] = field(default_factory=list)
 
     @property
     def run_dir(self) -> Path:
         """The run folder."""
         return self.config.run_dir(self.scene_dir)
+
+    @cached_property
+    def digests(self) -> Digests:
+        """Content digests, remembered from one look at the files to the next."""
+        return Digests(self.run_dir)
+
+    @cached_property
+    def cache(self) -> Cache | None:
+        """Where finished stages are kept."""
+        return cache_of(self.config, self.scene_dir)
+
+    def standings(self) -> list[Standing]:
+        """Where every stage stands."""
+        return standings(
+            self.stages, self.config, self.scene_dir, self.run_dir, self.choice, self.digests, self.cache
+        )
+
+    def standing(self, stage: Stage) -> Standing:
+        """Where one stage stands, those before it as they are."""
+        return standing(
+            stage, self.stages, self.config, self.scene_dir, self.run_dir, self.digests, self.cache
+        )
 
 
 def check_choice(config: SceneConfig, stages: Sequence[Stage], choice: Choice) -> None:
@@ -125,14 +158,15 @@ def check_reads(run: Run, remedy: str | None = None) -> None:
 
 def dry_run(run: Run) -> None:
     """Say what `execute` would do, and touch nothing."""
-    for now in standings(run.stages, run.config, run.scene_dir, run.run_dir, run.choice):
+    for now in run.standings():
         name = now.stage.name
         if not is_chosen(name, run.stages, run.choice):
             run.talk.say(f"{name}: left alone (outside --from and --until)")
         elif now.state in ("fresh", "not applicable"):
             run.talk.say(_skip_line(now))
         else:
-            run.talk.say(f"{name}: would run: {'; '.join(now.why)}")
+            would = "run" if now.cached is None else "be taken from the cache"
+            run.talk.say(f"{name}: would {would}: {'; '.join(now.why)}")
 
 
 def execute(run: Run) -> int:
@@ -143,11 +177,47 @@ def execute(run: Run) -> int:
     """
     previous = _terminate_like_ctrl_c()
     try:
-        check_reads(run)
-        with Workspace(run.run_dir, run.talk.say) as workspace, log_file(run.run_dir), crash_log(run.run_dir):
-            tell(run_dir=str(run.run_dir), **_memory_limit(run.config))
-            logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
-            return _run_stages(run, workspace)
+        return _answered(run, lambda: _execute(run))
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)
+
+
+def _execute(run: Run) -> int:
+    check_reads(run)
+    with (
+        Workspace(run.run_dir, run.talk.say) as workspace,
+        log_file(run.run_dir, run.name),
+        crash_log(run.run_dir),
+    ):
+        start = time.monotonic()
+        tell(run_dir=str(run.run_dir), run=run.name, **_memory_limit(run.config))
+        logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
+        run.talk.events = Events(run.run_dir, run.name)
+        run.talk.event(
+            "run_started",
+            scene=run.config.name,
+            preset=run.config.preset,
+            device=run.device,
+            version=devrf.__version__,
+            host=socket.gethostname(),
+            pid=os.getpid(),
+        )
+        code = _answered(run, lambda: _run_stages(run, workspace))
+        run.talk.event(
+            "run_finished",
+            code=code,
+            seconds=round(time.monotonic() - start, 3),
+            executed=run.executed,
+            taken=run.taken,
+        )
+        return code
+
+
+def _answered(run: Run, work: Callable[[], int]) -> int:
+    """The exit code of some work; why it did not succeed is said."""
+    try:
+        return work()
     except InputError as error:
         run.talk.error(str(error))
         return BAD_INPUT
@@ -162,51 +232,59 @@ def execute(run: Run) -> int:
             raise
         run.talk.error(disk_full_message(run.run_dir, "the run", 0))
         return FAILED
-    finally:
-        if previous is not None:
-            signal.signal(signal.SIGTERM, previous)
 
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
     start = time.monotonic()
-    digests = Digests(run.run_dir)
     for number, stage in enumerate(run.stages, 1):
         if not is_chosen(stage.name, run.stages, run.choice):
             run.talk.detail(f"{stage.name}: left alone (outside --from and --until)")
             continue
-        now = standing(stage, run.stages, run.config, run.scene_dir, run.run_dir, digests)
-        digests.save()
+        now = run.standing(stage)
+        run.digests.save()
         if now.state == "not applicable" or (now.state == "fresh" and not is_forced(stage.name, run.choice)):
+            run.talk.event("stage_skipped", stage=stage.name, state=now.state, why=list(now.why))
             run.talk.say(_skip_line(now), style="dim")
         else:
+            _keep(run, stage)
             why = "; ".join(now.why) or "forced"
-            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: runs: {why}", style="bold")
+            from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
+            does = "taken from the cache" if from_cache else "runs"
+            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
+            run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
             tell(stage=stage.name)
-            code = _run_stage(run, workspace, stage, digests)
+            code = _run_stage(run, workspace, now, from_cache)
             tell(stage=None)
             if code is not None:
                 return code
-            run.executed.append(stage.name)
-            now = standing(stage, run.stages, run.config, run.scene_dir, run.run_dir, digests)
-            run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
+            now = run.standing(stage)
+            stamp = read_stamp(run.run_dir / stage.name) or {}
+            run.talk.event(
+                "stage_finished",
+                stage=stage.name,
+                from_cache=stage.name in run.taken,
+                id=stamp.get("id"),
+                seconds=now.seconds,
+                peak_rss_gb=stamp.get("peak_rss_gb"),
+            )
+            if stage.name in run.executed:
+                run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
+                _keep(run, stage)
         if now.state == "fresh":
             run.fresh.append(stage.name)
         code = _judge(run, now)
         if code is not None:
             return code
-    count = len(run.executed)
-    what = (
-        f"{count} stage{'s' if count != 1 else ''} executed"
-        if count
-        else "nothing changed, no stage executed"
-    )
+    made = [(len(run.executed), "executed"), (len(run.taken), "taken from the cache")]
+    counts = [f"{count} stage{'s' if count != 1 else ''} {how}" for count, how in made if count]
+    what = ", ".join(counts) or "nothing changed, no stage executed"
     run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
     return DONE
 
 
 def _judge(run: Run, now: Standing) -> int | None:
     """Say a stage's health; the exit code where it stops the run."""
-    run.talk.health(list(now.health))
+    run.talk.health(now.stage.name, list(now.health))
     if now.verdict != "fail":
         return None
     if run.choice.allow_unhealthy:
@@ -220,23 +298,24 @@ def _judge(run: Run, now: Standing) -> int | None:
     return UNHEALTHY
 
 
-def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -> int | None:
-    """Make one stage. None where it is finished, else the exit code."""
+def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) -> int | None:
+    """Make one stage, or take it from the cache. None where it is finished, else the exit code."""
+    stage, made_from = now.stage, now.made_from
+    assert made_from is not None  # all that it reads has been made
     folder: Path | None = None
     context: StageContext | None = None
     try:
         _check_disk_budget(run)
-        made_from = identity(
-            stage,
-            run.config,
-            run.scene_dir,
-            run.run_dir,
-            reads_of(stage, run.stages, run.config),
-            digests,
-        )
         if is_forced(stage.name, run.choice):
             forced_path(run.run_dir, stage.name).touch()
         folder = workspace.fresh_folder(stage.name)
+        if from_cache and run.cache is not None:
+            if run.cache.take(stage, made_from, folder):
+                workspace.commit(stage.name, folder)
+                error_path(run.run_dir, stage.name).unlink(missing_ok=True)
+                run.taken.append(stage.name)
+                return None
+            run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
             context = StageContext(
@@ -246,13 +325,15 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
                 out=folder,
                 progress=_sane(progress),
                 device=run.device,
-                say=run.talk.say,
+                say=partial(run.talk.decision, stage.name),
             )
             stage.run(context)
-        _finish(folder, stage, context.health, made_from, time.monotonic() - start)
+        _finish(run, folder, stage, context.health, made_from, time.monotonic() - start)
         workspace.commit(stage.name, folder)
+        run.digests.renamed(folder, run.run_dir / stage.name)
         for done_with in (error_path, forced_path):
             done_with(run.run_dir, stage.name).unlink(missing_ok=True)
+        run.executed.append(stage.name)
         return None
     except BaseException as error:
         written = size_of(folder) if folder is not None else 0
@@ -264,7 +345,7 @@ def _run_stage(run: Run, workspace: Workspace, stage: Stage, digests: Digests) -
         code, message = _explain(run, stage, error, written, free)
         if logs:
             message += f"\nlog: {', '.join(map(str, logs))}"
-        run.talk.health(rows)
+        run.talk.health(stage.name, rows)
         run.talk.error(message)
         remember_error(run.run_dir, stage.name, message, code)
         return code
@@ -303,21 +384,40 @@ def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: i
     )
 
 
-def _finish(folder: Path, stage: Stage, health: list[HealthRow], made_from: dict, seconds: float) -> None:
+def _finish(
+    run: Run, folder: Path, stage: Stage, health: list[HealthRow], made_from: dict, seconds: float
+) -> None:
     """Write health and, last of all, the stamp that makes the folder complete."""
     rows = [_finite(row.as_dict()) for row in health]
     write_json(folder / HEALTH, {"stage": stage.name, "rows": rows})
+    files = files_of(folder, run.digests)
     stamp = {
         "id": secrets.token_hex(8),
         "stage": stage.name,
+        "content": content_of(stage, folder, files, made_from),
         "identity": json.loads(json.dumps(made_from)),
         "version": devrf.__version__,
+        "made_with": {
+            "python": platform.python_version(),
+            "device": run.device,
+            **code_of_stage(stage, run.config).libraries,
+        },
+        "run": run.name,
         "finished": time.strftime("%Y-%m-%d %H:%M:%S"),
         "seconds": round(seconds, 3),
         "peak_rss_gb": round(_peak_rss_gb(), 3),
-        "files": files_of(folder),
+        "files": files,
     }
     write_json(folder / STAMP, stamp)
+
+
+def _keep(run: Run, stage: Stage) -> None:
+    """Keep a finished stage in the cache, if there is one; without room there the run goes on."""
+    if run.cache is not None:
+        try:
+            run.cache.keep(stage, run.run_dir / stage.name)
+        except OSError as error:
+            run.talk.say(f"  {stage.name}: not kept in the cache {run.cache.folder}: {error}", style="yellow")
 
 
 def _finite(row: dict) -> dict:

@@ -24,6 +24,7 @@ from devrf.capture.mattes.make import (
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
+from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import MattesConfig
 from devrf.pipelines.stage import StageContext
 
@@ -140,7 +141,11 @@ def _clips(
     clips = {}
     for name, of_camera in by_camera.items():
         filmed = frames.cameras[name]
-        photos = None if filmed.fps_mean is not None else list_pictures(context.scene_dir / filmed.source)
+        photos = (
+            None
+            if filmed.fps_mean is not None
+            else list_pictures(raw_file(context.config, context.scene_dir, name))
+        )
         small = [_small(f.camera) for f in of_camera]
         clips[name] = Clip(
             camera=name,

@@ -47,7 +47,14 @@ class Stage:
         config_keys: Dotted keys of scene.yaml that its result depends on.
         applies: None where the stage applies to a configuration, else the reason why it does not.
         run: Does the work.
-        inputs: Raw files of the user's that it reads (their content is part of the stamp).
+        inputs: What to call them -> raw files of the user's that it reads and no key of `config_keys` names. Their
+            content is part of the stamp.
+        refers: Its result refers to files of what it was made from instead of holding them: their content counts as
+            its own.
+        places: What to call them -> files of the user's among those, which may lie elsewhere one day.
+        plug_ins: Modules of other people's that it loads by their names.
+        quotes_stamps: Its result tells when and how long the stages it reads were made: made again, they are others,
+            even with the same content.
     """
 
     name: str
@@ -55,4 +62,13 @@ class Stage:
     config_keys: tuple[str, ...]
     applies: "Callable[[SceneConfig], str | None]"
     run: Callable[[StageContext], None]
-    inputs: "Callable[[SceneConfig, Path], list[Path]]" = lambda config, scene_dir: []
+    inputs: "Callable[[SceneConfig, Path], dict[str, Path]]" = lambda config, scene_dir: {}
+    refers: bool = False
+    places: "Callable[[SceneConfig, Path], dict[str, Path]]" = lambda config, scene_dir: {}
+    plug_ins: "Callable[[SceneConfig], tuple[str, ...]]" = lambda config: ()
+    quotes_stamps: bool = False
+
+    @property
+    def module(self) -> str:
+        """The module that makes it."""
+        return f"devrf.pipelines.stages.{self.name}"

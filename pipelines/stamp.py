@@ -1,93 +1,43 @@
-"""Stamps: what made a stage's folder, and why it would have to be made again.
+"""Stamps: what made a stage's folder, and whether it is whole.
 
-A stamp holds the configuration values the stage depends on, content digests of the raw files among them
-(so touching, renaming or moving a file changes nothing), the identity of each stage it read, the version of
-the code, and the size of every file it left. Times are for people; they decide nothing.
+A stamp holds the configuration values the stage depends on, content digests of the raw files among them (so touching,
+renaming or moving a file changes nothing), the content of each stage it read (so a stage that was made again and came
+out the same makes nothing else stale), the files of code and the libraries that worked, and size and digest of every
+file it left. Times are for people; they decide nothing. Nor do the device, Python's version or the machine: results
+differ by rounding there, and nobody wants to lose a night's training to that.
 """
 
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from devrf.pipelines.code_version import code_version
+from devrf.pipelines.code_version import Code, code_of, series
 from devrf.pipelines.config.files import input_paths
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.console import LOG_FILE
+from devrf.pipelines.digests import Digests
 from devrf.pipelines.stage import Stage
 
 STAMP = "stamp.json"
 HEALTH = "health.json"
-DIGESTS = ".digests.json"  # content digests already taken, by size and time of change
-OWN = (STAMP, HEALTH)  # written by the runner; not part of what the stage left
+IN_ORDER = ("capture.cameras",)  # sections whose order counts: the first camera's clock is everyone's
 
 
-class Digests:
-    """Content digests of raw files, remembered in the run folder by size and modification time.
-
-    Reading gigabytes again to learn that nothing changed would make a run that does nothing slow. A file
-    whose size or time differs is read again; only its content counts.
-    """
-
-    def __init__(self, run_dir: Path) -> None:
-        self._path = run_dir / DIGESTS
-        try:
-            self._known: dict[str, list] = json.loads(self._path.read_text())
-        except (OSError, ValueError):
-            self._known = {}
-        self._new: dict[str, list] = {}
-
-    def of(self, path: Path) -> str:
-        """Digest of a file's content, or of the names and contents of all files in a folder.
-
-        Run folders inside it are left out: a run that lies in its own data set must not make itself stale.
-        """
-        if path.is_dir():
-            digest = hashlib.blake2b(digest_size=16)
-            for file in sorted(_raw_files(path)):
-                digest.update(f"{file.relative_to(path).as_posix()}\0{self._of_file(file)}\0".encode())
-            return digest.hexdigest()
-        return self._of_file(path)
-
-    def _of_file(self, path: Path) -> str:
-        stat = path.stat()
-        key, seen = str(path), [stat.st_size, stat.st_mtime_ns]
-        known = self._new.get(key) or self._known.get(key)
-        if known is None or known[:2] != seen:
-            with path.open("rb") as file:
-                digest = _file_digest(file)
-            known = [*seen, digest]
-        self._new[key] = known
-        return known[2]
-
-    def save(self) -> None:
-        """Remember for the next run; a run folder that cannot be written only costs time."""
-        if self._new and any(self._known.get(key) != value for key, value in self._new.items()):
-            try:
-                write_json(self._path, self._known | self._new)
-            except OSError:
-                pass
-
-
-def _raw_files(folder: Path) -> Iterator[Path]:
-    """All files below a folder but those of run folders, which are known by their log."""
-    for root, folders, files in os.walk(folder):
-        here = Path(root)
-        folders[:] = [name for name in folders if not (here / name / LOG_FILE).is_file()]
-        yield from (file for name in files if (file := here / name).is_file())
-
-
-def _file_digest(file: Any) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    while block := file.read(1 << 20):
-        digest.update(block)
-    return digest.hexdigest()
+def code_of_stage(stage: Stage, config: SceneConfig) -> Code:
+    """The code that makes a stage."""
+    return code_of(stage.module, stage.plug_ins(config))
 
 
 def identity(
-    stage: Stage, config: SceneConfig, scene_dir: Path, run_dir: Path, reads: Iterable[str], digests: Digests
+    stage: Stage,
+    config: SceneConfig,
+    scene_dir: Path,
+    run_dir: Path,
+    reads: Iterable[str],
+    digests: Digests,
+    expected: Mapping[str, str] | None = None,
 ) -> dict:
     """What a stage's result depends on, as far as it can be known now.
 
@@ -98,6 +48,7 @@ def identity(
         run_dir: The run folder; stages it reads may or may not have been made.
         reads: Names of the stages it reads that apply to this configuration.
         digests: Source of content digests.
+        expected: Content that stages will have which are not made yet, by name.
     """
     values: dict[str, Any] = {}
     paths = input_paths(config)
@@ -108,17 +59,31 @@ def identity(
                 path = config.path(scene_dir, paths[leaf])
                 value = {"content": digests.of(path) if path.exists() else None}
             values[leaf] = value
-    extra = {
-        os.path.relpath(path, scene_dir): digests.of(path)
-        for path in stage.inputs(config, scene_dir)
-        if path.exists()
+    inputs = {
+        name: digests.of(path) for name, path in stage.inputs(config, scene_dir).items() if path.exists()
     }
+    places = {
+        name: os.path.relpath(path, run_dir / stage.name)
+        for name, path in stage.places(config, scene_dir).items()
+    }
+    version_of = stamp_id if stage.quotes_stamps else stamp_content
+    made = {name: version_of(run_dir / name) for name in reads}
+    code = code_of_stage(stage, config)
+    made |= {name: content for name, content in (expected or {}).items() if name in made}
     return {
         "config": values,
-        "inputs": extra,
-        "reads": {name: stamp_id(run_dir / name) for name in reads},
-        "code": code_version(f"devrf.pipelines.stages.{stage.name}"),
+        "inputs": inputs,
+        "places": places,
+        "reads": made,
+        "code": code.sources,
+        "libraries": {name: series(version) for name, version in code.libraries.items()},
     }
+
+
+def identity_key(stage: str, made_from: dict) -> str:
+    """One digest of an identity."""
+    text = json.dumps([stage, made_from], sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _leaves(whole: dict, dotted: str) -> list[tuple[str, Any]]:
@@ -130,6 +95,8 @@ def _leaves(whole: dict, dotted: str) -> list[tuple[str, Any]]:
 
     def walk(key: str, value: Any) -> None:
         if isinstance(value, dict) and value:
+            if key in IN_ORDER:
+                found.append((key, list(value)))
             for name, inner in value.items():
                 walk(f"{key}.{name}", inner)
         else:
@@ -149,84 +116,73 @@ def read_stamp(folder: Path) -> dict | None:
 
 
 def stamp_id(folder: Path) -> str | None:
-    """Identity of one making of a stage: made again, it is another, even from the same inputs."""
-    stamp = read_stamp(folder)
-    return None if stamp is None else stamp.get("id")
+    """Name of one making of a stage: made again, it is another, even with the same content."""
+    return (read_stamp(folder) or {}).get("id")
 
 
-def why_stale(folder: Path, now: dict) -> list[str]:
-    """Reasons why a stage's folder does not fit; empty where it does.
-
-    Args:
-        folder: The stage's folder.
-        now: What it would be made from now (`identity`).
-    """
-    stamp = read_stamp(folder)
-    if stamp is None:
-        return ["never finished"]
-    then = stamp["identity"]
-    reasons = []
-    for key in sorted({*then["config"], *now["config"]}):
-        old, new = then["config"].get(key), now["config"].get(key)
-        if old != new:
-            reasons.append(f"{key}: {_change(old, new)}")
-    for name in sorted({*then["inputs"], *now["inputs"]}):
-        if then["inputs"].get(name) != now["inputs"].get(name):
-            reasons.append(f"{name} changed")
-    reasons += [
-        f"{name} was made again" for name, made in now["reads"].items() if then["reads"].get(name) != made
-    ]
-    reasons += [f"{name} no longer applies" for name in then["reads"] if name not in now["reads"]]
-    if then["code"] != now["code"]:
-        reasons.append("the code changed")
-    reasons += damage(folder, stamp)
-    return reasons
+def stamp_content(folder: Path) -> str | None:
+    """Digest of what a stage left for others to read."""
+    return (read_stamp(folder) or {}).get("content")
 
 
-def _change(old: Any, new: Any) -> str:
-    """What happened to a key, in words. Values are those of `identity`, None where there is none."""
-    was_file, is_file = (isinstance(value, dict) and value.get("content") is not None for value in (old, new))
-    if was_file or is_file:
-        return "content changed" if was_file and is_file else "newly given" if is_file else "no longer given"
-    if old == {} or new == {}:  # what came or went stands at keys of its own
-        return "no longer empty" if old == {} else "now empty"
-    if old is None or new is None:
-        return f"was not set, is now {new}" if old is None else f"was {old}, is no longer set"
-    return f"{old} is now {new}"
-
-
-def damage(folder: Path, stamp: dict) -> list[str]:
-    """Files of a finished stage that are gone or have another size."""
-    bad = []
-    for name, size in stamp.get("files", {}).items():
-        try:
-            now = (folder / name).stat().st_size
-        except OSError:
-            now = None
-        if now != size:
-            bad.append(f"{folder.name}/{name} {'is missing' if now is None else 'was changed'}")
-    return bad if len(bad) <= 3 else [*bad[:2], f"and {len(bad) - 2} more files of {folder.name}"]
-
-
-def files_of(folder: Path) -> dict[str, int]:
-    """Relative name -> size in bytes of all that a stage left."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+def files_of(folder: Path, digests: Digests) -> dict[str, list]:
+    """Relative name -> [size in bytes, digest] of all that a stage left, its health included."""
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and path != folder / STAMP]
+    contents = digests.of_files(paths)
     return {
-        p.relative_to(folder).as_posix(): p.stat().st_size
-        for p in files
-        if p.name not in OWN or p.parent != folder
+        path.relative_to(folder).as_posix(): [path.stat().st_size, digest]
+        for path, digest in zip(paths, contents, strict=True)
     }
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a file whole or not at all, and make it durable."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            json.dump(value, file, indent=1, allow_nan=False)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+def content_of(stage: Stage, folder: Path, files: dict[str, list], made_from: dict) -> str:
+    """One digest of what a stage left for others to read: all but its health.
+
+    Of files that it refers to instead of holding them the content counts, not the place: moved, they are the same.
+
+    Args:
+        stage: The stage.
+        folder: Its folder.
+        files: What is in it (`files_of`).
+        made_from: Its identity.
+    """
+    content = hashlib.blake2b(digest_size=16)
+    for name, (_, digest) in sorted(files.items()):
+        if name == HEALTH:
+            continue
+        if made_from["places"] and name.endswith(".json"):
+            digest = _without_places(folder / name, folder, made_from["places"])
+        content.update(f"{name}\0{digest}\0".encode())
+    if stage.refers:
+        given = {key: value for key, value in made_from["config"].items() if isinstance(value, dict)}
+        content.update(json.dumps([given, made_from["inputs"], made_from["reads"]], sort_keys=True).encode())
+    return content.hexdigest()
+
+
+def _without_places(path: Path, folder: Path, places: dict[str, str]) -> str:
+    text = path.read_text(encoding="utf-8")
+    for name, place in places.items():
+        text = text.replace(Path(os.path.relpath(folder / place, path.parent)).as_posix(), f"<{name}>")
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def damage(folder: Path, stamp: dict, digests: Digests) -> list[str]:
+    """Files of a finished stage that are gone or have another content."""
+    bad, there = [], []
+    for name, (size, digest) in stamp["files"].items():
+        try:
+            now = (folder / name).stat().st_size
+        except OSError:
+            bad.append(f"{folder.name}/{name} is missing")
+            continue
+        if now != size:
+            bad.append(f"{folder.name}/{name} was changed")
+        else:
+            there.append((name, digest))
+    found = digests.of_files(folder / name for name, _ in there)
+    bad += [
+        f"{folder.name}/{name} was changed"
+        for (name, digest), now in zip(there, found, strict=True)
+        if now != digest
+    ]
+    return bad if len(bad) <= 3 else [*bad[:2], f"and {len(bad) - 2} more files of {folder.name}"]

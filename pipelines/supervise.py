@@ -19,8 +19,9 @@ from pathlib import Path
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.processes import adopt_orphans, descendants, die_with_parent, memory_of
-from devrf.pipelines.console import LOG_FILE, Talk, log_file
+from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import FAILED, STOPPED
+from devrf.pipelines.logs import LOG_FILE, Events, log_file
 from devrf.pipelines.plan import remember_error
 from devrf.pipelines.workspace import Workspace
 
@@ -68,7 +69,7 @@ def tell(**facts: str | int | None) -> None:
     """Let the parent, if there is one, know what it needs when this process dies.
 
     Args:
-        facts: `run_dir`; `stage`, or None between two; `memory`, bytes to keep below, and `memory_why`.
+        facts: `run_dir` and `run`, its name; `stage`, or None between two; `memory`, bytes to keep below, and `memory_why`.
     """
     if _link is not None:
         os.write(_link, json.dumps(facts).encode() + b"\n")
@@ -210,7 +211,9 @@ class _Supervisor:
         folder = Path(str(run_dir))
         try:
             with Workspace(folder), log_file(folder):  # entering it clears away what is half made
+                talk.events = Events(folder, str(self._facts.get("run")))
                 talk.error(message)
+                talk.event("run_finished", code=code)
                 if stage and code == FAILED:
                     remember_error(folder, str(stage), message, code)
         except DevrfError:

@@ -23,6 +23,7 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
         if capture.board is not None:
             paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
             paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}
+    paths["calibration.static_poses.masks"] = config.calibration.static_poses.masks
     given = config.calibration.rig.given
     if isinstance(given, dict):
         paths |= {f"calibration.rig.given.{name}": path for name, path in given.items()}
@@ -38,7 +39,12 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
 
 def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
     """Say which of them are missing, or a folder where a file is expected."""
-    folders = {"dataset.path", "evaluate.lpips_weights", "capture.mattes.folder"}
+    folders = {
+        "dataset.path",
+        "evaluate.lpips_weights",
+        "capture.mattes.folder",
+        "calibration.static_poses.masks",
+    }
     files_or_folders = {"capture.static", "calibration.rig.given"}
     clips = "capture.board.clips."  # photos of the board will do
     for key, text in input_paths(config).items():

@@ -59,37 +59,42 @@ def _always(config: SceneConfig) -> str | None:
     return None
 
 
-def _truth(config: SceneConfig, scene_dir: Path) -> list[Path]:
+def _truth(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
     truth = config.truth_path(scene_dir)
-    return [] if truth is None else [truth]
+    return {} if truth is None else {"ground truth": truth}
 
 
-def _beside_given(config: SceneConfig, scene_dir: Path) -> list[Path]:
+def _beside_given(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
     """A calibration in two files is named by one of them; both count."""
     given = config.calibration.rig.given
     path = config.path(scene_dir, given) if isinstance(given, str) else None
     if path is None or path.stem not in PAIRS:
-        return []
-    return [path.with_name(PAIRS[path.stem]).with_suffix(path.suffix)]
+        return {}
+    other = path.with_name(PAIRS[path.stem]).with_suffix(path.suffix)
+    return {f"{other.stem} of calibration.rig.given": other}
 
 
-def _charts(config: SceneConfig, scene_dir: Path) -> list[Path]:
-    return [config.path(scene_dir, chart) for chart in config.calibration.colour.chart.values()]
+def _data_set(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
+    """The pictures of a data set stay where they are."""
+    return {} if config.dataset is None else {"dataset": config.path(scene_dir, config.dataset.path)}
 
 
-def _masks(config: SceneConfig, scene_dir: Path) -> list[Path]:
-    masks = config.calibration.static_poses.masks
-    return [] if masks is None else sorted(config.path(scene_dir, masks).glob("*.png"))
+def _flow_method(config: SceneConfig) -> tuple[str, ...]:
+    from devrf.flow.estimator import plug_in
+
+    module = plug_in(config.flow.method)
+    return () if module is None else (module,)
 
 
-def _matte_program(config: SceneConfig, scene_dir: Path) -> list[Path]:
+def _matte_program(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
     """Files among the arguments of the program that makes mattes."""
     mattes = None if config.capture is None else config.capture.mattes
     if mattes is None or mattes.command is None:
-        return []
+        return {}
     from devrf.capture.mattes.command import MatteCommand
 
-    return MatteCommand(mattes.command, scene_dir, mattes.timeout_s).files()
+    files = MatteCommand(mattes.command, scene_dir, mattes.timeout_s).files()
+    return {f"file {n} of capture.mattes.command ({path.name})": path for n, path in enumerate(files, 1)}
 
 
 STAGES = (
@@ -117,7 +122,6 @@ STAGES = (
         config_keys=("calibration.static_poses", "capture.board"),
         applies=_from_the_sweep,
         run=_glue("static_poses"),
-        inputs=_masks,
     ),
     Stage(
         name="sync",
@@ -140,7 +144,6 @@ STAGES = (
         config_keys=("calibration.colour", "capture.rest"),
         applies=_from_raw_files,
         run=_glue("colour"),
-        inputs=_charts,
     ),
     Stage(
         name="scene",
@@ -157,6 +160,8 @@ STAGES = (
         applies=_always,
         run=_glue("scene"),
         inputs=_matte_program,
+        refers=True,
+        places=_data_set,
     ),
     Stage(
         name="flow",
@@ -164,6 +169,7 @@ STAGES = (
         config_keys=("flow",),
         applies=_where_something_moves,
         run=_glue("flow"),
+        plug_ins=_flow_method,
     ),
     Stage(
         name="canonical",
@@ -219,6 +225,7 @@ STAGES = (
         config_keys=("name", "preset"),
         applies=_where_rest_is_known,
         run=_glue("report"),
+        quotes_stamps=True,
     ),
 )
 

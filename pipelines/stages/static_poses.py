@@ -16,6 +16,7 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
+from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.health.board import board_rows
 from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, mask_rows, sweep_rows
@@ -33,6 +34,7 @@ def run(context: StageContext) -> None:
         context.out,
         context.config.calibration.static_poses,
         context.scene_dir,
+        raw_file(context.config, context.scene_dir, SWEEP),
         known=None if board is None else board.intrinsics,
         progress=context.progress,
     )
@@ -51,6 +53,7 @@ def recover_sweep(
     out: Path,
     config: StaticPosesConfig,
     scene_dir: Path,
+    source: Path,
     known: Intrinsics | None = None,
     progress: Progress = no_progress,
 ) -> tuple[SweepModel, list[str]]:
@@ -61,7 +64,8 @@ def recover_sweep(
         sweep: Its entry of the sweep.
         out: Where `recover_static_poses` writes.
         config: Keys of `calibration.static_poses`.
-        scene_dir: What paths of the configuration, and the sweep's source, are relative to.
+        scene_dir: What paths of the configuration are relative to.
+        source: The sweep itself, a film or a folder of photos.
         known: Intrinsics by a board.
         progress: Told how far it is.
     Returns:
@@ -74,7 +78,6 @@ def recover_sweep(
     with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
         without = []
         if config.masks is not None:
-            source = scene_dir / sweep.source
             photos = [] if film else [photo.name for photo in list_pictures(source)]
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
             without = prepare_masks(SceneConfig.path(scene_dir, config.masks), called, sizes, Path(masks))

@@ -188,7 +188,14 @@ def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
     sweep = extract_folder(tmp_path / "in", tmp_path / "ingest", "static", "sweep", "in")
     (tmp_path / "out").mkdir()
     with pytest.raises(InputError, match=r"IMG_1.jpg.png: 30x40, the picture IMG_1.jpg is 60x40"):
-        recover_sweep(tmp_path / "ingest", sweep, tmp_path / "out", config.calibration.static_poses, tmp_path)
+        recover_sweep(
+            tmp_path / "ingest",
+            sweep,
+            tmp_path / "out",
+            config.calibration.static_poses,
+            tmp_path,
+            tmp_path / "in",
+        )
 
 
 class SlowClock(Clock):

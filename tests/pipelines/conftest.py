@@ -1,10 +1,21 @@
-"""Pictures that several tests of the command line draw on."""
+"""What several tests of the pipeline share."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from tests.pipelines.small_stages import SCENE
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder for the small stages: scene.yaml and its two files."""
+    (tmp_path / "static.mp4").write_bytes(b"sweep")
+    (tmp_path / "cam0.mp4").write_bytes(b"clip")
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path
 
 
 @pytest.fixture(scope="session")

@@ -16,9 +16,10 @@ from pathlib import Path
 import pytest
 import torch
 import typer
+from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage, write
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
-from devrf.pipelines import plan, stamp
+from devrf.pipelines import plan
 from devrf.pipelines.cli import render, say_where
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
@@ -26,124 +27,15 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.plan import Choice, standings
-from devrf.pipelines.runner import Run, check_choice, dry_run, execute
+from devrf.pipelines.runner import check_choice, dry_run, execute
 from devrf.pipelines.stage import Stage, StageContext
-
-SCENE = """
-name: small
-output: run
-preset: tiny
-capture: {static: static.mp4, cameras: {cam0: cam0.mp4}}
-reconstruct: {rays: 100, seed: 1}
-"""
-
-
-def write(text: str) -> Callable[[StageContext], None]:
-    def work(context: StageContext) -> None:
-        context.progress(0.5, "half")
-        (context.out / "sub").mkdir()
-        (context.out / "sub" / "result.txt").write_text(text)
-        context.health.append(row("registered", 1.0, "", fail=0.4, remedy="Film more slowly."))
-
-    return work
-
-
-def stage(name: str, reads: tuple[str, ...], keys: tuple[str, ...], work: Callable | None = None) -> Stage:
-    return Stage(name, reads, keys, lambda config: None, work or write(name))
-
-
-def small_stages(**works: Callable[[StageContext], None]) -> tuple[Stage, ...]:
-    """first reads the sweep; second reads first; third reads second; other reads only the other clip."""
-    return (
-        stage("first", (), ("capture.static",), works.get("first")),
-        stage("second", ("first",), ("reconstruct.rays",), works.get("second")),
-        stage("other", (), ("capture.cameras", "reconstruct.seed"), works.get("other")),
-        stage("third", ("second",), (), works.get("third")),
-    )
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "static.mp4").write_bytes(b"sweep")
-    (tmp_path / "cam0.mp4").write_bytes(b"clip")
-    (tmp_path / "scene.yaml").write_text(SCENE)
-    return tmp_path
-
-
-def job(folder: Path, stages: tuple[Stage, ...], *overrides: str, choice: Choice | None = None) -> Run:
-    config = load_scene(folder / "scene.yaml", overrides)
-    return Run(config, folder, stages, choice or Choice(), Talk("quiet"))
-
-
-def executed(folder: Path, *overrides: str, choice: Choice | None = None, **works: Callable) -> list[str]:
-    run = job(folder, small_stages(**works), *overrides, choice=choice)
-    assert execute(run) == DONE
-    return run.executed
-
-
-ALL = ["first", "second", "other", "third"]
-
-
-def test_second_run_executes_nothing(folder: Path) -> None:
-    assert executed(folder) == ALL
-    assert (folder / "run/second/sub/result.txt").read_text() == "second"
-    assert executed(folder) == []
-
-
-def test_a_finished_stage_says_what_made_it(folder: Path) -> None:
-    executed(folder)
-    made = json.loads((folder / "run/second/stamp.json").read_text())
-    assert made["identity"]["config"] == {"reconstruct.rays": 100}
-    assert made["identity"]["reads"].keys() == {"first"}
-    assert made["files"] == {"sub/result.txt": len("second")}
-    health = json.loads((folder / "run/second/health.json").read_text())
-    assert health["rows"][0]["verdict"] == "ok"
-    assert not [
-        path.name for path in (folder / "run").iterdir() if path.name.startswith((".new", ".old", ".lock"))
-    ]
-
-
-def test_a_changed_key_runs_only_what_depends_on_it(folder: Path) -> None:
-    executed(folder)
-    assert executed(folder, "reconstruct.rays=200") == ["second", "third"]
-    assert executed(folder, "reconstruct.rays=200", "reconstruct.seed=2") == ["other"]
-    assert executed(folder, "reconstruct.rays=200", "reconstruct.seed=2", "evaluate.holdout_every=5") == []
-
-
-def test_touching_and_renaming_changes_nothing_but_content_does(folder: Path) -> None:
-    executed(folder)
-    os.utime(folder / "static.mp4", (1, 1))
-    assert executed(folder) == []
-    (folder / "static.mp4").rename(folder / "renamed.mp4")
-    assert executed(folder, "capture.static=renamed.mp4") == []
-    (folder / "renamed.mp4").write_bytes(b"SWEEP")
-    assert executed(folder, "capture.static=renamed.mp4") == ["first", "second", "third"]
-
-
-def test_changed_code_runs_what_uses_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    executed(folder)
-    old = stamp.code_version
-    monkeypatch.setattr(stamp, "code_version", lambda name: "new" if name.endswith("second") else old(name))
-    run = job(folder, small_stages())
-    why = {now.stage.name: now.why for now in standings(run.stages, run.config, folder, run.run_dir)}
-    assert why["first"] == ()
-    assert why["second"] == ("the code changed",)
-    assert why["third"] == ("second runs",)
-
-
-def test_a_damaged_result_is_made_again(folder: Path) -> None:
-    executed(folder)
-    (folder / "run/second/sub/result.txt").unlink()
-    assert executed(folder) == ["second", "third"]
-    (folder / "run/third/sub/result.txt").write_text("thir")
-    assert executed(folder) == ["third"]
 
 
 def test_from_until_force(folder: Path) -> None:
     assert executed(folder, choice=Choice(last="second")) == ["first", "second"]
     assert executed(folder, choice=Choice(first="third")) == ["third"]
     assert executed(folder) == ["other"]
-    assert executed(folder, choice=Choice(force=("second",))) == ["second", "third"]
+    assert executed(folder, choice=Choice(force=("second",))) == ["second"]  # and came out the same
     assert executed(folder, choice=Choice(force=("all",))) == ALL
     # stages before --from are taken as they are, even where they are stale
     assert executed(folder, "reconstruct.rays=700", choice=Choice(first="third")) == []
@@ -224,33 +116,6 @@ def test_dry_run_touches_nothing(folder: Path, capsys: pytest.CaptureFixture) ->
     assert "first: skipped" in out
     assert "second: would run: reconstruct.rays: 100 is now 500" in out
     assert "third: would run: second runs" in out
-
-
-def test_reasons_say_what_happened(folder: Path) -> None:
-    """A file that is newly given or gone has not changed; what was empty or not set is said in words."""
-    stages = (stage("first", (), ("flow.weights", "calibration.colour.chart", "reconstruct.resolution")),)
-    for name in ("a", "b"):
-        (folder / f"{name}.pth").write_text(name)
-    chart = "calibration.colour.chart={cam0: cam0.mp4, static: static.mp4}"
-    raft = "flow.method=raft"
-
-    def why(*overrides: str) -> str:
-        run = job(folder, stages, *overrides)
-        (now,) = standings(stages, run.config, folder, run.run_dir)
-        assert execute(run) == DONE
-        return "; ".join(now.why)
-
-    why()
-    assert why(raft, "flow.weights=a.pth") == "flow.weights: newly given"
-    assert why(raft, "flow.weights=b.pth") == "flow.weights: content changed"
-    assert why() == "flow.weights: no longer given"
-    assert why(chart) == "; ".join(
-        f"calibration.colour.chart{text}"
-        for text in (": no longer empty", ".cam0: newly given", ".static: newly given")
-    )
-    assert why().startswith("calibration.colour.chart: now empty")
-    assert why("reconstruct.resolution=40") == "reconstruct.resolution: was not set, is now 40"
-    assert why() == "reconstruct.resolution: was 40, is no longer set"
 
 
 # --- failures ---
@@ -389,7 +254,7 @@ def program(folder: Path, work_s: float) -> int:
 
 @pytest.mark.parametrize("after", ["first", "second", "other"])
 def test_killed_at_any_point_the_next_run_goes_on(folder: Path, after: str) -> None:
-    started = subprocess.Popen([sys.executable, __file__, str(folder), "0.3"])
+    started = subprocess.Popen([sys.executable, "-m", "tests.pipelines.test_runner", str(folder), "0.3"])
     done = folder / "run" / after / "stamp.json"
     deadline = time.monotonic() + 60
     while not done.exists() and time.monotonic() < deadline:
@@ -406,7 +271,9 @@ def test_killed_at_any_point_the_next_run_goes_on(folder: Path, after: str) -> N
 
 def test_terminated_it_cleans_up(folder: Path) -> None:
     started = subprocess.Popen(
-        [sys.executable, __file__, str(folder), "5"], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "tests.pipelines.test_runner", str(folder), "5"],
+        stderr=subprocess.PIPE,
+        text=True,
     )
     deadline = time.monotonic() + 60
     while not list((folder / "run").glob(".new-*")) and time.monotonic() < deadline:

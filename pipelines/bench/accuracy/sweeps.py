@@ -85,7 +85,7 @@ def _recover(cases: Cases, folder: Path) -> tuple[SweepModel, list[str], float]:
     frames = write_frames(CaptureSession(static=photos), {}, out / "ingest", out)
     start = time.monotonic()
     model, _ = recover_sweep(
-        out / "ingest", frames.cameras[SWEEP], out / "static_poses", StaticPosesConfig(), out
+        out / "ingest", frames.cameras[SWEEP], out / "static_poses", StaticPosesConfig(), out, photos
     )
     return model, [photo.name for photo in list_pictures(photos)], time.monotonic() - start
 

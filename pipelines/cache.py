@@ -1,0 +1,154 @@
+"""The cache: finished stages of earlier configurations, and of other scenes with the same inputs.
+
+Every stage that is finished, or about to be replaced, is kept as `<cache>/<stage>/<key>`, the key a digest of what made
+it. A stage whose key is there is taken from the cache instead of run. Files are hard links where the cache lies on the
+run folder's disk, else copies. As in the run folder, an entry appears and vanishes by one renaming; whatever is taken
+is compared with the digests in its stamp first, so that no torn, damaged or half removed entry is ever used. Runs may
+share a cache at the same time without locks.
+"""
+
+import os
+import secrets
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.digests import file_digest
+from devrf.pipelines.stage import Stage
+from devrf.pipelines.stamp import STAMP, identity_key, read_stamp
+
+USERS = "DEVRF_CACHE"  # environment variable: folder of scenes that name none
+NEW, OLD = ".new-", ".old-"
+ABANDONED_S = 24 * 3600.0  # folders of that age that nobody finished were left by a killed run
+GB = 1e9
+
+
+@dataclass(frozen=True)
+class Cache:
+    """A folder of finished stages.
+
+    Attributes:
+        folder: Where; made when something is kept.
+        max_gb: Most it may hold; what was used longest ago goes first. Links count as much as copies.
+    """
+
+    folder: Path
+    max_gb: float
+
+    def has(self, stage: Stage, made_from: dict) -> str | None:
+        """Content of the entry made from this; None where there is none."""
+        stamp = None if stage.quotes_stamps else read_stamp(self._entry(stage.name, made_from))
+        return None if stamp is None else stamp["content"]
+
+    def take(self, stage: Stage, made_from: dict, out: Path) -> bool:
+        """Put the stage made from this into the empty folder `out`, if it is here and whole."""
+        entry = self._entry(stage.name, made_from)
+        if self.has(stage, made_from) is None:
+            return False
+        try:
+            _link(entry, out)
+            whole = _is_whole(out)
+            os.utime(entry)
+        except OSError:
+            whole = False
+        if not whole:
+            self._remove(entry)
+            shutil.rmtree(out, ignore_errors=True)
+            out.mkdir(exist_ok=True)
+        return whole
+
+    def keep(self, stage: Stage, folder: Path) -> None:
+        """Keep a finished stage's folder.
+
+        Raises:
+            OSError: The cache cannot be written.
+        """
+        stamp = read_stamp(folder)
+        if stamp is None or stage.quotes_stamps or "content" not in stamp:
+            return
+        entry = self._entry(stage.name, stamp["identity"])
+        if entry.exists():
+            os.utime(entry)
+            return
+        if _bytes_of(stamp) > self.max_gb * GB:
+            return
+        new = entry.with_name(f"{NEW}{secrets.token_hex(6)}")
+        new.mkdir(parents=True)
+        try:
+            _link(folder, new)
+            new.rename(entry)
+        except BaseException as error:
+            shutil.rmtree(new, ignore_errors=True)
+            if not (isinstance(error, OSError) and entry.exists()):  # another run kept the same first
+                raise
+        self._trim()
+
+    def _entry(self, stage: str, made_from: dict) -> Path:
+        return self.folder / stage / identity_key(stage, made_from)
+
+    def _trim(self) -> None:
+        """Remove what was used longest ago until the rest fits, and what killed runs left."""
+        entries: list[tuple[float, int, Path]] = []
+        for path in self.folder.glob("*/*"):
+            try:
+                used = path.stat().st_mtime
+            except OSError:
+                continue  # another run removed it
+            stamp = None if path.name.startswith((NEW, OLD)) else read_stamp(path)
+            if stamp is not None:
+                entries.append((used, _bytes_of(stamp), path))
+            elif used < time.time() - ABANDONED_S:
+                shutil.rmtree(path, ignore_errors=True)
+        too_much = sum(size for _, size, _ in entries) - self.max_gb * GB
+        for _, size, path in sorted(entries):
+            if too_much <= 0:
+                break
+            self._remove(path)
+            too_much -= size
+
+    def _remove(self, entry: Path) -> None:
+        old = entry.with_name(f"{OLD}{secrets.token_hex(6)}")
+        try:
+            entry.rename(old)
+        except OSError:
+            return  # another run removed it
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def cache_of(config: SceneConfig, scene_dir: Path) -> Cache | None:
+    """The cache that scene.yaml names, else the user's own, else none."""
+    wish = config.cache
+    folder = wish.folder or os.environ.get(USERS)
+    return Cache(config.path(scene_dir, folder), wish.max_gb) if folder and wish.max_gb > 0 else None
+
+
+def _link(source: Path, target: Path) -> None:
+    """Hard links of all files of a folder in another, which is there; copies where there can be none."""
+    for path in sorted(source.rglob("*")):
+        new = target / path.relative_to(source)
+        if path.is_dir():
+            new.mkdir(exist_ok=True)
+            continue
+        try:
+            os.link(path, new)
+        except FileNotFoundError:
+            raise
+        except OSError:  # another disk, or a file system without links
+            shutil.copy2(path, new)
+
+
+def _is_whole(folder: Path) -> bool:
+    """Whether a folder holds what its stamp says, byte for byte."""
+    stamp = read_stamp(folder)
+    if stamp is None:
+        return False
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    return there == {*stamp["files"], STAMP} and all(
+        file_digest(folder / name) == digest for name, (_, digest) in stamp["files"].items()
+    )
+
+
+def _bytes_of(stamp: dict) -> int:
+    return sum(size for size, _ in stamp["files"].values())

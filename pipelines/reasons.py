@@ -1,0 +1,91 @@
+"""Why a stage has to be made again, in words."""
+
+from pathlib import Path
+from typing import Any
+
+from devrf.pipelines.digests import Digests
+from devrf.pipelines.stamp import damage, read_stamp
+
+MOST_FILES = 3  # files of code that are named; an update of the program changes them all
+
+
+def why_stale(folder: Path, now: dict, digests: Digests) -> list[str]:
+    """Reasons why a stage's folder does not fit; empty where it does.
+
+    Args:
+        folder: The stage's folder.
+        now: What it would be made from now (`identity`).
+        digests: Source of content digests.
+    """
+    stamp = read_stamp(folder)
+    if stamp is None:
+        return ["never finished"]
+    then = stamp["identity"]
+    if then.keys() != now.keys():
+        return ["made by a version of the program that knew less of what it was made from"]
+    reasons = [f"{key}: {_change(old, new)}" for key, old, new in _differences(then, now, "config")]
+    reasons += [f"{name}: {_file_change(old, new)}" for name, old, new in _differences(then, now, "inputs")]
+    reasons += [f"{name}: lies elsewhere" for name, _, _ in _differences(then, now, "places")]
+    for name, _, made in _differences(then, now, "reads"):
+        if name not in now["reads"]:
+            reasons.append(f"{name} no longer applies")
+        elif name not in then["reads"]:
+            reasons.append(f"{name} applies now")
+        else:
+            reasons.append(f"{name} is not made" if made is None else f"{name} came out differently")
+    reasons += _code_change(then, now)
+    for name, old, new in _differences(then, now, "libraries"):
+        reasons.append(
+            f"{name} {old} is no longer there"
+            if new is None
+            else f"{name} {new} is newly there"
+            if old is None
+            else f"{name} {old} is now {new}"
+        )
+    return reasons + damage(folder, stamp, digests)
+
+
+def _differences(then: dict, now: dict, part: str) -> list[tuple[str, Any, Any]]:
+    """Name, old and new value of each entry of a part that is not the same. None stands for none.
+
+    A stage that is not made and one that is not read are two things; a key that is not set and one that is not there
+    are the same.
+    """
+    old, new = then[part], now[part]
+    return [
+        (name, old.get(name), new.get(name))
+        for name in sorted({*old, *new})
+        if old.get(name) != new.get(name) or (part == "reads" and (name in old) != (name in new))
+    ]
+
+
+def _change(old: Any, new: Any) -> str:
+    """What happened to a key. Values are those of `identity`, None where there is none."""
+    was_file, is_file = (isinstance(value, dict) and value.get("content") is not None for value in (old, new))
+    if was_file or is_file:
+        return _file_change(old if was_file else None, new if is_file else None)
+    if old == {} or new == {}:  # what came or went stands at keys of its own
+        return "no longer empty" if old == {} else "now empty"
+    if old is None or new is None:
+        return f"was not set, is now {new}" if old is None else f"was {old}, is no longer set"
+    return f"{old} is now {new}"
+
+
+def _file_change(old: Any, new: Any) -> str:
+    return "newly given" if old is None else "no longer given" if new is None else "content changed"
+
+
+def _code_change(then: dict, now: dict) -> list[str]:
+    changed = [_shown(name) for name, _, _ in _differences(then, now, "code")]
+    if not changed:
+        return []
+    more = len(changed) - MOST_FILES
+    names = ", ".join(changed[:MOST_FILES]) + (f" and {more} more" if more > 0 else "")
+    return [f"the code changed ({names})"]
+
+
+def _shown(module: str) -> str:
+    """devrf.flow.dis -> flow/dis.py; a file beside a module -> its folder and name."""
+    name, _, beside = module.removeprefix("devrf.").partition(":")
+    path = name.replace(".", "/")
+    return f"{path.rpartition('/')[0]}/{beside}" if beside else f"{path}.py"
