@@ -6,6 +6,7 @@ every start of the program reads them all (0.02 s instead of 0.6 s; `test_stamps
 """
 
 import hashlib
+import os
 import re
 import sys
 from collections.abc import Iterable
@@ -78,29 +79,27 @@ def code_of(module: str, plug_ins: Iterable[str] = ()) -> Code:
         top = name.partition(".")[0]
         files |= _package(top)
         tops.add(top)
-    installed = {top: distribution for top in tops if (distribution := _distribution(top)) is not None}
+    installed = dict(found for top in tops if (found := _distribution(top)) is not None)
     return Code(
         {name: file_id(path) for name, path in sorted(files.items())},
-        {
-            distribution.name: distribution.version
-            for _, distribution in sorted(installed.items())
-            if distribution.name not in NO_RESULTS
-        },
+        {name: version for name, version in sorted(installed.items()) if name not in NO_RESULTS},
     )
 
 
 def sources(module: str) -> dict[str, Path]:
     """Module name -> file, of `module` and of all that it imports from the domain folders."""
     found: dict[str, Path] = {}
-    todo = [module]
+    todo, seen = [module], {module}
     while todo:
         name = todo.pop()
         path = _file(name)
-        if path is None or name in found:
+        if path is None:
             continue
         found[name] = path
         imported, named = _words(path)
-        todo += [word for word in (*imported, *named) if _counts(word)]
+        new = {word for word in (*imported, *named) if _counts(word)} - seen
+        todo += new
+        seen |= new
         found |= {f"{name}:{word}": path.parent / word for word in named if (path.parent / word).is_file()}
     return found
 
@@ -163,10 +162,10 @@ def _file(module: str) -> Path | None:
     folder = _room(parts[1])
     if folder is None:
         return None
-    path = folder.joinpath(*parts[2:])
-    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
-        if candidate.is_file():
-            return candidate
+    path = os.path.join(folder, *parts[2:])  # not Path's methods: thousands of names are tried
+    for candidate in (f"{path}.py", os.path.join(path, "__init__.py")):
+        if os.path.isfile(candidate):
+            return Path(candidate)
     return None
 
 
@@ -191,15 +190,21 @@ def _package(top: str) -> dict[str, Path]:
 
 
 @cache
-def _distribution(module: str) -> metadata.Distribution | None:
-    """The installed distribution that holds a module; None where there is none.
+def _distribution(module: str) -> tuple[str, str] | None:
+    """Name and version of the installed distribution that holds a module; None where there is none.
 
     Most bear the module's name. For the others (cv2, PIL, warp) the lists of files are searched, as text: the
     standard library's own table of all modules takes 0.4 s.
     """
     try:
-        return metadata.distribution(module)
+        found = metadata.distribution(module)
     except metadata.PackageNotFoundError:
-        pass
-    holds = re.compile(rf"^{re.escape(module)}(?:/|\.py,)", re.MULTILINE)
-    return next((d for d in metadata.distributions() if holds.search(d.read_text("RECORD") or "")), None)
+        holds = (f"\n{module}/", f"\n{module}.py,")
+        found = next(
+            (d for d in metadata.distributions() if any(line in _files_in(d) for line in holds)), None
+        )
+    return None if found is None else (found.name, found.version)
+
+
+def _files_in(distribution: metadata.Distribution) -> str:
+    return "\n" + (distribution.read_text("RECORD") or "")

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from devrf.flow.estimator import Preset, mistake
+from devrf.flow.methods import Preset, mistake
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
+from devrf.flow.methods import plug_in
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage, StageContext
 
@@ -80,8 +81,6 @@ def _data_set(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
 
 
 def _flow_method(config: SceneConfig) -> tuple[str, ...]:
-    from devrf.flow.estimator import plug_in
-
     module = plug_in(config.flow.method)
     return () if module is None else (module,)
 

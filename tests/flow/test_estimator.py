@@ -12,7 +12,8 @@ from PIL import Image
 from devrf.capture.errors import InputError
 from devrf.flow.consistency import both_ways, endpoint_error
 from devrf.flow.dis import DisFlow
-from devrf.flow.estimator import create_estimator, methods
+from devrf.flow.estimator import create_estimator
+from devrf.flow.methods import methods
 
 UNKNOWN = 1e9  # Middlebury marks pixels without truth by larger values
 
@@ -109,7 +110,7 @@ def installed(monkeypatch):
         EntryPoint(name, f"somebodys_flow:{what}", "devrf.flow")
         for name, what in (("still", "made"), ("broken", "absent"), ("text", "no_estimator"))
     ]
-    monkeypatch.setattr("devrf.flow.estimator.entry_points", lambda group: points)
+    monkeypatch.setattr("devrf.flow.methods.entry_points", lambda group: points)
 
 
 def made(weights, device):
