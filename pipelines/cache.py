@@ -69,9 +69,10 @@ class Cache:
         if stamp is None or stage.quotes_stamps or "content" not in stamp:
             return
         entry = self._entry(stage.name, stamp["identity"])
-        if entry.exists():
+        if read_stamp(entry) is not None:
             os.utime(entry)
             return
+        self._remove(entry)  # a damaged one, if there is one
         if _bytes_of(stamp) > self.max_gb * GB:
             return
         new = entry.with_name(f"{NEW}{secrets.token_hex(6)}")

@@ -109,7 +109,7 @@ def _put_away(run_dir: Path) -> None:
     if events.exists() and events.stat().st_size > EVENTS_BYTES:
         old.mkdir(exist_ok=True)
         events.replace(old / f"events-until-{time.strftime('%Y%m%d-%H%M%S')}.jsonl")
-    logs = sorted(old.glob("*.log"), key=lambda log: log.stat().st_mtime)
+    logs = sorted(old.glob("[0-9]*.log"), key=lambda log: log.stat().st_mtime)
     for log in logs[:-KEPT_LOGS]:
         log.unlink(missing_ok=True)
 

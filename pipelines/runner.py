@@ -346,6 +346,7 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) 
         if logs:
             message += f"\nlog: {', '.join(map(str, logs))}"
         run.talk.health(stage.name, rows)
+        run.talk.event("stage_failed", stage=stage.name, code=code, logs=[str(log) for log in logs])
         run.talk.error(message)
         remember_error(run.run_dir, stage.name, message, code)
         return code

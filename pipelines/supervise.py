@@ -69,7 +69,8 @@ def tell(**facts: str | int | None) -> None:
     """Let the parent, if there is one, know what it needs when this process dies.
 
     Args:
-        facts: `run_dir` and `run`, its name; `stage`, or None between two; `memory`, bytes to keep below, and `memory_why`.
+        facts: `run_dir`, and `run`, its name; `stage`, or None between two; `memory`, bytes to keep below, and
+            `memory_why`.
     """
     if _link is not None:
         os.write(_link, json.dumps(facts).encode() + b"\n")
