@@ -4,7 +4,6 @@ Only Pillow is needed, so that training runs where no video or vision library is
 not applied: the cameras of a scene belong to the pixels as they are stored (`pictures.py` turns photos upright).
 """
 
-import os
 import re
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageFile
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.errors import CaptureError
 
 JPEG_SUFFIXES = frozenset((".jpg", ".jpeg"))
@@ -64,7 +64,7 @@ def damaged_pictures(paths: Iterable[Path]) -> list[str]:
             return str(error)
         return None
 
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:  # decoding lets other threads run
+    with ThreadPoolExecutor(usable_cores()) as pool:  # decoding lets other threads run
         return [text for text in pool.map(problem, dict.fromkeys(paths)) if text is not None]
 
 

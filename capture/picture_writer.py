@@ -5,12 +5,12 @@ writing PNG and a fifth of its size. Board corners stay where they were within 0
 what was filmed the pictures are as good as the decoded ones (docs/ingest.md).
 """
 
-import os
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.pictures import write_bgr
 from devrf.capture.video import VideoFrame
 from devrf.capture.video_jpeg import jpeg_of
@@ -26,7 +26,7 @@ class PictureWriter:
     """
 
     def __init__(self) -> None:
-        workers = len(os.sched_getaffinity(0))
+        workers = usable_cores()
         self._pool = ThreadPoolExecutor(workers)
         self._most = workers + 1  # one more waits, so that no worker does
         self._writing: deque[Future[None]] = deque()

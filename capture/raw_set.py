@@ -6,7 +6,6 @@ A photo of 24 million pixels takes 0.6 GB while it is developed, so at most one 
 """
 
 import json
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.errors import CaptureError
 from devrf.capture.exif import exposure_stops
 from devrf.capture.frames import grey_small
@@ -98,7 +98,7 @@ def develop_set(
 
     photos: dict[int, RawPhoto] = {}
     used = []
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         try:
             for (index, path), (photo, entry) in zip(pictures, pool.map(one, pictures), strict=True):
                 photos[index] = photo

@@ -5,7 +5,6 @@ reduced to the size the model is trained at. Across a gap in the clip (dropped f
 entry is there, and nowhere valid. A clip is one camera's, so no pair ever crosses from one camera to another.
 """
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.errors import FlowError
 from devrf.capture.progress import Progress, no_progress
 from devrf.flow.checks import FlowChecks, PairChecks, summary
@@ -86,7 +86,7 @@ def clip_flow(
         write_pair(path, found[0], found[1], asdict(found[2]))
         return found[2]
 
-    with ThreadPoolExecutor(_cores() if parallel else 1) as pool:  # each holds the pictures of one pair
+    with ThreadPoolExecutor(usable_cores() if parallel else 1) as pool:  # each holds the pictures of one pair
         futures = [pool.submit(make, n) for n in pairs]
         try:
             checks = []
@@ -97,7 +97,3 @@ def clip_flow(
             pool.shutdown(cancel_futures=True)
             raise
     return summary([checks[n - 1] for n in whole], int(gap.sum()))
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.errors import CaptureError
 from devrf.capture.mattes.given import read_given
 from devrf.capture.picture_files import read_pixels
@@ -81,7 +82,7 @@ def run_on_pictures(
     names = [kept / f"{_digest(made_by, picture)}.png" for picture in pictures]
     todo = {name: picture for name, picture in zip(names, pictures, strict=True) if not name.is_file()}
     running: set[subprocess.Popen] = set()
-    pool = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
+    pool = ThreadPoolExecutor(usable_cores())
     try:
         jobs = [pool.submit(_run, command, picture, name, running) for name, picture in todo.items()]
         for done, job in enumerate(as_completed(jobs), len(pictures) - len(todo) + 1):

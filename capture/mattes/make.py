@@ -1,6 +1,5 @@
 """Mattes of one camera's pictures by any method: written as grey PNG of the picture's size, and measured."""
 
-import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue, key_share
 from devrf.capture.mattes.clean_plate import clean_plate, plate_matte
 from devrf.capture.mattes.command import MatteCommand, run_on_pictures
@@ -141,7 +141,7 @@ def _write(
         return path, measure(picture, matte, clip.small_sizes[n])
 
     made = []
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         for result in pool.map(one, range(len(clip.files))):
             made.append(result)
             progress(len(made) / len(clip.files), f"{clip.camera}: matte {len(made)} of {len(clip.files)}")

@@ -1,10 +1,11 @@
 """How Warp kernels are started: lazily, on the tensors' own device, in chunks on the CPU, or not at all.
 
 Every kernel takes `first` as its first argument and works on element `first + tid`. On the CPU one Warp
-launch is one thread, so a launch whose elements write to places of their own is cut into one chunk per core;
-a launch that scatters into shared memory is not, unless it brings a copy of that memory for each thread.
-Either way sums keep one order, whatever the number of cores (bit-equal from run to run). Where Warp cannot be
-used (no compiler backend, an unknown processor) the plain PyTorch references take over; that is logged once.
+launch is one thread, so a launch whose elements write to places of their own is cut into one chunk per core
+(at most `OMP_NUM_THREADS`); a launch that scatters into shared memory is not, unless it brings a copy of that
+memory for each thread. Either way sums keep one order, whatever the number of cores (bit-equal from run to
+run). Where Warp cannot be used (no compiler backend, an unknown processor) the plain PyTorch
+references take over; that is logged once.
 """
 
 import contextlib
@@ -18,6 +19,8 @@ from typing import Any, no_type_check
 
 import torch
 import warp as wp
+
+from devrf.capture.cores import usable_cores
 
 SCATTER_COPIES = (
     2  # of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
@@ -64,8 +67,10 @@ def launch(
             inputs = [bounds[n], *arguments, *last[n]]
             wp.launch(kernel, dim=bounds[n + 1] - bounds[n], inputs=inputs, device=name)
 
-    jobs = [_pool().submit(part, n) for n in range(len(last) - 1)]
-    part(len(last) - 1)
+    beside = len(last) - 1 if _cores() > 1 else 0  # a process with one core to itself leaves the others alone
+    jobs = [_pool().submit(part, n) for n in range(beside)]
+    for n in range(beside, len(last)):
+        part(n)
     for job in jobs:
         job.result()
 
@@ -129,9 +134,7 @@ def _native_silence() -> Iterator[None]:
         os.close(nowhere)
 
 
-@functools.cache
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+_cores = functools.cache(usable_cores)
 
 
 @functools.cache

@@ -258,7 +258,7 @@ def test_a_stopped_clip_finds_only_what_is_missing(clip, tmp_path):
 
 
 def test_many_threads_find_the_same(clip, tmp_path, monkeypatch):
-    monkeypatch.setattr("devrf.flow.clip._cores", lambda: 4)
+    monkeypatch.setattr("devrf.flow.clip.usable_cores", lambda: 4)
     out = {}
     for parallel in (False, True):
         folder = tmp_path / str(parallel)
