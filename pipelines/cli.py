@@ -83,8 +83,10 @@ def check(
         check_folder(job.run_dir, "output:")
         if as_json is not None:
             check_file(as_json, "--json")
-        _check_raw_files(job)
         from devrf.pipelines.check import command as check_command
+        from devrf.pipelines.preflight import check_inputs
+
+        check_inputs(job.config, job.scene_dir, {"ingest", "scene"})
 
         go = check_command.check(talk, job.config, job.scene_dir, job.run_dir, as_json)
     except InputError as error:
@@ -342,35 +344,13 @@ def _check(job: Run, device: str) -> int:
         if to_do:
             job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
             check_folder(job.run_dir, "output:")
-        if to_do & {"ingest", "scene"}:
-            _check_raw_files(job)
-        if "flow" in to_do:
-            _check_flow(job)
+            from devrf.pipelines.preflight import check_inputs
+
+            check_inputs(job.config, job.scene_dir, to_do)
     except InputError as error:
         job.talk.error(str(error))
         return BAD_INPUT
     return DONE
-
-
-def _check_raw_files(job: Run) -> None:
-    if job.config.dataset is None:
-        from devrf.pipelines.preflight import check_raw_files as check
-    else:
-        from devrf.pipelines.configured_dataset import check_dataset as check
-
-    problems = check(job.config, job.scene_dir)
-    if problems:
-        raise InputError("\n".join(problems))
-
-
-def _check_flow(job: Run) -> None:
-    """Weights and methods of others are tried before anything starts; DIS has nothing to be wrong."""
-    flow = job.config.flow
-    if flow.method != "dis":
-        from devrf.flow.estimator import create_estimator
-
-        weights = job.config.path(job.scene_dir, flow.weights) if flow.weights else None
-        create_estimator(flow.method, weights, preset=flow.preset)
 
 
 def _only(

@@ -1,11 +1,34 @@
 """Look at every raw file before anything starts, so that a wrong clip is found now and not after an hour."""
 
+from collections.abc import Collection
 from pathlib import Path
 
-from devrf.capture.errors import DevrfError
+from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.config.scene import SceneConfig
+
+
+def check_inputs(config: SceneConfig, scene_dir: Path, stages: Collection[str]) -> None:
+    """Refuse files that one of the stages which are going to run could not use.
+
+    Raises:
+        InputError: With everything that is wrong.
+    """
+    if not {"ingest", "scene"}.isdisjoint(stages):
+        if config.dataset is None:
+            problems = check_raw_files(config, scene_dir)
+        else:
+            from devrf.pipelines.configured_dataset import check_dataset
+
+            problems = check_dataset(config, scene_dir)
+        if problems:
+            raise InputError("\n".join(problems))
+    if "flow" in stages and config.flow.method != "dis":  # DIS has nothing to be wrong
+        from devrf.flow.estimator import create_estimator
+
+        weights = config.path(scene_dir, config.flow.weights) if config.flow.weights else None
+        create_estimator(config.flow.method, weights, preset=config.flow.preset)
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
