@@ -127,6 +127,53 @@ def run(
 
 
 @app.command()
+def batch(
+    scenes: Annotated[list[Path], typer.Argument(help="scene.yaml files, or the folders that hold them")],
+    engine: Annotated[
+        str, typer.Option(help="local: this machine; ray: a Ray cluster (extra `ray`)")
+    ] = "local",
+    address: Annotated[
+        str | None,
+        typer.Option(help="ray: HOST:PORT of the cluster, or auto; default: one of its own on this machine"),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Scenes at once; default: as there is room")] = None,
+    preset: PresetOption = None,
+    until: Annotated[str | None, typer.Option(help="Stop every scene after this stage")] = None,
+    overrides: SetOption = None,
+    device: DeviceOption = "auto",
+    allow_unhealthy: Annotated[
+        bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json and batch.html")] = Path(
+        "batch"
+    ),
+    store: Annotated[
+        str | None,
+        typer.Option(
+            help="URL (s3://bucket/path, file:///path) where inputs and results lie for all machines"
+        ),
+    ] = None,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Run many scenes side by side; one that fails stops no other, and a second call does only what is missing."""
+    talk = talk_of(quiet, verbose)
+    from devrf.pipelines.batch import command
+
+    options = command.Options(preset, tuple(overrides or ()), until, allow_unhealthy)
+    try:
+        machines = command.Machines(engine, address, jobs, device)
+        code = command.batch(talk, scenes, options, machines, out, store)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
+    except DevrfError as error:
+        talk.error(str(error))
+        raise typer.Exit(FAILED) from None
+    raise typer.Exit(code)
+
+
+@app.command()
 def status(
     scene: SceneArgument,
     preset: PresetOption = None,

@@ -1,0 +1,149 @@
+"""`devrf-pipeline batch`: check all scenes, run what is missing, keep a summary."""
+
+import signal
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from devrf.capture.cores import usable_cores
+from devrf.capture.writable import check_folder
+from devrf.pipelines.batch.board import HTML_FILE, Board
+from devrf.pipelines.batch.engine import Engine
+from devrf.pipelines.batch.groups import groups
+from devrf.pipelines.batch.local import LocalPool
+from devrf.pipelines.batch.rows import SceneRow, exit_code
+from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
+from devrf.pipelines.batch.schedule import Job, work_through
+from devrf.pipelines.console import Talk
+from devrf.pipelines.device import resolve_device
+from devrf.pipelines.runner import BAD_INPUT, DONE, UNHEALTHY
+
+CORES_PER_JOB = 2  # stages use more than one core about half of their time
+
+
+@dataclass(frozen=True)
+class Machines:
+    """Where a batch runs.
+
+    Attributes:
+        engine: local or ray.
+        address: Of a Ray cluster; None starts one on this machine.
+        jobs: Scenes at once; None: as there is room.
+        device: auto, cpu or cuda.
+    """
+
+    engine: str = "local"
+    address: str | None = None
+    jobs: int | None = None
+    device: str = "auto"
+
+
+def batch(
+    talk: Talk, paths: Sequence[Path], options: Options, machines: Machines, out: Path, store: str | None
+) -> int:
+    """Run the scenes.
+
+    Args:
+        talk: Where to speak.
+        paths: scene.yaml files, or folders that hold one.
+        options: What each is run with.
+        machines: Where.
+        out: Folder of the summary.
+        store: URL of a store that all machines reach; None: they all see the scenes' own paths.
+    Returns:
+        The exit code.
+    Raises:
+        InputError: The batch as a whole cannot be run.
+    """
+    check_folder(out, "--out")
+    out.mkdir(parents=True, exist_ok=True)
+    scenes = look(paths, options, unique_names=store is not None)
+    rows = [_row(scene, options) for scene in scenes]
+    with ExitStack() as stack:
+        engine = None
+        if any(row.code is None for row in rows):
+            engine = stack.enter_context(_engine(machines))
+        board = stack.enter_context(Board(talk, out, rows, machines.engine))
+        for row in rows:
+            if row.code is not None:
+                board.ended(row)
+        if engine is not None:
+            stack.enter_context(_stopped_by_signals(engine))
+            pairs = enumerate(zip(scenes, rows, strict=True))
+            work_through(
+                [_job(n, s, r, options, engine) for n, (s, r) in pairs if r.code is None], engine, board
+            )
+    done = sum(row.code == DONE for row in rows)
+    talk.say(f"{done} of {len(rows)} scenes done; {out / HTML_FILE}")
+    return exit_code(rows)
+
+
+def _row(scene: BatchScene, options: Options) -> SceneRow:
+    """A scene's row, ended already where there is nothing to run."""
+    run_dir = scene.run_dir
+    row = SceneRow(str(scene.path), scene.name, None if run_dir is None else str(run_dir))
+    if run_dir is not None:
+        stand(scene, options, run_dir)
+        row.look(run_dir, scene.stages)
+    if scene.problem is not None:
+        row.end(BAD_INPUT, scene.problem)
+    elif not scene.to_do:
+        refused = row.verdict == "fail" and not options.allow_unhealthy
+        row.end(
+            UNHEALTHY if refused else DONE,
+            "its own checks refused the result; see its report" if refused else None,
+        )
+    return row
+
+
+def _job(number: int, scene: BatchScene, row: SceneRow, options: Options, engine: Engine) -> Job:
+    if scene.config is None or scene.run_dir is None:
+        raise ValueError(f"{scene.path} has no configuration")
+    run_dir = scene.run_dir
+    return Job(
+        number,
+        scene.path,
+        run_dir,
+        tuple(options.arguments()),
+        row,
+        deque(groups(scene.config, scene.standing, engine.gpus > 0)),
+        lambda: row.look(run_dir, scene.stages),
+    )
+
+
+@contextmanager
+def _engine(machines: Machines) -> Iterator[Engine]:
+    """What the tasks run on; given back in the end.
+
+    Raises:
+        InputError: It is not there.
+    """
+    engine = _local(machines)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def _local(machines: Machines) -> LocalPool:
+    cores, gpus = usable_cores(), 0
+    if resolve_device(machines.device) == "cuda":
+        import torch
+
+        gpus = torch.cuda.device_count()
+    jobs = machines.jobs or max(1, cores // CORES_PER_JOB)
+    return LocalPool(jobs, max(1, cores // (jobs + gpus)), gpus)
+
+
+@contextmanager
+def _stopped_by_signals(engine: Engine) -> Iterator[None]:
+    """Ctrl-C and TERM end what runs, in order; nothing more is begun."""
+    handled = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, frame: engine.stop()) for number in handled}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,148 @@
+"""The scenes of a batch, each looked at before anything starts: what is wrong with it, and what it still needs."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.writable import check_folder
+from devrf.pipelines.cli_options import configured
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.plan import Choice, Standing, is_chosen, standings
+from devrf.pipelines.preflight import check_inputs
+from devrf.pipelines.runner import check_choice
+from devrf.pipelines.stages import STAGES
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every scene of a batch is run with; the options of `run` with these names.
+
+    Attributes:
+        preset: In place of the scenes' own.
+        overrides: Texts `dotted.key=value`.
+        until: Last stage.
+        allow_unhealthy: Go on where a stage's own check refuses its result.
+    """
+
+    preset: str | None = None
+    overrides: tuple[str, ...] = ()
+    until: str | None = None
+    allow_unhealthy: bool = False
+
+    def arguments(self) -> list[str]:
+        """All but `until`, as `devrf-pipeline run` takes them."""
+        preset = [] if self.preset is None else ["--preset", self.preset]
+        overrides = [word for text in self.overrides for word in ("--set", text)]
+        return [*preset, *overrides, *(["--allow-unhealthy"] if self.allow_unhealthy else [])]
+
+
+@dataclass
+class BatchScene:
+    """One scene.
+
+    Attributes:
+        path: Its scene.yaml.
+        config: What it says; None where it cannot be used.
+        problem: Why it cannot be used.
+        standing: Where its stages that are to run stand.
+    """
+
+    path: Path
+    config: SceneConfig | None = None
+    problem: str | None = None
+    standing: list[Standing] = field(default_factory=list)
+
+    @property
+    def scene_dir(self) -> Path:
+        """Folder of scene.yaml."""
+        return self.path.parent
+
+    @property
+    def name(self) -> str:
+        """As its scene.yaml says, else the folder's."""
+        return self.scene_dir.name if self.config is None else self.config.name
+
+    @property
+    def run_dir(self) -> Path | None:
+        """The run folder."""
+        return None if self.config is None else self.config.run_dir(self.scene_dir)
+
+    @property
+    def stages(self) -> list[str]:
+        """Stages that belong to the batch."""
+        return [now.stage.name for now in self.standing]
+
+    @property
+    def to_do(self) -> list[str]:
+        """Stages that are to be made."""
+        return [now.stage.name for now in self.standing if now.state in ("stale", "missing")]
+
+
+def look(paths: Sequence[Path], options: Options, *, unique_names: bool = False) -> list[BatchScene]:
+    """Read and check every scene; what is wrong with one stands in its `problem`.
+
+    Args:
+        paths: scene.yaml files, or the folders that hold them.
+        options: What they are to be run with.
+        unique_names: Whether two scenes may not have one name (in a store they lie by their names).
+    """
+    scenes = [_read(path, options) for path in paths]
+    _refuse_twice(scenes, "the same scene", "name it once", lambda scene: scene.path)
+    _refuse_twice(
+        scenes, "the same run folder", "give each its own output", lambda scene: scene.run_dir or scene.path
+    )
+    if unique_names:
+        _refuse_twice(scenes, "the same name", "give each its own name", lambda scene: scene.name)
+    return scenes
+
+
+def stand(scene: BatchScene, options: Options, seen_in: Path) -> None:
+    """Find out what a scene still needs, and whether its files are fit for that.
+
+    Args:
+        scene: Its `standing` and `problem` are set.
+        options: What it is to be run with.
+        seen_in: Folder with the stamps of its stages.
+    """
+    if scene.config is None or scene.run_dir is None or scene.problem is not None:
+        return
+    choice = Choice(last=options.until)
+    found = standings(STAGES, scene.config, scene.scene_dir, seen_in, choice)
+    scene.standing = [
+        now for now in found if is_chosen(now.stage.name, STAGES, choice) and now.state != "not applicable"
+    ]
+    if not scene.to_do:
+        return
+    try:
+        check_folder(scene.run_dir, "output:")
+        check_inputs(scene.config, scene.scene_dir, scene.to_do)
+    except InputError as error:
+        scene.problem = str(error)
+
+
+def _read(path: Path, options: Options) -> BatchScene:
+    scene = BatchScene((path / "scene.yaml" if path.is_dir() else path).resolve())
+    try:
+        config, _ = configured(scene.path, options.preset, options.overrides)
+        check_choice(config, STAGES, Choice(last=options.until))
+        scene.config = config
+    except DevrfError as error:
+        scene.problem = str(error)
+    return scene
+
+
+def _refuse_twice(
+    scenes: list[BatchScene], what: str, remedy: str, key: Callable[[BatchScene], object]
+) -> None:
+    """Neither of two scenes that cannot both run is run: nobody can know which was meant."""
+    by_key: dict[object, list[BatchScene]] = defaultdict(list)
+    for scene in scenes:
+        if scene.problem is None:
+            by_key[key(scene)].append(scene)
+    for same in by_key.values():
+        for scene in same:
+            others = sorted(str(other.path) for other in same if other is not scene)
+            if others:
+                scene.problem = f"{scene.path}: {what} as {', '.join(others)} ({key(scene)}); {remedy}"

@@ -1,0 +1,165 @@
+"""One piece of work of a batch: a group of stages of one scene, run in a process of its own."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from devrf.pipelines.plan import error_path, last_error
+from devrf.pipelines.runner import FAILED, STOPPED
+from devrf.pipelines.workspace import LOCK
+
+POLL_S = 0.1  # between two looks at whether to stop
+GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it
+LOCK_WAIT_S = 90.0  # for a run that a dead node left: it has been told to stop, and gets its grace
+MESSAGE_CHARACTERS = 4000
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to run.
+
+    Attributes:
+        scene: Number of the scene in the batch.
+        path: Its scene.yaml.
+        run_dir: Its run folder.
+        stages: Names of the stages, in order.
+        arguments: Of `devrf-pipeline run`, besides the scene and the stages.
+        threads: Cores to use.
+        gpu: Whether to have a GPU.
+        attempt: 1, or more where a node was lost on the way.
+    """
+
+    scene: int
+    path: Path
+    run_dir: Path
+    stages: tuple[str, ...]
+    arguments: tuple[str, ...]
+    threads: int
+    gpu: bool
+    attempt: int = 1
+
+
+@dataclass(frozen=True)
+class Started:
+    """A task has begun.
+
+    Attributes:
+        scene: Number of the scene.
+        node: Where.
+    """
+
+    scene: int
+    node: str
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A task has come to its end.
+
+    Attributes:
+        scene: Number of the scene.
+        code: Exit code of the run; None where the node was lost.
+        message: What went wrong.
+        seconds: Time it took.
+    """
+
+    scene: int
+    code: int | None
+    message: str | None = None
+    seconds: float = 0.0
+
+
+def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | None = None) -> Ended:
+    """Run a task to its end.
+
+    Args:
+        task: What to run.
+        stop: Asked now and then; True ends the run as Ctrl-C does.
+        gpu: Number of the GPU to use, where the scheduler has not set it already.
+    """
+    start, started_s = time.monotonic(), time.time()
+    if task.attempt > 1:
+        _wait_for_lock(task.run_dir, stop)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "devrf.pipelines.batch.child", str(os.getpid()), *_command(task)],
+        env=_environment(task, gpu),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,  # Ctrl-C in a terminal comes from the batch, once
+    )
+    try:
+        said = _wait(process, stop)
+    except BaseException:  # how Ray cancels
+        _end(process)
+        raise
+    code = process.returncode
+    message = None if code == 0 else _message(task, started_s, code, said)
+    return Ended(task.scene, code if code >= 0 else FAILED, message, time.monotonic() - start)
+
+
+def node_name() -> str:
+    """What this machine is called in a summary."""
+    return socket.gethostname()
+
+
+def _command(task: Task) -> list[str]:
+    stages = ["--from", task.stages[0], "--until", task.stages[-1]]
+    return ["run", str(task.path), *stages, *task.arguments, "--quiet"]
+
+
+def _environment(task: Task, gpu: int | None) -> dict[str, str]:
+    """Threads for its share of the cores. OpenMP's wait asleep, or two trainings side by side slow each other."""
+    threads = str(task.threads)
+    ours = {"OMP_NUM_THREADS": threads, "OPENCV_FOR_THREADS_NUM": threads, "OMP_WAIT_POLICY": "PASSIVE"}
+    if gpu is not None:
+        ours["CUDA_VISIBLE_DEVICES"] = str(gpu)
+    return {**os.environ, **ours}
+
+
+def _wait(process: subprocess.Popen, stop: Callable[[], bool]) -> str:
+    """Wait for the end; what it said on stderr."""
+    while True:
+        try:
+            return process.communicate(timeout=POLL_S)[1]
+        except subprocess.TimeoutExpired:
+            if stop():
+                return _end(process)
+
+
+def _end(process: subprocess.Popen) -> str:
+    """TERM, grace, KILL."""
+    process.terminate()
+    try:
+        return process.communicate(timeout=GRACE_S)[1]
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        return process.communicate()[1]
+
+
+def _message(task: Task, started_s: float, code: int, said: str) -> str:
+    """Why a run failed: what it left beside the stage, else what it said."""
+    if code == STOPPED:
+        return "stopped; finished stages are kept, the next batch goes on from there"
+    for stage in task.stages:
+        path = error_path(task.run_dir, stage)
+        if path.is_file() and path.stat().st_mtime >= started_s and (text := last_error(task.run_dir, stage)):
+            return text
+    if code < 0:
+        return f"{task.path}: the run was killed by {signal.Signals(-code).name}; see devrf.log in {task.run_dir}"
+    return said.strip()[-MESSAGE_CHARACTERS:] or f"exit code {code}; see devrf.log in {task.run_dir}"
+
+
+def _wait_for_lock(run_dir: Path, stop: Callable[[], bool]) -> None:
+    """Give a run that a lost node left behind the time to let go. What holds it then is `run`'s to judge."""
+    deadline = time.monotonic() + LOCK_WAIT_S
+    while (run_dir / LOCK).exists() and time.monotonic() < deadline and not stop():
+        time.sleep(POLL_S)

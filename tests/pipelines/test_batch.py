@@ -1,0 +1,222 @@
+"""Batches on the local pool, with real stages on tiny scenes: what runs, what is refused, what the summary says."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.conftest import Command
+from tests.pipelines.tiny_scenes import tiny_scene
+
+from devrf.pipelines.batch.groups import groups
+from devrf.pipelines.batch.scenes import Options, look, stand
+from devrf.pipelines.batch.task import Task, run_task
+from devrf.pipelines.plan import Standing
+from devrf.pipelines.runner import BAD_INPUT, DONE, FAILED, STOPPED
+from devrf.pipelines.stages import STAGES
+from devrf.pipelines.workspace import Workspace
+
+LONG = 100_000  # iterations: it will not come to its end
+
+
+def summary(out: Path) -> dict[str, Any]:
+    return json.loads((out / "batch.json").read_text())
+
+
+def by_name(out: Path) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in summary(out)["scenes"]}
+
+
+def wait_for(what: Any, limit_s: float = 60.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not what() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert what()
+
+
+@pytest.fixture(scope="module")
+def whole(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes run to their reports, a third that stops short of it, and a fourth with a mistake in it."""
+    folder = tmp_path_factory.mktemp("batch")
+    for name in ("a", "b"):
+        tiny_scene(folder, name)
+    broken = tiny_scene(folder, "broken")
+    (broken.parent / "data/train/r_3.png").write_bytes(b"no picture")
+    typo = tiny_scene(folder, "typo")
+    typo.write_text(typo.read_text().replace("resolution", "resolutoin"))
+    scenes = [folder / name for name in ("a", "b", "broken", "typo")]
+    result = devrf("batch", *scenes, "--device", "cpu", "--jobs", "2", "--out", folder / "out")
+    assert result.code == BAD_INPUT, result.said
+    (folder / "said").write_text(result.said)
+    return folder
+
+
+def test_a_bad_scene_stops_no_other(whole: Path) -> None:
+    rows = by_name(whole / "out")
+    assert {name: row["state"] for name, row in rows.items()} == {
+        "a": "done",
+        "b": "done",
+        "broken": "refused",
+        "typo": "refused",
+    }
+    assert "did you mean resolution" in rows["typo"]["message"]
+    assert "r_3.png" in rows["broken"]["message"]
+    assert not (whole / "broken/run").exists()  # seen before anything was started
+
+
+def test_the_summary_says_what_the_stages_left(whole: Path) -> None:
+    batch = summary(whole / "out")
+    assert batch["finished"] and batch["code"] == BAD_INPUT
+    assert batch["states"] == {"done": 2, "refused": 2}
+    row = by_name(whole / "out")["a"]
+    assert list(row["stages"]) == ["scene", "canonical", "evaluate", "render", "report"] == row["made"]
+    stamp = json.loads((whole / "a/run/canonical/stamp.json").read_text())
+    assert row["stages"]["canonical"]["seconds"] == stamp["seconds"]
+    measured = json.loads((whole / "a/run/evaluate/metrics.json").read_text())
+    assert row["numbers"]["psnr"] == measured["test"]["psnr"]
+    assert row["nodes"] == [os.uname().nodename] and row["seconds"] > stamp["seconds"]
+    assert Path(row["report"]) == whole / "a/run/report/index.html"
+
+
+def test_the_page_links_to_the_reports_and_escapes(whole: Path) -> None:
+    links = []
+
+    class Links(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            links.extend(value for name, value in attrs if name in ("href", "src") and value)
+
+    text = (whole / "out/batch.html").read_text()
+    Links().feed(text)
+    assert [(whole / "out" / link).resolve() for link in links] == [
+        whole / name / "run/report/index.html" for name in ("a", "b")
+    ]
+    assert "<script" not in text
+
+
+def test_a_rerun_does_only_what_is_missing(whole: Path, devrf: Command) -> None:
+    ids = {p: p.read_text() for p in whole.glob("*/run/*/stamp.json")}
+    again = ("--device", "cpu", "--out", whole / "again")
+    result = devrf("batch", whole / "a", whole / "b", *again)
+    assert result.code == DONE and "nothing to do" in result.said
+    assert all(row["made"] == [] for row in summary(whole / "again")["scenes"])
+    assert {p: p.read_text() for p in whole.glob("*/run/*/stamp.json")} == ids
+    (whole / "b/run/report/index.html").unlink()
+    assert devrf("batch", whole / "a", whole / "b", *again).code == DONE
+    assert {name: row["made"] for name, row in by_name(whole / "again").items()} == {"a": [], "b": ["report"]}
+
+
+def test_looking_at_a_fresh_scene_is_quick(whole: Path) -> None:
+    options = Options()
+    look([whole / "a"], options)  # what is imported once
+    start = time.process_time()
+    (scene,) = look([whole / "a"], options)
+    stand(scene, options, whole / "a/run")
+    assert scene.to_do == [] and len(scene.stages) == 5
+    assert time.process_time() - start < 1  # most of it the digests of the sources, taken once
+
+
+def test_scenes_that_collide_are_refused(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        tiny_scene(tmp_path, name)
+    scene = tmp_path / "b/scene.yaml"
+    scene.write_text(scene.read_text().replace("output: run", "output: ../a/run"))
+    options = Options()
+    found = look([tmp_path / n for n in "abc"], options)
+    assert ["the same run folder" in (s.problem or "") for s in found] == [True, True, False]
+    assert found[2].problem is None
+    twice = look([tmp_path / "c", tmp_path / "c/scene.yaml", tmp_path / "a"], options)
+    assert ["the same scene" in (s.problem or "") for s in twice] == [True, True, False]
+    scene.write_text(scene.read_text().replace("output: ../a/run", "").replace("name: b", "name: a"))
+    named = look([tmp_path / "a", tmp_path / "b"], options, unique_names=True)
+    assert all("the same name" in (s.problem or "") for s in named)
+    assert all(s.problem is None for s in look([tmp_path / "a", tmp_path / "b"], options))
+
+
+def test_one_that_fails_while_it_runs_stops_no_other(tmp_path: Path, devrf: Command) -> None:
+    for name in ("a", "b"):
+        tiny_scene(tmp_path, name)
+    scenes = (tmp_path / "a", tmp_path / "b")
+    with Workspace(tmp_path / "a/run"):  # somebody else's run
+        result = devrf("batch", *scenes, "--until", "scene", "--device", "cpu", "--out", tmp_path / "o")
+    rows = by_name(tmp_path / "o")
+    assert result.code == rows["a"]["code"] == BAD_INPUT, result.said
+    assert "another run" in rows["a"]["message"] and rows["b"]["state"] == "done"
+
+
+def test_groups_split_where_training_begins(tmp_path: Path) -> None:
+    (scene,) = look([tiny_scene(tmp_path, "a")], Options())
+    assert scene.config is not None
+    names = ("ingest", "scene", "flow", "canonical", "report")
+    stages = [stage for stage in STAGES if stage.name in names]
+
+    def split(*fresh: str, gpu: bool = True, **flow: str) -> list[tuple[str, ...]]:
+        assert scene.config is not None
+        config = scene.config.model_copy(update={"flow": scene.config.flow.model_copy(update=flow)})
+        standing = [Standing(s, "fresh" if s.name in fresh else "missing", ()) for s in stages]
+        found = groups(config, standing, gpu)
+        assert [g.gpu for g in found] == [gpu and "report" in g.stages for g in found]
+        return [group.stages for group in found]
+
+    assert split() == [names[:3], names[3:]]
+    assert split(gpu=False) == [names]
+    assert split(method="raft") == [names[:2], names[2:]]
+    assert split("ingest", "scene", "flow") == [names[3:]]
+    assert split("ingest", "flow") == [names[1:3], names[3:]]
+    assert split(*names) == []
+
+
+# --- stopped, killed ---
+
+
+def batch_in_course(folder: Path) -> subprocess.Popen:
+    """A batch of two scenes that train for long."""
+    scenes = [str(tiny_scene(folder, name, LONG).parent) for name in ("a", "b")]
+    words = ["-m", "devrf.pipelines.cli", "batch", *scenes, "--device", "cpu", "--jobs", "1"]
+    process = subprocess.Popen(
+        [sys.executable, *words, "--out", str(folder / "o")], stderr=subprocess.PIPE, text=True
+    )
+    wait_for(lambda: list(folder.glob("a/run/.new-canonical*")))
+    return process
+
+
+def test_terminated_it_ends_what_runs_and_begins_nothing_more(tmp_path: Path) -> None:
+    process = batch_in_course(tmp_path)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+    assert process.returncode == STOPPED
+    assert {name: row["state"] for name, row in by_name(tmp_path / "o").items()} == {
+        "a": "stopped",
+        "b": "stopped",
+    }
+    assert not list(tmp_path.glob("*/run/.lock")) and not list(tmp_path.glob("*/run/.new-*"))
+    assert (tmp_path / "a/run/scene/stamp.json").is_file() and not (tmp_path / "b/run").exists()
+
+
+def test_killed_it_leaves_no_run_behind(tmp_path: Path) -> None:
+    process = batch_in_course(tmp_path)
+    process.kill()
+    process.communicate()
+    wait_for(lambda: not list(tmp_path.glob("*/run/.lock")), 30)
+    assert not list(tmp_path.glob("*/run/.new-*"))
+
+
+def test_a_run_that_is_killed_is_a_failure_with_a_message(tmp_path: Path) -> None:
+    scene = tiny_scene(tmp_path, "a", LONG)
+    run_dir = tmp_path / "a/run"
+    task = Task(0, scene, run_dir, ("scene", "canonical"), ("--device", "cpu"), 1, False)
+
+    def kill_it() -> bool:
+        for lock in run_dir.glob(".lock"):
+            if list(run_dir.glob(".new-canonical*")):
+                os.kill(json.loads(lock.read_text())["pid"], signal.SIGKILL)
+        return False
+
+    ended = run_task(task, kill_it)
+    assert ended.code == FAILED
+    assert ended.message is not None and "SIGKILL" in ended.message
