@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy.signal import resample_poly
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.limits import check_span
 from devrf.capture.media import open_media, origin_s
 
 RATE_HZ = 48_000  # what nearly all cameras record; 21 microseconds a sample
@@ -59,7 +60,7 @@ def read_sound(path: Path, rate_hz: int = RATE_HZ) -> Sound | None:
 
     Raises:
         InputError: If the file is missing or not a media file.
-        CaptureError: If there is a sound stream of which nothing decodes.
+        CaptureError: If there is a sound stream of which nothing decodes, or it is longer than any recording.
     """
     with open_media(path) as container:
         if not container.streams.audio:
@@ -73,6 +74,7 @@ def read_sound(path: Path, rate_hz: int = RATE_HZ) -> Sound | None:
                     continue
                 native_hz = native_hz or block.sample_rate
                 blocks.append((block.time - origin_s(container), _mono(block)))
+                check_span(path, abs(blocks[-1][0] - blocks[0][0]))
         except FFmpegError as error:
             failure = f" ({error.strerror})"  # what decoded before the damage is used
     if not blocks:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.audio import Sound, read_sound, read_wav, write_wav
 from devrf.capture.clips import Extract, Keep, extract_clip
 from devrf.capture.errors import CaptureError
@@ -148,11 +149,9 @@ def _read_courses(folder: Path, frames: FrameSet) -> dict[str, np.ndarray]:
         if camera.role in SOUND_ROLES:
             path = folder / f"{name}.npy"
             try:
-                courses[name] = np.load(path)
-            except (OSError, ValueError) as error:
-                raise CaptureError(
-                    f"{path}: cannot be read ({error}); run again with --from ingest"
-                ) from None
+                courses[name] = read_npy(path)
+            except ArrayError as error:
+                raise CaptureError(f"{error}; run again with --from ingest") from None
     return courses
 
 

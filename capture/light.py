@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import Fault
 from devrf.capture.srgb import LINEAR_OF_LEVEL
@@ -59,10 +60,10 @@ class LightCourse:
             CaptureError: If it is missing or something else.
         """
         try:
-            table = np.load(path)
+            table = read_npy(path)
             if table.ndim != 2 or table.shape[1] != 5 + BANDS:
                 raise ValueError(f"a table {table.shape}, expected {5 + BANDS} columns")
-        except (OSError, ValueError) as error:
+        except (ArrayError, ValueError) as error:
             raise CaptureError(f"{path}: cannot be read ({error}); run again with --from ingest") from None
         return _course(table)
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.errors import CaptureError
 from devrf.capture.srgb import LEVEL_OF_LINEAR, LINEAR_OF_LEVEL
 
@@ -105,9 +106,9 @@ def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height wid
         CaptureError: The file is not such a map.
     """
     try:
-        cells = np.load(flat, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise CaptureError(f"{flat}: not a flat field ({error}); run again with --force colour") from None
+        cells = read_npy(flat)
+    except ArrayError as error:
+        raise CaptureError(f"{error}; run again with --force colour") from None
     if cells.ndim != 2 or not min(cells.shape) > 1 or not np.all((cells > 0) & (cells <= 1)):
         raise CaptureError(f"{flat}: expected a map with values in (0, 1]; run again with --force colour")
     for axis, size in ((0, height), (1, width)):

@@ -9,6 +9,7 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from devrf.capture.errors import InputError
+from devrf.capture.limits import CLIP_PX, check_pixels
 
 ARBITRARY_CLOCK_FORMATS = ("mpegts", "mpeg")  # camcorders' .mts starts at 1.4 s or at the time of day
 TEXT_FORMATS = ("tty",)  # ffmpeg shows plain text as pictures of letters
@@ -52,16 +53,21 @@ def origin_s(container: InputContainer) -> float:
 
 
 def video_stream(container: InputContainer, path: Path) -> VideoStream:
-    """The first stream of pictures that is not a cover.
+    """The first stream of pictures that is not a cover; its decoder refuses pictures that are too large.
 
     Raises:
         InputError: If there is none.
+        CaptureError: If its pictures are larger than any camera's.
     """
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
         raise InputError(f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml")
-    return streams[0]
+    stream = streams[0]
+    if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
+        check_pixels(path, stream.codec_context.width, stream.codec_context.height, CLIP_PX)
+    stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(CLIP_PX)}
+    return stream
 
 
 def _what_is_it(path: Path, error: Exception) -> str:

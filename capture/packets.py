@@ -7,6 +7,7 @@ import numpy as np
 from av.error import FFmpegError
 from jaxtyping import Int
 
+from devrf.capture.limits import check_span
 from devrf.capture.media import open_media, video_stream
 
 
@@ -39,6 +40,7 @@ def scan_packets(path: Path) -> Packets:
 
     Raises:
         InputError: If the file is not a video.
+        CaptureError: If its times lie further apart than any recording is long.
     """
     with open_media(path) as container:
         stream = video_stream(container, path)
@@ -61,5 +63,7 @@ def scan_packets(path: Path) -> Packets:
                     pts.append(packet.pts)
         except FFmpegError:
             pass  # what is before the damage counts
+        if pts and stream.time_base is not None:
+            check_span(path, float((max(pts) - min(pts)) * stream.time_base))
     shown = np.array(sorted(pts), dtype=np.int64) if timed else None
     return Packets(count, size_bytes, shown, np.array(sorted(keys), dtype=np.int64))

@@ -5,19 +5,22 @@ not applied: the cameras of a scene belong to the pixels as they are stored (`pi
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image, ImageFile
+from PIL import Image, ImageFile, UnidentifiedImageError
 
 from devrf.capture.cores import usable_cores
-from devrf.capture.errors import CaptureError
+from devrf.capture.errors import CaptureError, DevrfError
+from devrf.capture.limits import check_pixels
 
 JPEG_SUFFIXES = frozenset((".jpg", ".jpeg"))
 PICTURE_SUFFIXES = JPEG_SUFFIXES | frozenset((".png", ".tif", ".tiff", ".bmp", ".webp"))
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")  # plain pixels; others of Pillow's run programs (EPS)
 WITH_ALPHA = frozenset(("LA", "La", "PA", "RGBA", "RGBa"))
 KEYED = frozenset(("P", "RGB"))  # modes in which one colour may be declared transparent
 DEEP_GREY = frozenset(("I", "I;16", "I;16B", "I;16L", "I;16N"))  # 16 bits; "I" in older releases of Pillow
@@ -29,29 +32,48 @@ def natural_key(name: str) -> tuple:
     return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in re.split(r"(\d+)", name.lower()) if p)
 
 
+@contextmanager
+def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
+    """A picture of which the header is read, and known to be of a size that can be.
+
+    Raises:
+        CaptureError: The file is missing, damaged, too large or not a picture, also where that shows inside the `with`.
+    """
+    Image.MAX_IMAGE_PIXELS = None  # Pillow's limit is below what cameras make; ours is asked here
+    try:
+        with Image.open(path, formats=FORMATS) as image:
+            check_pixels(path, *image.size)
+            yield image
+    except (DevrfError, MemoryError):
+        raise
+    except UnidentifiedImageError:
+        raise CaptureError(
+            f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it"
+        ) from None
+    except Exception as error:  # what Pillow raises of damaged files depends on their bytes
+        raise CaptureError(
+            f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
+        ) from error
+
+
 def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     """RGB, or RGBA where the file has transparency; grey becomes RGB, 16 bits are rounded to 8.
 
     Raises:
         CaptureError: The file is missing, damaged or not a picture.
     """
-    try:
-        with Image.open(path) as image:
-            if image.mode in DEEP_GREY:
-                grey = _rounded(np.asarray(image))
-                return grey[:, :, None].repeat(3, axis=2)
-            if image.mode == "F":
-                raise ValueError("its pixels are real numbers, expected 8 or 16 bits")
-            deep = _deep_colour(path, image)
-            if deep is not None:
-                return deep
-            keyed = image.mode in KEYED and "transparency" in image.info
-            mode = "RGBA" if keyed or image.mode in WITH_ALPHA else "RGB"
-            return np.array(image if image.mode == mode else image.convert(mode))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise CaptureError(
-            f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
-        ) from error
+    with open_picture(path) as image:
+        if image.mode in DEEP_GREY:
+            grey = _rounded(np.asarray(image))
+            return grey[:, :, None].repeat(3, axis=2)
+        if image.mode == "F":
+            raise ValueError("its pixels are real numbers, expected 8 or 16 bits")
+        deep = _deep_colour(path, image)
+        if deep is not None:
+            return deep
+        keyed = image.mode in KEYED and "transparency" in image.info
+        mode = "RGBA" if keyed or image.mode in WITH_ALPHA else "RGB"
+        return np.array(image if image.mode == mode else image.convert(mode))
 
 
 def damaged_pictures(paths: Iterable[Path]) -> list[str]:
@@ -83,7 +105,7 @@ def _deep_colour(path: Path, image: ImageFile.ImageFile) -> np.ndarray | None:
     if raw not in ("RGB;16B", "RGBA;16B"):
         return None
     high = np.asarray(image).astype(np.uint16)
-    with Image.open(path) as again:
+    with open_picture(path) as again:
         swapped = (*again.tile[0][:3], str(raw).replace("16B", "16L"))
         again.tile = [swapped]  # pyright: ignore[reportAttributeAccessIssue]: a plain tuple in older releases
         return _rounded((high << 8) | np.asarray(again))

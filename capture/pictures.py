@@ -11,13 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import UInt8
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image
 
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.exif import Exif, read_exif
 from devrf.capture.frames import places
 from devrf.capture.photo_curve import declared_gamma
-from devrf.capture.picture_files import JPEG_SUFFIXES, PICTURE_SUFFIXES, natural_key
+from devrf.capture.picture_files import JPEG_SUFFIXES, PICTURE_SUFFIXES, natural_key, open_picture
 from devrf.capture.raw import develop, is_raw, read_layout
 
 UNREADABLE_SUFFIXES = frozenset((".heic", ".heif", ".avif"))  # need a decoder that is not a dependency
@@ -102,27 +102,19 @@ def probe_picture(path: Path) -> PictureInfo:
     """Read a photo's header.
 
     Raises:
-        InputError: If the file is not a picture.
+        InputError: If the file is not a RAW file.
+        CaptureError: If the file is not a picture, or larger than can be read.
     """
     if is_raw(path):
         raw = read_layout(path)
         size = (raw.height, raw.width) if raw.turn_deg % 180 else (raw.width, raw.height)
         return PictureInfo(path, *size, raw.turn_deg != 0, None)
-    try:
-        with Image.open(path) as image:
-            width, height = image.size
-            orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
-            turned = isinstance(orientation, int) and 1 < orientation <= 8
-            tags = read_exif(image)
-            if turned and orientation >= 5:
-                width, height = height, width
-            return PictureInfo(path, width, height, turned, tags, declared_gamma(image))
-    except UnidentifiedImageError:
-        raise InputError(
-            f"{path}: not a picture; remove it from the folder or save it as JPEG or PNG"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error}); copy it from the camera again") from None
+    with open_picture(path) as image:
+        width, height = image.size
+        turned = _orientation(image) > 1
+        if _orientation(image) >= 5:
+            width, height = height, width
+        return PictureInfo(path, width, height, turned, read_exif(image), declared_gamma(image))
 
 
 def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
@@ -131,13 +123,18 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     A RAW file is developed as a set of its own (`capture.raw_set` develops a folder by one recipe).
 
     Raises:
-        InputError: If the file is not a picture.
-        CaptureError: If its content is damaged.
+        InputError: If the file is not a RAW file.
+        CaptureError: If it is not a picture, too large, or damaged.
     """
     if is_raw(path):
         return develop(path).rgb
+    with open_picture(path) as header:
+        orientation = _orientation(header)
     data = np.frombuffer(path.read_bytes(), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
     if image is None:
         raise CaptureError(f"{path}: the picture does not decode; copy it from the camera again")
     if image.dtype == np.uint16:
@@ -147,7 +144,7 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     if image.ndim == 2:
         image = image[:, :, None].repeat(3, axis=2)
     order = [2, 1, 0, 3][: image.shape[2]]
-    return np.ascontiguousarray(_upright(image[:, :, order], _orientation(path)))
+    return np.ascontiguousarray(_upright(image[:, :, order], orientation))
 
 
 def copy_upright(info: PictureInfo, folder: Path, stem: str) -> str:
@@ -182,9 +179,8 @@ def write_bgr(path: Path, bgr: UInt8[np.ndarray, "height width channels"], quali
     path.write_bytes(data.data)
 
 
-def _orientation(path: Path) -> int:
-    with Image.open(path) as image:
-        value = image.getexif().get(ExifTags.Base.Orientation, 1)
+def _orientation(image: Image.Image) -> int:
+    value = image.getexif().get(ExifTags.Base.Orientation, 1)
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
@@ -196,5 +192,5 @@ def _upright(image: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def _is_8_bit(path: Path) -> bool:
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         return image.mode in ("L", "P", "RGB", "RGBA")

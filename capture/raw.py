@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
 from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.limits import check_pixels
 from devrf.capture.srgb import LEVEL_OF_LINEAR
 
 if TYPE_CHECKING:
@@ -208,11 +209,17 @@ def _open(path: Path) -> "RawPy":
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path in scene.yaml")
     try:
-        return rawpy.imread(str(path))
+        file = rawpy.imread(str(path))
     except rawpy.LibRawError as error:
         raise InputError(
             f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
         ) from None
+    try:
+        check_pixels(path, file.sizes.raw_width, file.sizes.raw_height)
+    except CaptureError:
+        file.close()
+        raise
+    return file
 
 
 def _damaged(path: Path, error: Exception) -> CaptureError:

@@ -18,6 +18,7 @@ from av.error import FFmpegError
 from jaxtyping import Int, UInt8
 
 from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.limits import check_span
 from devrf.capture.media import open_media, origin_s, video_stream
 from devrf.capture.packets import Packets, scan_packets
 from devrf.capture.video_colour import bgr_of, hdr_transfer, small_luma, small_rgb
@@ -208,8 +209,9 @@ class VideoReader:
         """Yield every picture that decodes, in presentation order. Can be run through once.
 
         Raises:
-            CaptureError: If a picture carries no timestamp.
+            CaptureError: If a picture carries no timestamp, or one that is hours off.
         """
+        first_s = None
         picture, self._first = self._first, None
         if picture is None:
             raise ValueError(f"{self.path}: a VideoReader can be read only once")
@@ -223,6 +225,8 @@ class VideoReader:
                     "put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i in.h264 out.mp4`"
                 )
             time_s = float(pts * self._stream.time_base) - self._origin_s  # flushed ones know no unit
+            first_s = time_s if first_s is None else first_s
+            check_span(self.path, abs(time_s - first_s))
             place = None if self._packets is None else self._packets.index_of(pts)
             if place is not None:  # after a jump some pictures before the key picture do not decode
                 self.decoded = place

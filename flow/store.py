@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int, Int16, UInt8
 
+from devrf.capture.arrays import ArrayError, read_npz
 from devrf.capture.errors import FlowError
-from devrf.capture.formats.flow_files import DAMAGED
 
 STEPS_PER_PX = 64
 FARTHEST_PX = 511.0  # 16 bits of steps
@@ -119,12 +119,9 @@ def read_flows(folder: Path) -> dict[str, CameraFlow]:
 
 def _read(path: Path, *names: str) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in names}
-    except DAMAGED as error:
-        raise FlowError(
-            f"{path}: damaged or not a flow file ({error}); run again with --force flow"
-        ) from error
+        return read_npz(path, names)
+    except ArrayError as error:
+        raise FlowError(f"{error}; run again with --force flow") from error
 
 
 def _carried_on(

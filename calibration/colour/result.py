@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.calibration.colour.match import Apart
+from devrf.capture.arrays import read_npy
 from devrf.capture.errors import CaptureError
 from devrf.capture.look import EVEN, SAME, Gains, Look, Matrix, as_gains
 
@@ -85,7 +86,7 @@ class Colours:
 
     @cached_property
     def _gains(self) -> dict[str, tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]]:
-        tables = {n: np.load(self.folder / c.gains) for n, c in self.cameras.items() if c.gains is not None}
+        tables = {n: read_npy(self.folder / c.gains) for n, c in self.cameras.items() if c.gains is not None}
         return {name: (table[:, 0].astype(int), table[:, 1:]) for name, table in tables.items()}
 
     def write(self) -> None:

@@ -23,6 +23,7 @@ from devrf.calibration.rigs.result import rig_camera
 from devrf.calibration.rigs.rig import RigCamera
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.static_poses import SweepModel, feature_options
+from devrf.capture.arrays import read_npz
 from devrf.capture.errors import HealthError
 from devrf.capture.progress import Progress, no_progress
 
@@ -136,8 +137,8 @@ def _features(inputs: list[FixedCameraInput], out: Path) -> dict[str, tuple[np.n
         run_job(job, Path(work), out / "colmap.log")
         features = {}
         for name in names:
-            with np.load(Path(work) / f"{Path(name).stem}.npz") as data:
-                features[Path(name).stem] = (data["xy"], data["descriptors"])
+            data = read_npz(Path(work) / f"{Path(name).stem}.npz")
+            features[Path(name).stem] = (data["xy"], data["descriptors"])
     return features
 
 

@@ -22,6 +22,7 @@ from devrf.calibration.sweep.gps import UP_STD, align, local_metres, why_not
 from devrf.calibration.sweep.pairs import plan_pairs
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.two_views import against_model, kinds_report, read_two_views
+from devrf.capture.arrays import read_npz
 from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CalibrationError, HealthError
 from devrf.capture.exif import Place
@@ -200,9 +201,7 @@ def read_static_poses(folder: Path) -> SweepModel:
         cameras.append(
             Camera(c["width"], c["height"], np.array(c["K"]), pose, np.array(c["distortion"]), lens)
         )
-    with np.load(folder / "points.npz") as data:
-        arrays = {key: data[key] for key in data.files}
-    return SweepModel(names, tuple(cameras), report=report, **arrays)
+    return SweepModel(names, tuple(cameras), report=report, **read_npz(folder / "points.npz"))
 
 
 def feature_options(longest_side_px: int) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from devrf.capture.arrays import read_npz
 from devrf.capture.camera import Camera, undistort
 
 FITS_PX = 4.0  # from the epipolar line: COLMAP's own bound for an inlier of a pair
@@ -49,8 +50,7 @@ class TwoViews:
 
 def read_two_views(file: Path) -> TwoViews:
     """Read what the worker wrote."""
-    with np.load(file) as data:
-        arrays = {key: data[key] for key in data.files}
+    arrays = read_npz(file)
     names, kinds = (tuple(arrays.pop(key).tolist()) for key in ("names", "kinds"))
     return TwoViews(names=names, kinds=kinds, **arrays)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from PIL import Image, UnidentifiedImageError
-
 from devrf.capture.errors import CaptureError
+from devrf.capture.limits import TEXT_BYTES, check_bytes
+from devrf.capture.picture_files import open_picture
 
 PICTURE_ENDINGS = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 GREY_MODES = ("1", "L", "I;16", "I;16B", "I")  # Pillow's names
@@ -54,13 +54,9 @@ def read_header(path: Path) -> Header:
     Raises:
         CaptureError: Not a picture, or one with neither one, three nor four channels.
     """
-    try:
-        with Image.open(path) as image:
-            mode, (width, height) = image.mode, image.size
-            alpha = mode == "RGBA" or "transparency" in image.info
-    except (UnidentifiedImageError, OSError) as error:
-        what = "not a picture" if isinstance(error, UnidentifiedImageError) else f"cannot be read ({error})"
-        raise CaptureError(f"{path}: {what}; expected PNG or JPEG; copy it into the data set again") from None
+    with open_picture(path) as image:
+        mode, (width, height) = image.mode, image.size
+        alpha = mode == "RGBA" or "transparency" in image.info
     if mode in GREY_MODES:
         return Header(path, width, height, True, False)
     if mode in COLOUR_MODES:
@@ -79,6 +75,7 @@ def read_json(path: Path) -> dict[str, Any]:
         CaptureError: The file is missing, is not JSON, or holds something else.
     """
     try:
+        check_bytes(path, TEXT_BYTES)
         value = json.loads(path.read_text())
     except FileNotFoundError:
         raise CaptureError(f"{path}: file not found; check dataset.path and dataset.format") from None

@@ -4,9 +4,7 @@
 says where it can be trusted. The file belongs to a picture of the same size; what differs is refused.
 """
 
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,16 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from numpy.lib import format as npy
 
+from devrf.capture.arrays import ArrayError, npz_shapes, read_npz
 from devrf.capture.errors import CaptureError
 from devrf.capture.scene import PosedFrame
 
 Flow = tuple[Float32[np.ndarray, "height width 2"], Bool[np.ndarray, "height width"]]
 STEPS_PER_PX = 128  # flow is good to 0.2 px; rounded vectors compress better
 COMPRESSION = 1  # zlib's level; several times as fast as its usual one
-DAMAGED = (
-    KeyError, ValueError, OSError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError
-)  # fmt: skip
-"""What reading a damaged npz raises: zip and zlib by its content, numpy by its headers."""
 
 
 def flow_name(number: int) -> str:
@@ -39,10 +34,12 @@ def read_flow_file(path: Path) -> Flow:
         CaptureError: The file is damaged or is not a flow file.
     """
     try:
-        with np.load(path, allow_pickle=False) as data:
-            flow, mask = data["flow"].astype(np.float32), data["mask"] > 0
-    except DAMAGED as error:
-        raise CaptureError(f"{path}: {_damaged(error)}") from None
+        data = read_npz(path, ("flow", "mask"))
+        flow, mask = data["flow"].astype(np.float32), data["mask"] > 0
+        if flow.shape != (*mask.shape, 2):
+            raise ValueError(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
+    except (ArrayError, ValueError, TypeError) as error:
+        raise _damaged(error) from None
     finite = np.isfinite(flow).all(axis=-1)
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
 
@@ -84,7 +81,10 @@ def with_flow_files(
                 "the whole folder so that flow is computed"
             )
         width, height = size or (frame.camera.width, frame.camera.height)
-        found = _shapes(path)
+        try:
+            found = tuple(npz_shapes(path, ("flow", "mask")))
+        except ArrayError as error:
+            raise _damaged(error) from None
         if found != ((height, width, 2), (height, width)):
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
             raise CaptureError(
@@ -95,20 +95,5 @@ def with_flow_files(
     return tuple(out)
 
 
-def _shapes(path: Path) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Shapes of `flow` and `mask` by the headers alone."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return _shape(archive, "flow"), _shape(archive, "mask")
-    except DAMAGED as error:
-        raise CaptureError(f"{path}: {_damaged(error)}") from None
-
-
-def _shape(archive: zipfile.ZipFile, key: str) -> tuple[int, ...]:
-    with archive.open(f"{key}.npy") as file:
-        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-        return read[npy.read_magic(file)](file)[0]
-
-
-def _damaged(error: Exception) -> str:
-    return f"damaged or not a flow file ({error}); expected an npz with flow and mask; copy it again"
+def _damaged(error: Exception) -> CaptureError:
+    return CaptureError(f"{error}; expected an npz with flow and mask; copy it again")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures, faces_forward
@@ -127,11 +128,11 @@ def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
         CaptureError: Missing, damaged, or of another shape.
     """
     try:
-        table = np.load(path, allow_pickle=False).astype(np.float64)
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: file not found; check dataset.path and dataset.format") from None
-    except (ValueError, OSError, EOFError) as error:
-        raise CaptureError(f"{path}: not a table of numbers ({error}); copy it again") from None
+        table = read_npy(path).astype(np.float64)
+    except (ArrayError, TypeError, ValueError) as error:
+        raise CaptureError(
+            f"{error}; expected a table of numbers: copy it again, or check dataset.path and dataset.format"
+        ) from None
     if table.ndim < 2 or len(table) == 0 or table[0].size != columns:
         raise CaptureError(
             f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture"

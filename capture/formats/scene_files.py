@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from devrf.capture.arrays import read_npz
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.formats.transforms import read_transforms, write_transforms
@@ -35,8 +36,7 @@ def read_scene(folder: Path) -> Scene:
     frames = {part: read_transforms(path) if path.is_file() else () for part, path in parts.items()}
     points = None
     if (folder / "points.npz").is_file():
-        with np.load(folder / "points.npz") as stored:
-            points = SparsePoints(**{key: stored[key] for key in ("xyz", "obs_point", "obs_frame")})
+        points = SparsePoints(**read_npz(folder / "points.npz", ("xyz", "obs_point", "obs_frame")))
     return Scene(
         static=frames["static"],
         dynamic=frames["dynamic"],

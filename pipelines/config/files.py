@@ -49,11 +49,20 @@ def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
     clips = "capture.board.clips."  # photos of the board will do
     for key, text in input_paths(config).items():
         path = config.path(scene_dir, text)
+        try:
+            path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except OSError as error:  # no permission, a loop of links
+            say(key, f"{text!r}: cannot be looked at ({error.strerror}); make it readable, or name another")
+            continue
         if not text.strip():
             say(key, "is empty; expected a path")
         elif not path.exists():
             hint = "; or one of chroma, background" if key == "capture.mattes.folder" else ""
             say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}{hint}")
+        elif not (path.is_file() or path.is_dir()):
+            say(key, f"{text!r} is a device or a pipe; expected a file")
         elif key in folders and not path.is_dir():
             say(key, f"{text!r} is a file; expected a folder")
         elif key not in folders | files_or_folders and not key.startswith(clips) and path.is_dir():

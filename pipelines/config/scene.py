@@ -6,17 +6,27 @@ written, relative to the file (`SceneConfig.path`). Reading the file, overrides 
 `scene_file.py`. `None` in `reconstruct` means: chosen by the preset and from the scene.
 """
 
+import os
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from devrf.flow.methods import Preset, mistake
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 
+LONGEST_PATH, LONGEST_NAME = 1000, 255  # characters, bytes: every system takes these
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
 RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
@@ -57,6 +67,26 @@ def _white_balance(value: Any) -> Any:
     return tuple(float(n) for n in numbers)
 
 
+def _path(text: str) -> str:
+    """A text that can be a path on any system; whether there is such a file is asked later."""
+    reason = None
+    try:
+        parts = os.fsencode(Path(text).expanduser()).split(os.fsencode(os.sep))
+        if len(text) > LONGEST_PATH or max(map(len, parts)) > LONGEST_NAME:
+            reason = f"longer than {LONGEST_PATH} characters, or a name in it than {LONGEST_NAME} bytes"
+        elif "\0" in text:
+            reason = "holds a zero byte"
+    except UnicodeEncodeError:
+        reason = "holds half a character"
+    except RuntimeError:
+        reason = "no such user"
+    if reason is not None:
+        shown = repr(text)
+        raise ValueError(f"{shown if len(shown) <= 80 else shown[:77] + '...'}: {reason}; expected a path")
+    return text
+
+
+PathText = Annotated[str, AfterValidator(_path)]
 WhiteBalance = Literal["auto"] | tuple[float, float, float, float]
 AutoBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
 
@@ -88,9 +118,9 @@ class BoardConfig(_Section):
     """Whether the layout is the one from before OpenCV 4.6; auto tries both."""
     lens: Literal["auto", "pinhole", "fisheye"] = "auto"
     """Lens model of the calibrations; auto takes a fisheye where the view is wide and it fits better."""
-    clips: dict[str, str] = {}
+    clips: dict[str, PathText] = {}
     """Camera name -> clip of the board before this camera alone: intrinsics."""
-    joint_clips: dict[str, str] = {}
+    joint_clips: dict[str, PathText] = {}
     """Camera name -> clip of the board before several cameras at once: intrinsics, rig and scale."""
 
     @field_validator("squares")
@@ -146,7 +176,7 @@ class MattesConfig(_Section):
     method: Literal["given", "chroma", "background", "command"]
     """given: a folder of mattes; chroma: a coloured screen; background: what differs from a fixed camera's clean plate
     (moving cameras only); command: a program of yours."""
-    folder: str | None = None
+    folder: PathText | None = None
     """given: holds a folder per camera, and `static` for the sweep."""
     inverted: AutoBool = "auto"
     """given: whether the subject is black on white."""
@@ -196,13 +226,13 @@ def _mattes(value: Any) -> Any:
 class CaptureConfig(_Section):
     """The raw files of one capture."""
 
-    static: str | None = None
+    static: PathText | None = None
     """The sweep of the scene at rest: a video, or a folder of images or RAW files."""
-    cameras: dict[str, str] = {}
+    cameras: dict[str, PathText] = {}
     """Fixed cameras of the moving scene: name -> clip."""
-    test_cameras: dict[str, str] | list[str] = {}
+    test_cameras: dict[str, PathText] | list[str] = {}
     """Cameras that are never trained on: name -> clip, or a list of names out of `cameras`."""
-    timestamps: str | None = None
+    timestamps: PathText | None = None
     """CSV with camera, frame_index, time_s, where the clips' own times are not the true ones."""
     range_s: Annotated[tuple[float, float], BeforeValidator(_as_tuple)] | None = None
     """[from, to] on cam0's clock, seconds; default: what all cameras share."""
@@ -212,7 +242,7 @@ class CaptureConfig(_Section):
     """The calibration board, where one was filmed."""
     raw: RawConfig = RawConfig()
     """RAW photos."""
-    white: dict[str, str] = {}
+    white: dict[str, PathText] = {}
     """Camera name, or static for the sweep's -> clip, photo or folder of a white sheet: light fall-off."""
     mattes: Annotated[MattesConfig, BeforeValidator(_mattes)] | None = None
     """Foreground mattes: a folder, `chroma`, `background`, or a section; a room needs none."""
@@ -246,7 +276,7 @@ class DatasetConfig(_Section):
 
     format: Literal["devrf", "blender", "nerfstudio", "llff", "colmap"]
     """Layout of the files."""
-    path: str
+    path: PathText
     """Folder of the data set."""
     frame_stride: int = Field(default=1, ge=1, le=1000)
     """Use every n-th time, of the test views too."""
@@ -259,7 +289,7 @@ class StaticPosesConfig(_Section):
 
     mapper: Literal["incremental", "global", "both"] = "incremental"
     """COLMAP's mapper to begin with, others are tried where it fails; both: run both, keep the better model."""
-    masks: str | None = None
+    masks: PathText | None = None
     """Folder of masks of what moves or reflects in the sweep, by picture or frame; black is ignored."""
     check_seed: bool = False
     """Map with another seed too, and report how far the poses move."""
@@ -283,7 +313,7 @@ class RigConfig(_Section):
 
     method: Literal["auto", "sweep", "board", "given"] = "auto"
     """Where they come from; auto: `given` where there is one, else the sweep, else the board."""
-    given: str | dict[str, str] | None = None
+    given: PathText | dict[str, PathText] | None = None
     """A calibration people already own: a file or folder, or camera name -> OpenCV file of that camera."""
     given_unit: Literal["m", "cm", "mm"] | None = None
     """Unit of the lengths in `given`; default: what its format says."""
@@ -296,7 +326,7 @@ class ColourConfig(_Section):
 
     method: Literal["auto", "chart", "points", "none"] = "auto"
     """From a chart, or from surface points that two cameras see; auto: the chart where one is given, else points."""
-    chart: dict[str, str] = {}
+    chart: dict[str, PathText] = {}
     """Camera name, or static for the sweep's -> photo or clip of one colour chart (24 patches) in one light."""
 
 
@@ -320,7 +350,7 @@ class FlowConfig(_Section):
     """Estimator: dis, raft, or one that an installed package adds."""
     preset: Preset | None = None
     """Of dis; default: medium."""
-    weights: str | None = None
+    weights: PathText | None = None
     """Weights of a learned estimator."""
 
     @model_validator(mode="after")
@@ -382,9 +412,9 @@ class EvaluateConfig(_Section):
 
     holdout_every: int = Field(default=8, ge=2, le=10_000)
     """Every n-th sweep picture is held out of training and used as a test view."""
-    lpips_weights: str | None = None
+    lpips_weights: PathText | None = None
     """Folder of LPIPS weights; or `download`, which gets torchvision's."""
-    truth: str | None = None
+    truth: PathText | None = None
     """Ground truth of a simulated session; default: ground_truth.json beside scene.yaml."""
 
 
@@ -393,7 +423,7 @@ class SceneConfig(_Section):
 
     name: str = Field(min_length=1, max_length=200)
     """What the scene is called in reports."""
-    output: str | None = Field(default=None, min_length=1)
+    output: PathText | None = Field(default=None, min_length=1)
     """The run folder; default: runs/NAME beside scene.yaml."""
     preset: PresetName = "fast"
     """tiny: two CPU cores; fast: default; reference: the published recipe."""
@@ -426,7 +456,9 @@ class SceneConfig(_Section):
     @staticmethod
     def path(scene_dir: Path, value: str) -> Path:
         """A path of the configuration, which is relative to the folder of scene.yaml."""
-        return (scene_dir / Path(value).expanduser()).resolve()
+        return Path(
+            os.path.realpath(scene_dir / Path(value).expanduser())
+        )  # `resolve` fails on a loop of links
 
     def run_dir(self, scene_dir: Path) -> Path:
         """Where the stages' folders lie."""

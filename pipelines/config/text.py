@@ -9,9 +9,22 @@ import yaml
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.words import near_file, type_in_words
 
+LARGEST_BYTES = 250_000  # a large scene.yaml has 5 000; yaml reads 100 000 a second
+MOST_VALUES = 20_000  # with aliases written out: nine lines of them can stand for a thousand million values
+
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses duplicate keys and reads 1e-3 as a number."""
+    """SafeLoader that refuses duplicate keys, reads 1e-3 as a number, and names the place of a value it cannot read."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
+            kind = node.tag.removeprefix("tag:yaml.org,2002:")
+            raise yaml.MarkedYAMLError(
+                problem=f"cannot be read as {kind} ({error}); quote it if it is text",
+                problem_mark=node.start_mark,
+            ) from None
 
 
 _Loader.add_implicit_resolver(
@@ -44,21 +57,23 @@ def read_yaml(path: Path) -> dict:
     if path.is_dir():
         raise ConfigError([f"{path}: is a folder; name the scene.yaml in it"])
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:  # not by its size: a device has none
+            content = file.read(LARGEST_BYTES + 1)
+        if len(content) > LARGEST_BYTES:
+            raise ConfigError([f"{path}: more than {LARGEST_BYTES // 1000} kB; expected a scene.yaml"])
+        text = content.decode("utf-8-sig")
     except FileNotFoundError:
         raise ConfigError([_no_scene(path)]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError([f"{path}: cannot be read ({error}); expected a YAML text file"]) from None
     try:
-        raw = yaml.load(text, Loader=_Loader)
+        raw = _parsed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
         raise ConfigError([f"{path.name}: {line}{error.problem or error.context}"]) from None
     except yaml.YAMLError as error:
         raise ConfigError([f"{path.name}: not YAML: {error}"]) from None
-    except RecursionError:
-        raise ConfigError([f"{path.name}: nested too deeply to be a scene.yaml"]) from None
     if raw is None:
         raise ConfigError([f"{path.name}: is empty; expected at least name, and capture or dataset"])
     if not isinstance(raw, dict):
@@ -66,6 +81,39 @@ def read_yaml(path: Path) -> dict:
             [f"{path.name}: holds {type_in_words(raw)}; expected keys such as name: and capture:"]
         )
     return raw
+
+
+def _parsed(text: str) -> Any:
+    """The plain values of a text.
+
+    Raises:
+        yaml.YAMLError: It is not YAML, a value cannot be read, or there are too many.
+    """
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        if _count(node, {}) > MOST_VALUES:
+            raise yaml.MarkedYAMLError(
+                problem=f"more than {MOST_VALUES} values, aliases (*name) written out; write fewer",
+                problem_mark=node.start_mark,
+            )
+        return loader.construct_document(node)
+    except RecursionError:
+        raise yaml.YAMLError("nested too deeply to be a scene.yaml") from None
+    finally:
+        loader.dispose()
+
+
+def _count(node: yaml.Node, known: dict[int, int]) -> int:
+    """Values in a node, each alias counted as what it stands for; `known`: nodes counted before."""
+    if id(node) not in known:
+        known[id(node)] = MOST_VALUES  # met again while it is counted: an alias inside what it names
+        inner = node.value if isinstance(node, yaml.SequenceNode | yaml.MappingNode) else []
+        parts = [part for item in inner for part in (item if isinstance(item, tuple) else (item,))]
+        known[id(node)] = 1 + sum(_count(part, known) for part in parts)
+    return known[id(node)]
 
 
 def override(raw: dict, text: str, mistakes: list[str]) -> str | None:
@@ -76,7 +124,7 @@ def override(raw: dict, text: str, mistakes: list[str]) -> str | None:
         mistakes.append(f"--set {text}: expected key=value, such as reconstruct.rays=4096")
         return None
     try:
-        value = yaml.load(value_text, Loader=_Loader)
+        value = _parsed(value_text)
     except yaml.YAMLError:
         mistakes.append(f"--set {text}: the value cannot be read as YAML; quote it")
         return None

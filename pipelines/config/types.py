@@ -44,7 +44,8 @@ def _real_location(data: Any, location: tuple) -> tuple:
     """The location without the marks pydantic adds for alternatives and keys, and not inside a list."""
     real = []
     for part in location:
-        if part == "[key]" or (isinstance(part, str) and "[" in part) or part in _ALTERNATIVES:
+        mark = part in _ALTERNATIVES or (isinstance(part, str) and "[" in part)
+        if mark and not (isinstance(data, dict) and part in data):
             continue
         if isinstance(data, list):
             break

@@ -18,6 +18,7 @@ from devrf.calibration.rigs.clean_picture import REST_FRAMES
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.calibration.vignetting import flat_field
+from devrf.capture.arrays import read_npy
 from devrf.capture.errors import DevrfError
 from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
 from devrf.capture.light import LightCourse
@@ -79,7 +80,7 @@ class _Job:
             camera = CameraColour("reference" if name == self.reference else "none")
             white, light = self.ingest / "white" / f"{name}.npy", self.ingest / "light" / f"{name}.npy"
             if white.is_file():
-                np.save(out / f"flat_{name}.npy", flat_field(np.load(white), f"white sheet of {name}"))
+                np.save(out / f"flat_{name}.npy", flat_field(read_npy(white), f"white sheet of {name}"))
                 camera = replace(camera, flat=f"flat_{name}.npy")
             if light.is_file() and name not in self.test_cameras:
                 course = LightCourse.read(light)

@@ -4,8 +4,6 @@ import json
 import tempfile
 from pathlib import Path
 
-from PIL import Image
-
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
@@ -13,6 +11,7 @@ from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions, recover_static_poses
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
+from devrf.capture.picture_files import open_picture
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
@@ -95,7 +94,7 @@ def recover_sweep(
 
 
 def _size(file: Path) -> tuple[int, int]:
-    with Image.open(file) as picture:
+    with open_picture(file) as picture:
         return picture.size
 
 

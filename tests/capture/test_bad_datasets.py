@@ -198,8 +198,8 @@ def test_one_focal_length_for_pictures_of_two_sizes(folders):
             lambda p: np.savez(p, flow=np.zeros((20, 30, 2)), mask=np.ones((20, 30))),
             r"flow has shape \[20, 30, 2\]",
         ),
-        (lambda p: np.savez(p, flow=np.zeros((20, 30, 2))), "damaged or not a flow file"),
-        (lambda p: p.write_text("no zip"), "damaged or not a flow file"),
+        (lambda p: np.savez(p, flow=np.zeros((20, 30, 2))), "damaged or not a file of arrays"),
+        (lambda p: p.write_text("no zip"), "damaged or not a file of arrays"),
         (lambda p: p.unlink(), "flow of .* not found, while the folder is there"),
     ],
 )
@@ -234,10 +234,10 @@ def test_llff_tables(folders, change, says):
 def test_llff_files(folders):
     path = folders["llff"] / "poses_bounds.npy"
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(CaptureError, match="poses_bounds.npy: not a table"):
+    with pytest.raises(CaptureError, match="poses_bounds.npy: .*expected a table of numbers"):
         read_dataset("llff", folders["llff"])
     path.unlink()
-    with pytest.raises(CaptureError, match="poses_bounds.npy: file not found"):
+    with pytest.raises(CaptureError, match="poses_bounds.npy: no such file"):
         read_dataset("llff", folders["llff"])
 
 

@@ -72,9 +72,9 @@ def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
     [
         ("nerfstudio", "transforms.json", "{", "not a JSON file"),
         ("devrf", "dynamic_2views/transforms_train.json", '{"frames": []}', "no frames listed"),
-        ("devrf", "dynamic_2views/train_flow/003_bwd.npz", "x", "damaged or not a flow file"),
+        ("devrf", "dynamic_2views/train_flow/003_bwd.npz", "x", "damaged or not a file of arrays"),
         ("colmap", "sparse/0/images.bin", "x", "damaged or cut off"),
-        ("llff", "poses_bounds.npy", "x", "not a table of numbers"),
+        ("llff", "poses_bounds.npy", "x", "expected a table of numbers"),
         ("blender", "transforms_train.json", "[]", "holds a list"),
     ],
 )

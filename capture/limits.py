@@ -1,0 +1,61 @@
+"""How large what a user brings may be, asked by headers before anything is decoded: one place for all of it.
+
+Limits are far above real material and far below what takes a machine down: a file of a few kilobytes may claim a
+picture of gigabytes. docs/security.md lists them.
+"""
+
+from pathlib import Path
+
+from devrf.capture.errors import CaptureError
+
+PICTURE_PX = 250_000_000  # photos: medium format has 150 million pixels, sensor shift of full frame 240
+CLIP_PX = 100_000_000  # of one picture of a clip: 12K cameras have 80 million
+CLIP_S = (
+    4 * 3600
+)  # from a clip's first picture or sample to its last; its sound, 48 kHz, is held in memory: 2.8 GB
+TEXT_BYTES = 100_000_000  # JSON, CSV: 100 000 pictures of a data set, or of timestamps, are a tenth of it
+ARRAY_BYTES = 1_000_000_000  # in one npy or npz, unpacked: flow of a picture of 8K takes 0.3 GB
+WEIGHT_BYTES = 2_000_000_000  # in one file of weights, unpacked: VGG-16 has 0.55 GB
+
+
+def check_pixels(path: Path, width: int, height: int, most: int = PICTURE_PX) -> None:
+    """Refuse a picture of more than `most` pixels, by what its header says.
+
+    Raises:
+        CaptureError: It claims more, or none.
+    """
+    if width < 1 or height < 1:
+        raise CaptureError(f"{path}: its header says {width}x{height} pixels; copy it from the camera again")
+    if width * height > most:
+        raise CaptureError(
+            f"{path}: its header says {width}x{height}, {width * height / 1e6:.0f} million pixels; at most "
+            f"{most / 1e6:.0f} million are read: make it smaller, or copy it again if it is damaged"
+        )
+
+
+def check_bytes(path: Path, most: int, size: int | None = None) -> None:
+    """Refuse a file of more than `most` bytes; `size` is that of its content where it is packed.
+
+    Raises:
+        CaptureError: It is larger.
+        OSError: It cannot be looked at.
+    """
+    size = path.stat().st_size if size is None else size
+    if size > most:
+        raise CaptureError(
+            f"{path}: {size / 1e6:.0f} MB, at most {most / 1e6:.0f} MB are read of such a file; is it another "
+            "kind of file, or damaged? Copy it again"
+        )
+
+
+def check_span(path: Path, seconds: float) -> None:
+    """Refuse times of a clip that lie further apart than any recording is long.
+
+    Raises:
+        CaptureError: They do.
+    """
+    if not seconds <= CLIP_S:
+        raise CaptureError(
+            f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut the clip, or copy it again "
+            "if it is damaged"
+        )
