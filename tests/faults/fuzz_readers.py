@@ -59,6 +59,18 @@ def _matte(path: str) -> None:
     read_given(Path(path), 64, 48, inverted=False)
 
 
+def _calibration(path: str) -> None:
+    from devrf.calibration.formats import find_calibration
+
+    find_calibration(Path(path))
+
+
+def _checkpoint(path: str) -> None:
+    from devrf.reconstruct.checkpoint import Checkpoint
+
+    Checkpoint(Path(path), "fuzz").read()
+
+
 READERS: dict[str, Callable[[str], None]] = {
     "rest": _rest,
     "motion": _motion,
@@ -69,4 +81,6 @@ READERS: dict[str, Callable[[str], None]] = {
     "raft": _raft,
     "lpips": _lpips,
     "matte": _matte,
+    "calibration": _calibration,
+    "checkpoint": _checkpoint,
 }

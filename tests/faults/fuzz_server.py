@@ -20,7 +20,8 @@ from tests.faults.fuzz_readers import READERS
 from devrf.capture.errors import DevrfError
 from devrf.pipelines import cli, configured_dataset, preflight  # noqa: F401
 from devrf.pipelines.bench import cli as bench_cli  # noqa: F401
-from devrf.pipelines.stages import STAGES, ingest  # noqa: F401
+from devrf.pipelines.stages import STAGES, ingest, scene, sync  # noqa: F401
+from devrf.reconstruct import model_io  # noqa: F401
 
 FAILED = 1
 MOST_BYTES = 12e9  # of address space: what a case asks for beyond must not take the machine down
