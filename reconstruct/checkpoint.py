@@ -1,64 +1,153 @@
 """The middle of a training on disk, so that one that was killed goes on where it was, bit for bit.
 
 Data only (safetensors): tensors, and numbers as JSON in the file's metadata. A checkpoint carries a fingerprint of
-everything the training depends on; one with another fingerprint is not taken up.
+everything the training depends on and a digest of its content; one with another fingerprint, and one that is not as it
+was written (cut off, with a hole after a power cut), is not taken up: the training begins anew.
 """
 
+import contextlib
+import glob
+import hashlib
 import json
+import logging
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from devrf.reconstruct.training_log import TrainingLog
+
 FIRST_S = 5.0  # of training before the first checkpoint
 SHARE = 0.05  # of the time that writing may take: the largest fields take many seconds, small ones none
+SLOW_DISK = 200e6  # bytes per second, taken for granted until the first checkpoint has been timed
+
+State = tuple[dict[str, Tensor], dict[str, Any]]
+"""Tensors and numbers that all that follows depends on."""
+
+logger = logging.getLogger(__name__)
+
+
+class Saved(NamedTuple):
+    """What a checkpoint holds: the state after `done` steps."""
+
+    done: int
+    tensors: dict[str, Tensor]
+    numbers: dict[str, Any]
 
 
 class Checkpoint:
     """A place for one training's state.
 
     Args:
-        path: The file.
+        path: The file; None: nothing is kept.
         fingerprint: Of everything the training depends on.
-        every_s: Seconds between two writings; 0 writes whenever asked; None: as often as costs little.
+        every_s: Seconds between two writings; 0 writes after every step; None: as often as costs little.
     """
 
-    def __init__(self, path: Path, fingerprint: str, every_s: float | None = None) -> None:
+    def __init__(self, path: Path | None, fingerprint: str = "", every_s: float | None = None) -> None:
         self.path, self.fingerprint, self.every_s = path, fingerprint, every_s
         self._gap_s = FIRST_S  # where `every_s` leaves it open
+        self._timed = every_s is not None
         self._written = time.monotonic()
 
-    def due(self) -> bool:
-        """Whether it is time to write."""
+    def part(self, name: str) -> "Checkpoint":
+        """The place for one phase of the training, which begins now and is removed with the whole."""
+        if self.path is None:
+            return self
+        path = self.path.with_name(f"{self.path.stem}.{name}{self.path.suffix}")
+        return type(self)(path, f"{self.fingerprint} {name}", self.every_s)
+
+    def keep(self, done: int, log: TrainingLog, state: Callable[[], State]) -> None:
+        """Write the state after `done` steps and the log, if it is time to."""
         gap_s = self._gap_s if self.every_s is None else self.every_s
-        return time.monotonic() - self._written >= gap_s
+        if self.path is None or time.monotonic() - self._written < gap_s:
+            return
+        tensors, numbers = state()
+        likely_s = sum(tensor.nbytes for tensor in tensors.values()) / SLOW_DISK
+        if not self._timed and likely_s > SHARE * gap_s:
+            self._gap_s, self._timed = likely_s / SHARE, True
+            return
+        self.write(Saved(done, tensors, numbers | {"log": log.state()}))
 
-    def write(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
-        """Replace the file, whole or not at all."""
+    def write(self, saved: Saved) -> None:
+        """Replace the file, whole or not at all, even if the power goes; where that fails, say so and go on."""
+        assert self.path is not None
         start = time.monotonic()
+        ready = {name: tensor.detach().cpu().contiguous() for name, tensor in saved.tensors.items()}
+        numbers = json.dumps(saved.numbers | {"done": saved.done, "of": self.fingerprint})
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
-        ready = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-        save_file(ready, str(new), metadata={"devrf": json.dumps(numbers | {"of": self.fingerprint})})
-        os.replace(new, self.path)
-        self._written = time.monotonic()
-        self._gap_s = max(FIRST_S, (self._written - start) / SHARE)
-
-    def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """What was written last; None where nothing was, for something else, or what cannot be read."""
         try:
-            with safe_open(str(self.path), framework="pt", device="cpu") as file:
-                numbers = json.loads((file.metadata() or {}).get("devrf", "{}"))
-                if numbers.pop("of", None) != self.fingerprint:
-                    return None
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-        except (OSError, SafetensorError, json.JSONDecodeError):
-            return None
-        return tensors, numbers
+            save_file(ready, str(new), metadata={"devrf": numbers, "digest": _digest(numbers, ready)})
+            _make_durable(new)
+            os.replace(new, self.path)
+        except (
+            OSError,
+            SafetensorError,
+        ) as error:  # a full disk: the one before stays, training need not end
+            new.unlink(missing_ok=True)
+            logger.warning("%s: the checkpoint cannot be written (%s)", self.path, error)
+        with contextlib.suppress(OSError):  # not every system opens folders
+            _make_durable(self.path.parent)
+        self._written = time.monotonic()
+        self._gap_s, self._timed = max(FIRST_S, (self._written - start) / SHARE), True
+
+    def found(self, log: TrainingLog) -> Saved | None:
+        """What was written last, the log taken up; None where nothing was, for something else, or not whole."""
+        saved = self._read()
+        if saved is not None:
+            log.take_up(saved.numbers.pop("log"))
+            logger.info("training goes on after step %d, from %s", saved.done, self.path)
+        return saved
 
     def remove(self) -> None:
-        """The training is done."""
-        self.path.unlink(missing_ok=True)
+        """The training is done, and its result is safe."""
+        if self.path is None:
+            return
+        parts = self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")
+        for path in (self.path, *parts):
+            path.unlink(missing_ok=True)
+
+    def _read(self) -> Saved | None:
+        if self.path is None or not self.path.exists():
+            return None
+        try:
+            with safe_open(str(self.path), framework="pt", device="cpu") as file:
+                meta = file.metadata() or {}
+                numbers = json.loads(meta.get("devrf", "{}"))
+                if not isinstance(numbers, dict) or numbers.pop("of", None) != self.fingerprint:
+                    logger.info("%s: of another training; this one begins anew", self.path)
+                    return None
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            if _digest(meta["devrf"], tensors) != meta.get("digest"):
+                raise ValueError("its content is not what was written")
+        except (OSError, SafetensorError, ValueError) as error:
+            logger.warning("%s: damaged (%s); training begins anew", self.path, error)
+            return None
+        return Saved(numbers.pop("done"), tensors, numbers)
+
+
+NOWHERE = Checkpoint(None)
+"""Keeps nothing."""
+
+
+def _digest(numbers: str, tensors: dict[str, Tensor]) -> str:
+    digest = hashlib.sha256(numbers.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
+
+
+def _make_durable(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

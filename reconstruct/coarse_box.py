@@ -12,11 +12,14 @@ from torch import Tensor
 
 from devrf.capture.progress import Progress
 from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.checkpoint import Checkpoint, State
 from devrf.reconstruct.grids import GridTrainer, vertices
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.render import render_rest
+from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.training_state import named, part_of
 
 ALPHA_INIT = 1e-6  # of a coarse voxel: space is seen through until something in it is learned
 ALPHA_THRESHOLD = 1e-7
@@ -37,6 +40,8 @@ def find_subject(
     options: CanonicalOptions,
     generator: torch.Generator,
     progress: Progress,
+    log: TrainingLog,
+    checkpoint: Checkpoint,
 ) -> Bool[Tensor, "X Y Z"]:
     """Vertices of a coarse grid over `aabb` at which the subject is."""
     resolution, device = options.coarse_size, str(rays.device)
@@ -51,7 +56,23 @@ def find_subject(
     density, features = GridTrainer(model.density), GridTrainer(model.features)
     per_ray = max(1, int(1.2 * sum(model.shape) / 3 / options.stepsize))
     most = max(256, min(options.coarse_rays, options.samples // per_ray))
-    for iteration in range(options.coarse_iterations):
+    begin, saved = 0, checkpoint.found(log)
+    if saved is not None:
+        begin, tensors, _ = saved
+        model.distance = tensors["distance"].to(device)
+        for name, grid in (("density", density), ("features", features)):
+            grid.values.copy_(tensors[name])
+            grid.take_up(part_of(tensors, f"{name} trainer"))
+            grid.visit(model.reachable())
+        generator.set_state(tensors["generator"])
+
+    def state() -> State:
+        tensors = {"distance": model.distance, "generator": generator.get_state()}
+        for name, grid in (("density", density), ("features", features)):
+            tensors |= {name: grid.values} | named(f"{name} trainer", grid.state())
+        return tensors, {}
+
+    for iteration in range(begin, options.coarse_iterations):
         if iteration % OCCUPANCY_EVERY == 0:
             density.visit(model.rebuild_occupancy(allowed))
             features.reachable = density.reachable
@@ -70,6 +91,7 @@ def find_subject(
         features.update(lr)
         density.update(lr)
         model.density.sub_(before).mul_(share).add_(before)  # each voxel at its own rate
+        checkpoint.keep(iteration + 1, log, state)
     per_voxel = 1 - torch.exp(-F.softplus(model.density[..., 0] + model.shift))
     return (per_voxel > SUBJECT_ALPHA).cpu()
 

@@ -17,6 +17,7 @@ from torch import Tensor
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.losses import entropy_loss, rendering_loss
@@ -30,6 +31,7 @@ from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.training_state import named, net_state, part_of, take_up_net
 
 NET_SHARE = 1 / 300  # the MLP's rate, of the grids'
 ENTROPY = 1e-3  # weight
@@ -65,6 +67,7 @@ def fine_tune(
     options: MotionOptions,
     device: str = "cpu",
     progress: Progress = no_progress,
+    checkpoint: Checkpoint = NOWHERE,
 ) -> FineTuned:
     """Train a copy of the scene at rest for `fine_tuning` iterations.
 
@@ -75,16 +78,20 @@ def fine_tune(
         options: What can be chosen.
         device: cpu or cuda.
         progress: Told how far it is.
+        checkpoint: Where to keep the state between two iterations, and to take it up from.
     Raises:
         ReconstructError: The loss diverged.
     """
     options = levels_for(options, rest.canonical) if options.adapt else options
     log, iterations = TrainingLog(device, LOG_EVERY), options.fine_tuning
     recipe = _Recipe(scene.in_box_frame(), rest, motion, options, device)
-    for iteration in range(iterations):
+    saved = checkpoint.found(log)
+    begin = 0 if saved is None else recipe.take_up(saved)
+    for iteration in range(begin, iterations):
         log.add(2 * options.rays, recipe.step(iteration))
         if iteration % 10 == 0:
             progress(iteration / iterations, f"fine-tuning, iteration {iteration} of {iterations}")
+        checkpoint.keep(iteration + 1, log, recipe.state)
     log.close_row()
     model = recipe.model()
     before, after = recipe.held_before, recipe.held_error()
@@ -123,6 +130,7 @@ class _Recipe:
 
     def enter(self, window: int) -> None:
         """Take some of the key times, all if they fit, and the pictures between them."""
+        self.window = window
         self.first, last = self.windows[window]
         self.motion = self.whole_motion.window(self.first, last, self.device)
         inside = (self.tau >= self.first) & (self.tau <= last)
@@ -157,6 +165,24 @@ class _Recipe:
         self.net.step()
         self.net.zero_grad()
         return parts | {"mse_at_rest": parts_at_rest[0]}
+
+    def state(self) -> State:
+        """Everything that the next iteration depends on."""
+        tensors = {"generator": self.generator.get_state()} | net_state(self.rest.canonical.net, self.net)
+        for name, grid in (("density", self.density), ("features", self.features)):
+            tensors |= {name: grid.values} | named(f"{name} trainer", grid.state())
+        return tensors, {"window": self.window}
+
+    def take_up(self, saved: Saved) -> int:
+        """Go on from a `state`; returns the number of iterations behind it."""
+        done, tensors, numbers = saved
+        for name, grid in (("density", self.density), ("features", self.features)):
+            grid.values.copy_(tensors[name])
+            grid.take_up(part_of(tensors, f"{name} trainer"))
+        take_up_net(self.rest.canonical.net, self.net, tensors)
+        self.generator.set_state(tensors["generator"])
+        self.enter(numbers["window"])
+        return done
 
     def model(self) -> RestModel:
         """As it is now; what is empty is looked at again."""

@@ -103,3 +103,23 @@ class GridTrainer:
     def touched(self) -> Bool[Tensor, "X Y Z"]:
         """Vertices that have ever had a gradient."""
         return (self.moment2 > 0).any(-1)
+
+    def state(self) -> dict[str, Tensor]:
+        """What later steps depend on beside values and reach: few vertices have moments, hardly any a gradient left.
+
+        A gradient is left where `update` was told that a vertex has none; it counts once the vertex is visited again.
+        """
+        out = {"step": torch.tensor(self.step)}
+        for name in ("moment1", "moment2", "grad"):
+            rows = getattr(self, name).view(-1, self.values.shape[3])
+            at = (rows != 0).any(1).nonzero()[:, 0]
+            out |= {f"{name}_at": at, name: rows[at]}
+        return out
+
+    def take_up(self, state: dict[str, Tensor]) -> None:
+        """Go on from a `state`; `visit` has to follow."""
+        self.step = int(state["step"])
+        for name in ("moment1", "moment2", "grad"):
+            rows = getattr(self, name).view(-1, self.values.shape[3])
+            rows.zero_()
+            rows[state[f"{name}_at"].to(rows.device)] = state[name].to(rows.device)

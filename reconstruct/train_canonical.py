@@ -17,6 +17,7 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.coarse_box import find_subject
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
 from devrf.reconstruct.hull import box_of, visual_hull
@@ -39,6 +40,7 @@ from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.training_state import named, net_state, part_of, take_up_net
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25
@@ -64,6 +66,7 @@ def train_canonical(
     options: CanonicalOptions,
     device: str = "cpu",
     progress: Progress = no_progress,
+    checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
 ) -> RestModel:
     """Train on the sweep's training pictures.
@@ -73,6 +76,7 @@ def train_canonical(
         options: What can be chosen.
         device: cpu or cuda.
         progress: Told how far it is.
+        checkpoint: Where to keep the state between two iterations, and to take it up from.
         watch: Shown the model (a `RestModel` without metrics) now and then.
     Raises:
         ReconstructError: No training pictures, nothing in the box, or the loss diverged.
@@ -85,7 +89,7 @@ def train_canonical(
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
     generator = torch.Generator().manual_seed(options.seed)
     plain = plain_of(scene.background, device)
-    aabb, hull = _box(scene, frames, rays, plain, options, generator, progress)
+    aabb, hull = _box(scene, frames, rays, plain, options, generator, progress, log, checkpoint)
     decision = None
     if options.adapt:
         ndc = None if scene.ndc is None else Ndc(*scene.ndc)
@@ -93,14 +97,16 @@ def train_canonical(
     recipe = _Recipe(scene, options, rays, plain, aabb, hull, device)
     if hull is not None and options.box_search == "coarse":
         rays.keep_only(recipe.hitting())
-    if recipe.shell is not None:
+    saved = checkpoint.found(log)
+    if saved is None and recipe.shell is not None:
         progress(READING, "coarse model")
-        coarse = train_coarse(scene, rays, options, device, generator)
+        coarse = train_coarse(scene, rays, options, device, generator, log, checkpoint.part("coarse"))
         seen = visible(coarse, rays, SEEN_BATCHES, options.coarse_rays, generator)
         hand_on(coarse, seen, recipe.canonical, recipe.shell, rays.centres)
         recipe.restart()
     begun = READING + (COARSE if options.box_search == "coarse" and plain is not None else 0.0)
-    for iteration in range(options.iterations):
+    begin = 0 if saved is None else recipe.take_up(saved, generator)
+    for iteration in range(begin, options.iterations):
         recipe.before(iteration)
         parts = recipe.step(rays.draw(recipe.rays_now, generator), generator)
         log.add(recipe.rays_now, parts, samples=recipe.samples_per_ray * recipe.rays_now)
@@ -110,6 +116,7 @@ def train_canonical(
             progress(done, f"iteration {iteration} of {options.iterations}{last}")
             if watch is not None:
                 watch(log, lambda: recipe.model({}))
+        checkpoint.keep(iteration + 1, log, lambda: recipe.state(generator))
     recipe.finish()
     log.close_row()
     progress(1.0, "scene at rest learned")
@@ -131,6 +138,8 @@ def _box(
     options: CanonicalOptions,
     generator: torch.Generator,
     progress: Progress,
+    log: TrainingLog,
+    checkpoint: Checkpoint,
 ) -> tuple[Float[Tensor, "2 3"], tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None]:
     """The box to model, and where in it the subject can be, over a box of its own, where that is known."""
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
@@ -141,7 +150,7 @@ def _box(
     if options.box_search == "coarse":
         kept = find_subject(
             rays, aabb, scene.near, plain, options, generator,
-            lambda share, text: progress(READING + COARSE * share, text),
+            lambda share, text: progress(READING + COARSE * share, text), log, checkpoint.part("box"),
         )  # fmt: skip
         near_kept = grown(kept)
     else:
@@ -275,6 +284,34 @@ class _Recipe:
         self.net_optimiser.zero_grad()
         return {"mse": mse, "entropy": entropy, "per_point": per_point}
 
+    def state(self, generator: torch.Generator) -> State:
+        """Everything that the next iteration depends on."""
+        tensors = {"distance": self.canonical.distance, "generator": generator.get_state()}
+        tensors |= net_state(self.canonical.net, self.net_optimiser)
+        for name, grid in self._grids().items():
+            tensors |= {name: grid.values} | named(f"{name} trainer", grid.state())
+        if self.shell is not None:
+            tensors["surround distance"] = self.shell.distance
+        return tensors, {"samples_per_ray": self.samples_per_ray}
+
+    def take_up(self, saved: Saved, generator: torch.Generator) -> int:
+        """Go on from a `state`; returns the number of iterations behind it."""
+        done, tensors, numbers = saved
+        device, target = self.canonical.density.device, self.canonical
+        target.density, target.features = tensors["density"].to(device), tensors["features"].to(device)
+        target.distance = tensors["distance"].to(device)
+        if self.shell is not None:
+            self.shell.grid = tensors["surround"].to(device)
+            self.shell.distance = tensors["surround distance"].to(device)
+        self.samples_per_ray = numbers["samples_per_ray"]
+        take_up_net(self.canonical.net, self.net_optimiser, tensors)
+        self._new_trainers()
+        for name, grid in self._grids().items():
+            grid.take_up(part_of(tensors, f"{name} trainer"))
+        self._visit(self.canonical.reachable(), None if self.shell is None else self.shell.reachable())
+        generator.set_state(tensors["generator"])
+        return done
+
     @torch.no_grad()
     def hitting(self) -> Bool[Tensor, " pixels"]:
         """Of all pixels: whether their rays meet the space where the subject can be."""
@@ -304,6 +341,10 @@ class _Recipe:
 
     def restart(self) -> None:
         """Fresh moments for grids that are new or have been replaced."""
+        self._new_trainers()
+        self._find_reachable()
+
+    def _new_trainers(self) -> None:
         self.density, self.features = (
             GridTrainer(self.canonical.density),
             GridTrainer(self.canonical.features),
@@ -311,13 +352,20 @@ class _Recipe:
         self.surround = None
         if self.shell is not None:
             self.surround = GridTrainer(self.shell.grid, copies_for(self.shell.grid.device))
-        self._find_reachable()
+
+    def _grids(self) -> dict[str, GridTrainer]:
+        grids = {"density": self.density, "features": self.features}
+        return grids if self.surround is None else grids | {"surround": self.surround}
 
     def _find_reachable(self) -> None:
-        self.density.visit(self.canonical.rebuild_occupancy(self._within()))
+        around = None if self.shell is None else self.shell.rebuild_occupancy()
+        self._visit(self.canonical.rebuild_occupancy(self._within()), around)
+
+    def _visit(self, reachable: Bool[Tensor, "X Y Z"], around: Bool[Tensor, "N N N"] | None) -> None:
+        self.density.visit(reachable)
         self.features.reachable = self.density.reachable
-        if self.shell is not None and self.surround is not None:
-            self.surround.visit(self.shell.rebuild_occupancy())
+        if self.surround is not None and around is not None:
+            self.surround.visit(around)
 
     def _within(self) -> Tensor | None:
         """Vertices of the present grid that lie in the hull."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.carving import carve, trained_lines
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, State
 from devrf.reconstruct.grids import GridTrainer, grown, upsample, vertices
 from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import RaySegments
@@ -21,6 +22,8 @@ from devrf.reconstruct.losses import rendering_loss
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.shell import CUBE, Shell
+from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.training_state import named, part_of
 
 SIZES = (0.4, 0.6, 0.8, 1.0)  # of `coarse_size`, each for a quarter of the iterations, where nothing is known
 OCCUPANCY_EVERY = 20
@@ -36,6 +39,8 @@ def train_coarse(
     options: CanonicalOptions,
     device: str,
     generator: torch.Generator,
+    log: TrainingLog,
+    checkpoint: Checkpoint = NOWHERE,
 ) -> Shell:
     """Train the coarse model on the sweep; from the sweep's points where there are any."""
     lines, near, far = trained_lines(scene), scene.near, scene.far
@@ -47,21 +52,37 @@ def train_coarse(
     )
     if lines is not None:
         model.start_from(*carve(*lines, aabb, sizes[0], near))
-    for n, size in enumerate(sizes):
-        if n > 0:
-            model.refine(size, rays.centres)
+    trainer = GridTrainer(model.grid, copies_for(model.grid.device))
+    begin, saved = 0, checkpoint.found(log)
+    if saved is not None:
+        begin, tensors, _ = saved
+        model.grid, model.distance = tensors["grid"].to(device), tensors["distance"].to(device)
         trainer = GridTrainer(model.grid, copies_for(model.grid.device))
-        for iteration in range(per_size):
-            if iteration % OCCUPANCY_EVERY == 0:
-                trainer.visit(model.rebuild_occupancy())
-            batch = rays.draw(options.coarse_rays, generator)
-            jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
-            begin, end = torch.full_like(jitter, near), torch.full_like(jitter, far)
-            segment = RaySegments(batch.rays_o, batch.rays_d, begin, end, jitter)
-            rgb, _, apart = model.render(segment, True, batch.rgb, trainer.grad)
-            loss = rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
-            loss.backward()
-            trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
+        trainer.take_up(part_of(tensors, "trainer"))
+        trainer.visit(model.reachable())
+        generator.set_state(tensors["generator"])
+
+    def state() -> State:
+        grids = {"grid": model.grid, "distance": model.distance, "generator": generator.get_state()}
+        return grids | named("trainer", trainer.state()), {}
+
+    for step in range(begin, per_size * len(sizes)):
+        n, iteration = divmod(step, per_size)
+        if n > 0 and iteration == 0:
+            model.refine(sizes[n], rays.centres)
+            trainer = GridTrainer(model.grid, copies_for(model.grid.device))
+        if iteration % OCCUPANCY_EVERY == 0:
+            trainer.visit(model.rebuild_occupancy())
+        batch = rays.draw(options.coarse_rays, generator)
+        jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
+        segment = RaySegments(
+            batch.rays_o, batch.rays_d, torch.full_like(jitter, near), torch.full_like(jitter, far), jitter
+        )
+        rgb, _, apart = model.render(segment, True, batch.rgb, trainer.grad)
+        loss = rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
+        loss.backward()
+        trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
+        checkpoint.keep(step + 1, log, state)
     return model
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.clocks import LearnedClock, with_clocks
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.motion import MotionField
@@ -25,7 +25,7 @@ def train_deformation(
     options: MotionOptions,
     device: str = "cpu",
     progress: Progress = no_progress,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
     clock_stds: Mapping[str, float | None] | None = None,
 ) -> tuple[MotionField, RestModel | None, dict[str, Any]]:
@@ -48,7 +48,15 @@ def train_deformation(
     if not options.fine_tuning:
         return motion, None, metrics
     scene = with_clocks(scene, {name: LearnedClock(**c) for name, c in metrics.get("clocks", {}).items()})
-    tuned = fine_tune(scene, rest, motion, options, device, lambda f, m: progress(share + (1 - share) * f, m))
+    tuned = fine_tune(
+        scene,
+        rest,
+        motion,
+        options,
+        device,
+        lambda f, m: progress(share + (1 - share) * f, m),
+        checkpoint.part("fine-tuning"),
+    )
     metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
     for name in ("seconds", "iterations", "rays"):
         metrics[name] += tuned.metrics[name]

@@ -26,7 +26,7 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.clocks import SHIFTS, Clocks, LearnedClock, error_curves
 from devrf.reconstruct.grids import BETAS, EPS
 from devrf.reconstruct.held_back import HeldBack
@@ -68,7 +68,7 @@ def train_motion(
     options: MotionOptions,
     device: str = "cpu",
     progress: Progress = no_progress,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
     clock_stds: Mapping[str, float | None] | None = None,
 ) -> tuple[MotionField, dict]:
@@ -97,7 +97,8 @@ def train_motion(
     clocks = Clocks(frames, clock_stds or {}) if options.learn_clocks else None
     recipe = _Recipe(scene, rest, rays, flows, options, device, clocks)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
-    begin = _take_up(recipe, log, checkpoint)
+    saved = checkpoint.found(log)
+    begin = 0 if saved is None else recipe.take_up(saved)
     total = sum(options.iterations) * (len(recipe.order) - len(recipe.still))
     for n, (level, key) in enumerate(visits[begin:], begin):
         if level != recipe.level:
@@ -115,9 +116,7 @@ def train_motion(
         recipe.leave_key()
         last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
         progress(0.05 + 0.95 * log.iteration / total, f"level {level + 1}, key {key}{last}")
-        if checkpoint is not None and checkpoint.due() and n + 1 < len(visits):
-            tensors, numbers = recipe.state()
-            checkpoint.write(tensors, {"visits": n + 1, "recipe": numbers, "log": log.state()})
+        checkpoint.keep(n + 1, log, recipe.state)
         if watch is not None:
             watch(log, lambda: recipe.motion)
     recipe.leave_level()
@@ -135,17 +134,6 @@ def train_motion(
     if clocks is not None:
         metrics["clocks"] = {name: asdict(clock) for name, clock in clocks.learned.items()}
     return recipe.motion, metrics
-
-
-def _take_up(recipe: "_Recipe", log: TrainingLog, checkpoint: Checkpoint | None) -> int:
-    """Go on from a checkpoint, if there is one; returns how many keys of how many levels it has behind it."""
-    found = checkpoint.read() if checkpoint is not None else None
-    if found is None:
-        return 0
-    tensors, numbers = found
-    recipe.take_up(tensors, numbers["recipe"])
-    log.take_up(numbers["log"])
-    return int(numbers["visits"])
 
 
 @dataclass
@@ -253,7 +241,7 @@ class _Recipe:
         levels = len(self.options.levels)
         return self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    def state(self) -> State:
         """Everything that the next key depends on."""
         tensors = {
             "backward": self.motion.backward,
@@ -261,13 +249,14 @@ class _Recipe:
             "generator": self.generator.get_state(),
         }
         names = ("level", "left_box", "seen", "errors", "gains")
-        numbers = {name: getattr(self, name) for name in names}
+        numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
         if self.clocks is not None:
             numbers["learned"] = {name: asdict(clock) for name, clock in self.clocks.learned.items()}
         return tensors, numbers
 
-    def take_up(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
-        """Go on from a `state`."""
+    def take_up(self, saved: Saved) -> int:
+        """Go on from a `state`; returns how many keys of how many levels it has behind it."""
+        done, tensors, numbers = saved
         if self.clocks is not None:
             learned = numbers.pop("learned")
             self.clocks.learned = {name: LearnedClock(**clock) for name, clock in learned.items()}
@@ -277,6 +266,7 @@ class _Recipe:
         self.motion = replace(self.motion, **fields).stored(self.device)
         self.generator.set_state(tensors["generator"])
         self._take_times()
+        return done
 
     def leave_level(self) -> None:
         """Note what it gained on rays held back; of the first nothing can be said."""

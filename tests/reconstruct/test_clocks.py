@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 from tests.reconstruct.conftest import ball_picture
+from tests.reconstruct.deaths import until_done
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.stages.deformation import clock_rows
-from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.clocks import (
     SHIFTS,
     Clocks,
@@ -112,30 +112,13 @@ def test_a_late_camera_is_found_where_the_motion_is_right(ball, moving: Scene, r
 
 def test_learning_resumes_in_the_middle_bit_by_bit(moving: Scene, rest: RestModel, tmp_path: Path) -> None:
     undisturbed, metrics = train_motion(moving, rest, {}, MOTION)
-    state = Killed(tmp_path / "state", "this training", every_s=0.0)
-    for _ in range(9):
-        try:
-            motion, again = train_motion(moving, rest, {}, MOTION, checkpoint=state)
-            break
-        except KeyboardInterrupt:
-            continue
-    else:
-        pytest.fail("never finished")
+    deaths = {("", visits) for visits in (2, 4, 6)}
+    motion, again = until_done(
+        lambda state: train_motion(moving, rest, {}, MOTION, checkpoint=state), tmp_path, deaths
+    )
     assert again["clocks"] == metrics["clocks"] and metrics["clocks"]["cam2"]["offset_s"] != 0
     assert torch.equal(motion.backward, undisturbed.backward)
     assert torch.equal(motion.forward, undisturbed.forward)
-
-
-class Killed(Checkpoint):
-    """A checkpoint after which the process dies, every second time."""
-
-    written = 0
-
-    def write(self, tensors, numbers) -> None:
-        super().write(tensors, numbers)
-        self.written += 1
-        if self.written % 2 == 0:
-            raise KeyboardInterrupt
 
 
 def test_times_stay_within_what_is_modelled_and_test_views_keep_theirs(moving: Scene) -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 from tests.reconstruct.conftest import REST
+from tests.reconstruct.deaths import until_done
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import load_image
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct import train_motion as motion_training
 from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
 from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing
@@ -199,30 +199,12 @@ def test_adapted_training_resumes_bit_by_bit(
     options = replace(MOTION, iterations=(5, 3, 2))
     monkeypatch.setattr(motion_training, "LEVEL_PAYS_DB", -50.0)
     undisturbed, log = train_motion(_paused(ball), rest, {}, options)
-    for _ in range(6):
-        try:
-            motion, metrics = train_motion(
-                _paused(ball), rest, {}, options, checkpoint=_Killed(tmp_path / "state", "it", every_s=0.0)
-            )
-            break
-        except KeyboardInterrupt:
-            continue
-    else:
-        pytest.fail("never finished")
+    deaths = {("", visits) for visits in (3, 4, 7, 11)}
+    motion, metrics = until_done(
+        lambda state: train_motion(_paused(ball), rest, {}, options, checkpoint=state), tmp_path, deaths
+    )
     assert torch.equal(motion.backward, undisturbed.backward)
     assert metrics["level_gains_db"] == log["level_gains_db"] and len(log["level_gains_db"]) == 2
-
-
-class _Killed(Checkpoint):
-    """A checkpoint after which the process dies, unless it is the first after a level began."""
-
-    written = 0
-
-    def write(self, tensors, numbers) -> None:
-        super().write(tensors, numbers)
-        self.written += 1
-        if self.written == 2:
-            raise KeyboardInterrupt
 
 
 def test_an_easy_scene_ends_up_smaller_and_faster(ball, rest: RestModel) -> None:

@@ -8,7 +8,6 @@ import torch
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import load_image, plain_colour
-from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
@@ -106,69 +105,6 @@ def test_pictures_just_past_a_key_do_not_throw_the_next_one(ball, rest: RestMode
     assert motion.keys == 5
     for time in (0.25, 0.5, 0.75, 1.0):
         assert _off_the_path(ball, motion, time) < 0.25, time
-
-
-def test_training_of_motion_resumes_in_the_middle_bit_by_bit(ball, rest: RestModel, tmp_path) -> None:
-    """Killed after every second key time: the same fields, the same log."""
-    options = replace(MOTION, iterations=(8, 5), most_keys=5)
-    undisturbed, log = train_motion(ball.scene, rest, {}, options)
-    checkpoint = Killed(tmp_path / "state", "this training", every_s=0.0)
-    for _ in range(20):
-        try:
-            motion, metrics = train_motion(ball.scene, rest, {}, options, checkpoint=checkpoint)
-            break
-        except KeyboardInterrupt:
-            continue
-    else:
-        pytest.fail("never finished")
-    assert checkpoint.kills == 3  # of 8 visits: after the second, fourth and sixth
-    assert torch.equal(motion.backward, undisturbed.backward)
-    assert torch.equal(motion.forward, undisturbed.forward)
-    assert metrics["iterations"] == log["iterations"] == 52
-    assert [r["mse"] for r in metrics["curve"]] == [r["mse"] for r in log["curve"]]
-    assert metrics["left_box_share"] == log["left_box_share"]
-
-
-def test_checkpoint_of_another_training_is_not_taken_up(ball, rest: RestModel, tmp_path) -> None:
-    options = replace(MOTION, iterations=(2, 2), most_keys=3)
-    Checkpoint(tmp_path / "state", "one").write({"backward": torch.ones(3)}, {"visits": 3})
-    other = Checkpoint(tmp_path / "state", "other")
-    assert other.read() is None
-    motion, _ = train_motion(ball.scene, rest, {}, options, checkpoint=other)
-    assert torch.equal(motion.backward, train_motion(ball.scene, rest, {}, options)[0].backward)
-    (tmp_path / "state").write_bytes(b"half a file")
-    assert Checkpoint(tmp_path / "state", "one").read() is None
-
-
-def test_checkpoints_are_as_frequent_as_they_are_quick(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
-    monkeypatch.setattr("devrf.reconstruct.checkpoint.save_file", lambda *_, **__: _slow_disk(now, tmp_path))
-    checkpoint = Checkpoint(tmp_path / "state", "large fields")
-    now[0] = 6.0
-    assert checkpoint.due()
-    checkpoint.write({}, {})  # takes 10 seconds, so the next is due after 20 times as many
-    for later, due in ((190.0, False), (20.0, True)):
-        now[0] += later
-        assert checkpoint.due() == due
-
-
-def _slow_disk(now: list[float], folder) -> None:
-    (folder / ".state.tmp").touch()
-    now[0] += 10.0
-
-
-class Killed(Checkpoint):
-    """A checkpoint after which the process dies, every second time."""
-
-    written = kills = 0
-
-    def write(self, tensors, numbers) -> None:
-        super().write(tensors, numbers)
-        self.written += 1
-        if self.written % 2 == 0:
-            self.kills += 1
-            raise KeyboardInterrupt
 
 
 def test_one_camera_in_each_step(ball, rest: RestModel) -> None:

@@ -1,0 +1,119 @@
+"""A checkpoint is taken up only as it was written, and is written no more often than costs little."""
+
+import logging
+from pathlib import Path
+
+import pytest
+import torch
+
+from devrf.reconstruct import checkpoint as checkpoints
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, State
+from devrf.reconstruct.training_log import TrainingLog
+
+TENSORS = {"grid": torch.arange(12.0).reshape(3, 4), "step": torch.tensor(7), "nothing": torch.zeros(0, 3)}
+
+
+def _log() -> TrainingLog:
+    return TrainingLog("cpu", 3)
+
+
+def _state() -> State:
+    return TENSORS, {"share": 1 / 3}
+
+
+def test_what_was_written_is_found(tmp_path: Path) -> None:
+    log = _log()
+    for _ in range(5):
+        log.add(10, {"mse": torch.tensor(0.1)})
+    Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(5, log, _state)
+    again = _log()
+    saved = Checkpoint(tmp_path / "state", "one").found(again)
+    assert saved is not None and saved.done == 5 and saved.numbers["share"] == 1 / 3
+    assert {name: t.tolist() for name, t in saved.tensors.items()} == {
+        n: t.tolist() for n, t in TENSORS.items()
+    }
+    assert again.iteration == 5 and again.rays == 50 and again.rows == log.rows
+    assert [path.name for path in tmp_path.iterdir()] == ["state"]
+
+
+def test_that_of_another_training_is_not_taken_up(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, _log(), _state)
+    assert Checkpoint(tmp_path / "state", "other").found(_log()) is None
+    assert "of another training" in caplog.text
+
+
+def test_no_byte_of_it_can_change_unnoticed(tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    Checkpoint(path, "one", every_s=0.0).keep(1, _log(), _state)
+    content = path.read_bytes()
+    for at in range(len(content)):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+        assert Checkpoint(path, "one").found(_log()) is None, (at, content[at - 20 : at + 20])
+    for length in range(len(content)):
+        path.write_bytes(content[:length])
+        assert Checkpoint(path, "one").found(_log()) is None, length
+
+
+def test_parts_are_removed_with_the_whole(tmp_path: Path) -> None:
+    whole = Checkpoint(tmp_path / ".motion.safetensors", "one", every_s=0.0)
+    part, other = whole.part("box"), Checkpoint(tmp_path / ".motions.safetensors", "one", every_s=0.0)
+    for checkpoint in (whole, part, other):
+        checkpoint.keep(1, _log(), _state)
+    assert (tmp_path / ".motion.box.safetensors").exists()
+    assert whole.found(_log()) is not None and part.found(_log()) is not None
+    whole.remove()
+    assert [path.name for path in tmp_path.iterdir()] == [".motions.safetensors"]
+
+
+def test_without_a_place_nothing_is_kept() -> None:
+    NOWHERE.keep(1, _log(), _state)
+    NOWHERE.part("box").keep(1, _log(), _state)
+    assert NOWHERE.found(_log()) is None
+    NOWHERE.remove()
+
+
+def test_a_full_disk_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    checkpoint = Checkpoint(tmp_path / "state", "one", every_s=0.0)
+    checkpoint.keep(1, _log(), _state)
+
+    def full(tensors: object, path: str, **_: object) -> None:
+        Path(path).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoints, "save_file", full)
+    checkpoint.keep(2, _log(), _state)
+    assert "cannot be written" in caplog.text
+    saved = Checkpoint(tmp_path / "state", "one").found(_log())
+    assert saved is not None and saved.done == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["state"]
+
+
+def test_they_are_as_frequent_as_they_are_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, written = [0.0], []
+    monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
+
+    def slow(tensors: object, path: str, **_: object) -> None:
+        Path(path).touch()
+        written.append(now[0])
+        now[0] += 10.0
+
+    monkeypatch.setattr(checkpoints, "save_file", slow)
+    checkpoint, log = Checkpoint(tmp_path / "state", "large fields"), _log()
+    for done in range(500):
+        checkpoint.keep(done, log, lambda: ({"grid": torch.empty(1)}, {}))
+        now[0] += 1.0
+    assert written == [5.0, 215.0, 425.0]  # each takes 10 seconds, so the next follows 200 seconds later
+
+
+def test_the_first_of_a_large_training_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
+    monkeypatch.setattr(checkpoints, "SLOW_DISK", 48.0)  # a second for the state, so 20 seconds before it
+    checkpoint = Checkpoint(tmp_path / "state", "one")
+    for done, there in ((6, False), (19, False), (21, True)):
+        now[0] = done
+        checkpoint.keep(done, _log(), lambda: ({"grid": torch.zeros(12)}, {}))
+        assert (tmp_path / "state").exists() == there
