@@ -326,11 +326,14 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) 
                 progress=_sane(progress),
                 device=run.device,
                 say=partial(run.talk.decision, stage.name),
+                made_from=made_from,
             )
             stage.run(context)
         _finish(run, folder, stage, context.health, made_from, time.monotonic() - start)
         workspace.commit(stage.name, folder)
         run.digests.renamed(folder, run.run_dir / stage.name)
+        for act in context.afterwards:
+            act()
         for done_with in (error_path, forced_path):
             done_with(run.run_dir, stage.name).unlink(missing_ok=True)
         run.executed.append(stage.name)

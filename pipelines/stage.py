@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from devrf.capture.progress import Progress
 from devrf.pipelines.health.rows import HealthRow
@@ -25,6 +25,8 @@ class StageContext:
         device: "cpu" or "cuda".
         health: Rows the stage adds about its own result.
         say: Tells the user one line that stays, such as what was decided and why.
+        made_from: All that the result depends on, as its stamp will say.
+        afterwards: What is left to do once the folder has its name, such as to remove what a killed run goes on from.
     """
 
     config: "SceneConfig"
@@ -35,6 +37,8 @@ class StageContext:
     device: str
     health: list[HealthRow] = field(default_factory=list)
     say: Callable[[str], None] = lambda text: None
+    made_from: dict[str, Any] = field(default_factory=dict)
+    afterwards: list[Callable[[], None]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,12 @@ class Workspace:
             _remove(leftover)
         for leftover in self.run_dir.glob(".*.tmp"):
             leftover.unlink(missing_ok=True)
+        for checkpoint in self.run_dir.glob(
+            ".*.safetensors"
+        ):  # of a training whose stage has been finished since
+            stamp = self.run_dir / checkpoint.name.split(".")[1] / STAMP
+            if stamp.is_file() and stamp.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
+                checkpoint.unlink()
 
 
 def is_disk_full(error: BaseException) -> bool:

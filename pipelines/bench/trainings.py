@@ -89,13 +89,15 @@ class Bench:
         folder, of = self.out / f"seed{options.seed}" / "rest", self._fingerprint(options)
         found = _read(folder / "metrics.json")
         if found.get("of") != of:
+            folder.mkdir(parents=True, exist_ok=True)
+            checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
             with self.run.talk.progress(f"seed {options.seed}: scene at rest") as progress:
                 watch = looks.of_rest() if looks is not None else None
-                model = train_canonical(self.scene, options, self.run.device, progress, watch)
-            folder.mkdir(parents=True, exist_ok=True)
+                model = train_canonical(self.scene, options, self.run.device, progress, checkpoint, watch)
             save_rest(self._rest_file(options.seed), model)
             seen = {"looks": looks.taken()} if looks is not None else {}
             _write(folder / "metrics.json", model.metrics | seen | {"of": of})
+            checkpoint.remove()
         # Always as read from the file: the same whether it was trained now or before.
         model = load_rest(self._rest_file(options.seed), self.run.device)
         return replace(model, metrics=_read(folder / "metrics.json"))

@@ -1,27 +1,20 @@
 """Stage `deformation`: how the scene moves, learned from the moving cameras."""
 
-import hashlib
 import json
 from dataclasses import asdict
-from pathlib import Path
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks_in_use import clock_stds
-from devrf.pipelines.code_version import code_version
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_options import training_options
-from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
-from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.train_deformation import train_deformation
 
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
 CLOCK_MOVED = 2.0  # standard deviations of a clock, beyond which what sync says of it is doubted
-CHECKPOINT = ".deformation.safetensors"
-READS = ("sync", "scene", "canonical", "flow")
 
 
 def run(context: StageContext) -> None:
@@ -30,7 +23,6 @@ def run(context: StageContext) -> None:
     options = training_options(context.config, scene).motion
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
     flows = read_flows(context.run_dir / "flow")
-    checkpoint = Checkpoint(context.run_dir / CHECKPOINT, _fingerprint(context.run_dir, options))
     motion, tuned, metrics = train_deformation(
         scene,
         rest,
@@ -38,13 +30,12 @@ def run(context: StageContext) -> None:
         options,
         context.device,
         context.progress,
-        checkpoint,
+        training_checkpoint(context, "deformation", options),
         clock_stds=clock_stds(context.run_dir),
     )
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
-    checkpoint.remove()
     metrics |= {"options": asdict(options)}
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
@@ -81,13 +72,3 @@ def clock_rows(clocks: dict[str, dict[str, float]]) -> list[HealthRow]:
             "the middle of the scene, or give true times in capture.timestamps.",
         )
     ]
-
-
-def _fingerprint(run_dir: Path, options: MotionOptions) -> str:
-    """Of everything the training depends on: options, code, and the stages that are read, by their stamps."""
-    digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
-    digest.update(code_version(train_deformation.__module__).encode())
-    for name in READS:
-        stamp = run_dir / name / STAMP
-        digest.update(stamp.read_bytes() if stamp.is_file() else name.encode())
-    return digest.hexdigest()
