@@ -1,0 +1,132 @@
+"""What a run may hold of main memory, read from copies of what Linux tells."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from devrf.pipelines.budget import memory
+from devrf.pipelines.budget.memory import allowed_bytes, left_bytes, resident_bytes
+from devrf.pipelines.config.scene import SceneConfig
+
+GB = 10**9
+
+
+class Machine:
+    """Folders that look like /proc and the cgroups of a machine with 32 GB free."""
+
+    def __init__(self, folder: Path) -> None:
+        self.proc, self.root = folder / "proc", folder / "root"
+        (self.proc / "self").mkdir(parents=True)
+        (self.proc / "meminfo").write_text(
+            "MemTotal:       64000000 kB\nMemFree:  5 kB\nMemAvailable:   31250000 kB\n"
+        )
+        self.mounts: list[str] = []
+        self.lines: list[str] = []
+
+    def mount(self, kind: str, at: str, root: str = "/", options: str = "rw") -> None:
+        self.mounts.append(f"30 23 0:26 {root} {at} rw,nosuid shared:4 - {kind} {kind} {options}")
+        (self.proc / "self/mountinfo").write_text(
+            "\n".join(["22 1 8:1 / / rw - ext4 /dev/sda rw", *self.mounts])
+        )
+
+    def inside(self, line: str) -> None:
+        self.lines.append(line)
+        (self.proc / "self/cgroup").write_text("\n".join(self.lines) + "\n")
+
+    def v1(self, group: str, limit: int, used: int, cache: int = 0) -> None:
+        folder = self.root / group
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "memory.limit_in_bytes").write_text(f"{limit}\n")
+        (folder / "memory.usage_in_bytes").write_text(f"{used}\n")
+        (folder / "memory.stat").write_text(f"cache 1\ninactive_file 7\ntotal_inactive_file {cache}\n")
+
+    def v2(self, group: str, limit: int | str, used: int, cache: int = 0) -> None:
+        folder = self.root / group
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "memory.max").write_text(f"{limit}\n")
+        (folder / "memory.current").write_text(f"{used}\n")
+        (folder / "memory.stat").write_text(f"anon 5\ninactive_file {cache}\n")
+
+    @property
+    def left(self) -> int:
+        return left_bytes(self.proc, self.root)
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
+
+
+def test_without_cgroups_the_machine_decides(machine: Machine) -> None:
+    assert machine.left == 32 * GB
+
+
+def test_where_the_system_tells_nothing_half_of_the_machine_is_taken(tmp_path: Path) -> None:
+    physical = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert left_bytes(tmp_path / "none", tmp_path) == physical // 2
+
+
+def test_every_cgroup_up_to_the_root_counts_version_2(machine: Machine) -> None:
+    machine.mount("cgroup2", "/sys/fs/cgroup")
+    machine.inside("0::/user.slice/job.scope")
+    machine.v2("sys/fs/cgroup/user.slice/job.scope", "max", 2 * GB)
+    assert machine.left == 32 * GB
+    machine.v2("sys/fs/cgroup/user.slice", 8 * GB, 5 * GB, cache=GB)
+    assert machine.left == 4 * GB
+    machine.v2("sys/fs/cgroup/user.slice/job.scope", 3 * GB, 2 * GB)
+    assert machine.left == GB
+    machine.v2("sys/fs/cgroup/user.slice/job.scope", 3 * GB, 4 * GB)
+    assert machine.left == 0
+
+
+def test_every_cgroup_up_to_the_root_counts_version_1(machine: Machine) -> None:
+    machine.mount("cgroup", "/sys/fs/cgroup/cpu", options="rw,cpu")
+    machine.mount("cgroup", "/sys/fs/cgroup/memory", options="rw,memory")
+    machine.inside("4:memory:/batch/one")
+    machine.inside("1:cpu:/")
+    machine.v1("sys/fs/cgroup/memory", 9223372036854771712, 20 * GB)
+    machine.v1("sys/fs/cgroup/memory/batch/one", 9223372036854771712, GB)
+    assert machine.left == 32 * GB
+    machine.v1("sys/fs/cgroup/memory/batch", 6 * GB, 2 * GB, cache=GB)
+    assert machine.left == 5 * GB
+
+
+def test_a_container_sees_its_own_cgroup_at_the_root_of_the_mount(machine: Machine) -> None:
+    machine.mount("cgroup", "/sys/fs/cgroup/memory", root="/docker/abc", options="rw,memory")
+    machine.inside("9:memory:/docker/abc")
+    machine.v1("sys/fs/cgroup/memory", 2 * GB, GB)
+    assert machine.left == GB
+    machine.inside("9:memory:/elsewhere")  # a path of the host that the container cannot see
+    assert machine.left == GB
+
+
+def test_what_children_hold_is_the_runs_own() -> None:
+    alone = resident_bytes()
+    assert 20e6 < alone < 5e9
+    held = "import sys; block = bytearray(200_000_000); print(flush=True); sys.stdin.read()"
+    child = subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        assert child.stdout is not None and child.stdout.readline()
+        assert 0.2e9 < resident_bytes() - alone < 0.4e9
+        assert resident_bytes(child.pid) > 0.2e9
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def config(**budget: float) -> SceneConfig:
+    return SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4"}, "budget": budget})
+
+
+def test_the_budget_is_kept_and_never_more_than_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "left_bytes", lambda: 15 * GB)
+    monkeypatch.setattr(memory, "resident_bytes", lambda: 5 * GB)
+    assert allowed_bytes(config()) == 19 * GB
+    assert allowed_bytes(config(memory_gb=4)) == 4 * GB
+    assert allowed_bytes(config(memory_gb=100)) == 19 * GB
+    monkeypatch.setattr(memory, "left_bytes", lambda: 0)
+    monkeypatch.setattr(memory, "resident_bytes", lambda: GB)
+    assert allowed_bytes(config()) == 900_000_000
