@@ -61,7 +61,10 @@ class Lock:
                 os.close(handle)
                 raise
             self._handle = handle
-        self._beats.start()
+        try:
+            self._beats.start()
+        except RuntimeError as error:  # no room for a thread's stack
+            raise MemoryError(str(error)) from error
 
     def check(self) -> None:
         """Make sure that this process still holds the lock.

@@ -13,7 +13,7 @@ from devrf.pipelines.durable import write_json
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.reasons import why_stale
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import HEALTH, identity, read_stamp
+from devrf.pipelines.stamp import HEALTH, identity, read_stamp, stamp_id
 
 State = Literal["fresh", "stale", "missing", "not applicable"]
 ALL = "all"  # --force all
@@ -109,7 +109,7 @@ def standing(
             name: then.get(name) if name in unknown else made for name, made in made_from["reads"].items()
         }
         why = why_stale(folder, made_from | {"reads": known}, digests) + [f"{name} runs" for name in unknown]
-        again = forced_path(run_dir, stage.name).exists()
+        again = _is_to_be_forced(run_dir, stage.name, stamp)
         why += ["forced before, and not finished"] if again else []
         state = "stale" if why else "fresh"
         asked = asked and not again
@@ -187,8 +187,22 @@ def read_health(folder: Path) -> tuple[HealthRow, ...]:
 
 
 def forced_path(run_dir: Path, stage: str) -> Path:
-    """There from when a stage is forced to run until it has: a run that was stopped goes on with it."""
+    """There from when a stage is forced to run until it has; holds the identity of what is to be replaced."""
     return run_dir / f".forced-{stage}"
+
+
+def remember_forced(run_dir: Path, stage: str) -> None:
+    """Let a run that comes after one that was stopped go on with a stage that was forced."""
+    made = stamp_id(run_dir / stage)
+    if made is not None:
+        forced_path(run_dir, stage).write_text(made)
+
+
+def _is_to_be_forced(run_dir: Path, stage: str, stamp: dict) -> bool:
+    try:
+        return forced_path(run_dir, stage).read_text() == stamp.get("id")
+    except (OSError, ValueError):
+        return False
 
 
 def error_path(run_dir: Path, stage: str) -> Path:

@@ -37,6 +37,7 @@ from devrf.pipelines.plan import (
     is_chosen,
     is_forced,
     remember_error,
+    remember_forced,
     standing,
     standings,
 )
@@ -46,6 +47,7 @@ from devrf.pipelines.supervise import crash_log, tell
 from devrf.pipelines.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
 
 NO_ROOM = 1_000_000  # bytes: with less than this free, a failure to write is a full disk whatever it says
+NO_MEMORY = ("out of memory", "allocate memory", "bad_alloc", "bad allocation", "insufficient memory")  # messages
 NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
 
 logger = logging.getLogger(__name__)
@@ -232,6 +234,9 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
             raise
         run.talk.error(disk_full_message(run.run_dir, "the run", 0))
         return FAILED
+    except MemoryError:
+        run.talk.error("not enough memory even to begin; close other programs, then run again")
+        return FAILED
 
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
@@ -272,6 +277,8 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
                 _keep(run, stage)
         if now.state == "fresh":
             run.fresh.append(stage.name)
+            for of_earlier_tries in (error_path, forced_path):
+                of_earlier_tries(run.run_dir, stage.name).unlink(missing_ok=True)
         code = _judge(run, now)
         if code is not None:
             return code
@@ -307,12 +314,11 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) 
     try:
         _check_disk_budget(run)
         if is_forced(stage.name, run.choice):
-            forced_path(run.run_dir, stage.name).touch()
+            remember_forced(run.run_dir, stage.name)
         folder = workspace.fresh_folder(stage.name)
         if from_cache and run.cache is not None:
             if run.cache.take(stage, made_from, folder):
                 workspace.commit(stage.name, folder)
-                error_path(run.run_dir, stage.name).unlink(missing_ok=True)
                 run.taken.append(stage.name)
                 return None
             run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
@@ -334,8 +340,6 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) 
         run.digests.renamed(folder, run.run_dir / stage.name)
         for act in context.afterwards:
             act()
-        for done_with in (error_path, forced_path):
-            done_with(run.run_dir, stage.name).unlink(missing_ok=True)
         run.executed.append(stage.name)
         return None
     except BaseException as error:
@@ -366,7 +370,7 @@ def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: i
         return UNHEALTHY, f"{name}: {error}"
     if isinstance(error, DevrfError):
         return FAILED, f"{name}: {error}"
-    if isinstance(error, MemoryError) or "out of memory" in str(error).lower():
+    if isinstance(error, MemoryError) or any(words in str(error).lower() for words in NO_MEMORY):
         first_line = str(error).splitlines()[0] if str(error) else "MemoryError"
         budget, on_gpu = run.config.budget.gpu_memory_gb, not isinstance(error, MemoryError)
         bounded = budget is not None and run.device == "cuda" and on_gpu

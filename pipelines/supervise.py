@@ -62,7 +62,11 @@ def supervised(work: Callable[[], None]) -> None:
     signal.pthread_sigmask(signal.SIG_SETMASK, before)
     global _link
     _link = write
-    return work()
+    try:
+        work()
+    finally:
+        for sign in (signal.SIGINT, signal.SIGTERM):  # too late: the exit code is settled
+            signal.signal(sign, signal.SIG_IGN)
 
 
 def tell(**facts: str | int | None) -> None:

@@ -1,14 +1,38 @@
 """Fixtures of the fault suite."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from tests.faults.harness import Tiny
 from tests.faults.tiny_stages import prepare
 
+TinyMaker = Callable[[], Tiny]
+
 
 @pytest.fixture
-def tiny(tmp_path: Path) -> Tiny:
+def new_tiny(tmp_path: Path) -> TinyMaker:
+    """Makes folders for the tiny pipeline."""
+    made: list[Tiny] = []
+
+    def make() -> Tiny:
+        made.append(Tiny(tmp_path / f"tiny{len(made)}"))
+        prepare(made[-1].folder)
+        return made[-1]
+
+    return make
+
+
+@pytest.fixture
+def tiny(new_tiny: TinyMaker) -> Tiny:
     """A folder of its own for the tiny pipeline."""
-    prepare(tmp_path)
-    return Tiny(tmp_path)
+    return new_tiny()
+
+
+@pytest.fixture(scope="session")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run folder of a run that nothing disturbed."""
+    folder = Tiny(tmp_path_factory.mktemp("reference"))
+    prepare(folder.folder)
+    assert folder.run().returncode == 0
+    return folder.run_dir

@@ -1,12 +1,24 @@
-"""How the tests call the tiny pipeline (tiny_stages.py) as a program."""
+"""How the tests call the tiny pipeline (tiny_stages.py) as a program, and what must hold after every fault."""
 
+import json
 import os
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from tests.faults.tiny_stages import NAMES, stages
+
+from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.stamp import stamp_id
+
+BESIDE = (
+    "devrf.log",
+    "events.jsonl",
+    ".digests.json",
+    "logs",
+)  # what may lie beside the stages of a run that is done
 PROGRAM = Path(__file__).with_name("tiny_stages.py")
 LIMIT_S = 60  # no fault may hang a run
 
@@ -26,7 +38,7 @@ class Tiny:
         """The run folder."""
         return self.folder / "run"
 
-    def start(self, *settings: str, new_group: bool = False) -> "subprocess.Popen[str]":
+    def start(self, *settings: str) -> "subprocess.Popen[str]":
         """Start a run."""
         return subprocess.Popen(
             [sys.executable, str(PROGRAM), str(self.folder), *settings],
@@ -34,7 +46,6 @@ class Tiny:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            start_new_session=new_group,
         )
 
     def run(self, *settings: str) -> "subprocess.CompletedProcess[str]":
@@ -52,6 +63,79 @@ class Tiny:
         while not list(self.run_dir.glob(f".new-{stage}-*")):
             assert started.poll() is None and time.monotonic() < deadline, f"{stage} never began"
             time.sleep(0.005)
+
+
+@dataclass
+class Count:
+    """What a series of faults came to."""
+
+    faults: int = 0
+    took_effect: int = 0  # the run did not end as an undisturbed one
+    finished_before: int = 0  # stages that were finished when a fault came
+    used_again: int = 0
+
+    def figures(self) -> dict[str, int]:
+        """For `--figures`."""
+        return asdict(self) | {"lost_or_corrupt": 0, "needless_runs": 0}  # or the test would have failed
+
+
+def go_on(tiny: Tiny, reference: Path, count: Count, *settings: str) -> None:
+    """Run to the end after a fault, and check that nothing was lost and nothing was made twice.
+
+    Args:
+        tiny: The folder after the fault.
+        reference: Run folder of an undisturbed run.
+        count: Added to.
+        settings: Of the run.
+    """
+    before = finished(tiny.run_dir)
+    result = tiny.run(*settings)
+    assert result.returncode == DONE, result.stderr
+    made = [
+        line.split()[1].rstrip(":")
+        for line in result.stdout.splitlines()
+        if "] " in line and ": runs:" in line
+    ]
+    assert made == [name for name in NAMES if name not in before], (made, before, result.stdout)
+    after = {name: stamp_id(tiny.run_dir / name) for name in NAMES}
+    assert {name: after[name] for name in before} == before
+    for name in NAMES:
+        assert content(tiny.run_dir / name) == content(reference / name), (
+            f"{name} differs from an undisturbed run's"
+        )
+    beside = {path.name for path in tiny.run_dir.iterdir()}
+    assert beside <= {*NAMES, *BESIDE}, f"left behind: {beside}"
+    count.faults += 1
+    count.finished_before += len(before)
+    count.used_again += sum(after[name] == identity for name, identity in before.items())
+
+
+def finished(run_dir: Path) -> dict[str, str]:
+    """Stage -> identity of those that are finished and fit what they read; found by other means than the runner's."""
+    found: dict[str, str] = {}
+    for stage in stages():
+        folder = run_dir / stage.name
+        if not folder.exists() and (swapped := list(run_dir.glob(f".old-{stage.name}-*"))):
+            folder = next(run_dir.glob(f".new-{stage.name}-*/stamp.json"), swapped[0] / "stamp.json").parent
+        try:
+            stamp = json.loads((folder / "stamp.json").read_text())
+        except (OSError, ValueError):
+            continue
+        forced = run_dir / f".forced-{stage.name}"
+        stopped = forced.exists() and forced.read_text(errors="replace") == stamp["id"]
+        if not stopped and stamp["identity"]["reads"] == {name: found.get(name) for name in stage.reads}:
+            found[stage.name] = stamp["id"]
+    return found
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """All files of a stage but those that name this making of it."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in files
+        if path.name not in ("stamp.json", "health.json")
+    }
 
 
 def children_of(pid: int) -> list[int]:

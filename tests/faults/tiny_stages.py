@@ -5,13 +5,15 @@
 `prepare` makes the folder. The stages take milliseconds and do what the real ones do: many files (`frames`), one that
 is large (`big`), a folder of parts that outlives a killed run (`parts`), a chain of steps that goes on from its
 checkpoint (`steps`), and a summary of them all (`last`). What they leave depends on their input alone, so any two runs
-can be compared byte by byte. Arguments name a fault: see `FAULTS`.
+can be compared byte by byte. Arguments name a fault (`fault`, a name in `FAULTS`; `at`, see tracing.py; `room`, bytes
+of memory), or override keys of the configuration.
 """
 
 import ctypes
 import hashlib
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -24,12 +26,18 @@ from pathlib import Path
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
+from devrf.pipelines.durable import sync
+from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import Run, execute
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamp import stamp_id
 from devrf.pipelines.supervise import supervised
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # run as a program, it does not know where the tests lie
+
+from tests.faults.tracing import install  # noqa: E402
 
 SCENE = """
 name: tiny
@@ -39,6 +47,7 @@ capture: {static: static.mp4, cameras: {cam0: cam0.mp4}}
 """
 NAMES = ("frames", "big", "parts", "steps", "last")
 FRAMES, BIG_BYTES, PARTS, STEPS = 12, 400_000, 8, 12
+WORKING_BYTES = 30_000_000  # memory of the stage `steps`
 STEP_S = 0.004  # a pause in every step, so that faults find the stages at work
 
 
@@ -96,7 +105,9 @@ def steps(context: StageContext) -> None:
         state = {}
     if state.get("made_of") != made_of:
         state = {"made_of": made_of, "step": 0, "value": _content(context.run_dir / "parts")}
+    working_memory = bytearray(WORKING_BYTES)
     while state["step"] < STEPS:
+        working_memory[state["step"]] = 1
         state["step"] += 1
         state["value"] = hashlib.sha256(state["value"].encode()).hexdigest()
         if state["step"] % 3 == 0:
@@ -174,6 +185,16 @@ FAULTS: dict[str, Callable[[], None]] = {
 
 def main(folder: Path, settings: dict[str, str]) -> int:
     """Run the pipeline in `folder`; the exit code."""
+    if "at" in settings:
+        at, victims, sign = (
+            int(settings.pop("at")),
+            settings.pop("victims", "both"),
+            settings.pop("sign", "SIGKILL"),
+        )
+        on_disk = settings.pop("on_disk", None)
+        install(folder / "run", at, victims, sign, None if on_disk is None else Path(on_disk))
+    if "room" in settings:
+        _leave_room(int(settings.pop("room")))
     fault = settings.pop("fault", None)
     pipeline = stages() if fault is None else fault_in(settings.pop("stage", "parts"), FAULTS[fault])
     choice = Choice(force=tuple(filter(None, settings.pop("force", "").split(","))))
@@ -183,6 +204,14 @@ def main(folder: Path, settings: dict[str, str]) -> int:
         print(error, file=sys.stderr)
         return 2
     return execute(Run(config, folder, pipeline, choice, Talk()))
+
+
+def _leave_room(more: int) -> None:
+    """Let this process take only so many more bytes of memory."""
+    kilobytes = next(
+        line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmData")
+    )
+    resource.setrlimit(resource.RLIMIT_DATA, (int(kilobytes.split()[1]) * 1024 + more,) * 2)
 
 
 def _always(config: object) -> None:
@@ -206,6 +235,7 @@ def _content(folder: Path) -> str:
 def _whole(file: Path, content: bytes) -> None:
     new = file.with_name(f".{file.name}.tmp")
     new.write_bytes(content)
+    sync(new)
     os.replace(new, file)
 
 
@@ -214,5 +244,12 @@ def _pause(context: StageContext, share: float) -> None:
     time.sleep(STEP_S)
 
 
+def _program() -> None:
+    try:
+        sys.exit(main(Path(sys.argv[1]), dict(word.split("=", 1) for word in sys.argv[2:])))
+    except KeyboardInterrupt:
+        sys.exit(STOPPED)
+
+
 if __name__ == "__main__":
-    supervised(lambda: sys.exit(main(Path(sys.argv[1]), dict(word.split("=", 1) for word in sys.argv[2:]))))
+    supervised(_program)

@@ -1,0 +1,103 @@
+"""Runs killed and stopped, at random moments and before every single change of a file."""
+
+import os
+import random
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from tests.faults.conftest import TinyMaker
+from tests.faults.harness import LIMIT_S, Count, Tiny, children_of, go_on
+
+from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+
+CODES = {"SIGKILL": (FAILED, -signal.SIGKILL), "SIGTERM": (STOPPED,), "SIGINT": (STOPPED,)}
+FORCED = "force=frames"  # of a finished run: every stage but `big` is made again, folders are swapped
+
+
+def start_from(tiny: Tiny, reference: Path, made: bool) -> tuple[str, ...]:
+    """Begin with nothing, or with a finished run of which a part is made again; the settings of the run."""
+    if made:
+        shutil.copytree(reference, tiny.run_dir)
+    return (FORCED,) if made else ()
+
+
+def check_ending(code: int, err: str, sign: str) -> bool:
+    """Whether a run ended by a signal, as it should."""
+    assert "Traceback" not in err, err
+    assert code in (DONE, *CODES[sign]), (code, err)  # done: the signal came too late
+    assert code != STOPPED or "finished stages are kept" in err or not err
+    assert code != FAILED or "SIGKILL (out of memory, or someone killed it); finished stages are kept" in err
+    return code != DONE
+
+
+def test_killed_before_a_change_of_a_file(new_tiny: TinyMaker, reference: Path, faults: str, figures) -> None:
+    """The small suite takes a few changes; the full one every one, and so every state the folder can be in."""
+    rng, count, points = random.Random(1), Count(), 0
+    for made in (False, True):
+        at, step = 1, 1 if faults == "full" else 17
+        while True:
+            tiny = new_tiny()
+            settings = start_from(tiny, reference, made)
+            victims, sign = rng.choice(("child", "parent", "both")), "SIGKILL"
+            if rng.random() < 0.3:
+                victims, sign = "parent", rng.choice(("SIGTERM", "SIGINT"))
+            result = tiny.run(*settings, f"at={at}", f"victims={victims}", f"sign={sign}")
+            ended = check_ending(result.returncode, result.stderr, sign)
+            count.took_effect += ended
+            go_on(tiny, reference, count)
+            shutil.rmtree(tiny.folder)
+            if not ended and sign == "SIGKILL":
+                break  # the run has fewer changes than that
+            points, at = points + 1, at + step
+    assert points > (100 if faults == "full" else 5)
+    assert count.used_again == count.finished_before > 0
+    figures(points=points, **count.figures())
+
+
+def test_killed_at_random_moments(new_tiny: TinyMaker, reference: Path, faults: str, figures) -> None:
+    """Up to three times in a row, then to the end."""
+    rng, count, kills = random.Random(2), Count(), 0
+    while kills < (200 if faults == "full" else 10):
+        tiny = new_tiny()
+        settings = start_from(tiny, reference, made=rng.random() < 0.5)
+        for _ in range(rng.randint(1, 3)):
+            started = tiny.start(*settings)
+            sign = rng.choice(("SIGKILL", "SIGKILL", "SIGTERM", "SIGINT"))
+            deadline = time.monotonic() + LIMIT_S
+            while not (tiny.run_dir / ".lock").exists() and started.poll() is None:
+                assert time.monotonic() < deadline
+                time.sleep(0.002)
+            time.sleep(rng.uniform(0, 0.35))
+            victim = started.pid
+            if sign == "SIGKILL" and rng.random() < 0.5:
+                victim = next(iter(children_of(started.pid)), started.pid)
+            try:
+                os.kill(victim, signal.Signals[sign])
+            except ProcessLookupError:
+                pass
+            _, err = started.communicate(timeout=LIMIT_S)
+            count.took_effect += check_ending(started.returncode, err, sign)
+            kills += 1
+        go_on(tiny, reference, count)
+        shutil.rmtree(tiny.folder)
+    assert count.took_effect > kills / 3
+    assert count.used_again == count.finished_before > 0
+    figures(kills=kills, **count.figures())
+
+
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_a_check_that_can_fail(tiny: Tiny, reference: Path, at: int) -> None:
+    """A file that was changed, a stage made twice, and a leftover are found."""
+    shutil.copytree(reference, tiny.run_dir)
+    if at == 1:
+        file = tiny.run_dir / "big" / "big.bin"
+        file.write_bytes(b"x" + file.read_bytes()[1:])
+    elif at == 2:
+        (tiny.run_dir / "last" / "summary.json").unlink()
+    else:
+        (tiny.run_dir / ".parts").mkdir()
+    with pytest.raises(AssertionError):
+        go_on(tiny, reference, Count())
