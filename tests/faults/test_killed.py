@@ -37,7 +37,7 @@ def test_killed_before_a_change_of_a_file(new_tiny: TinyMaker, reference: Path, 
     """The small suite takes a few changes; the full one every one, and so every state the folder can be in."""
     rng, count, points = random.Random(1), Count(), 0
     for made in (False, True):
-        at, step = 1, 1 if faults == "full" else 17
+        at, step = 1, 1 if faults == "full" else 29
         while True:
             tiny = new_tiny()
             settings = start_from(tiny, reference, made)

@@ -1,0 +1,32 @@
+"""Several runs started on one folder at the same instant."""
+
+import shutil
+from pathlib import Path
+
+from tests.faults.conftest import TinyMaker
+from tests.faults.harness import LIMIT_S, Count, go_on
+from tests.faults.tiny_stages import NAMES
+
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE
+
+TOGETHER = 3
+
+
+def test_of_several_runs_one_works(new_tiny: TinyMaker, reference: Path, faults: str, figures) -> None:
+    count, refused = Count(), 0
+    while count.faults < (50 if faults == "full" else 4):
+        tiny = new_tiny()
+        started = [tiny.start() for _ in range(TOGETHER)]
+        ended = [(process.communicate(timeout=LIMIT_S), process.returncode) for process in started]
+        made: list[str] = []
+        for (out, err), code in ended:
+            assert code in (DONE, BAD_INPUT), err
+            if code == BAD_INPUT:
+                refused += 1
+                assert "another run (" in err and "wait for it, stop it, or use another output" in err
+            made += [line.split()[1].rstrip(":") for line in out.splitlines() if ": runs:" in line]
+        assert made == list(NAMES)  # each stage once, by whichever run
+        go_on(tiny, reference, count)
+        shutil.rmtree(tiny.folder)
+    assert refused > 0
+    figures(runs=count.faults * TOGETHER, refused=refused, **count.figures())
