@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 MANY_FILES = (
-    32  # from here on the whole file system at once is quicker: 0.06 s instead of 0.28 s for 1000 files
+    32  # from here on the whole file system at once is quicker: 1000 files in 0.06 s instead of 0.28 s
 )
 NOT_FOR_FOLDERS = (
     errno.EINVAL,
     errno.EOPNOTSUPP,
-)  # network file systems that keep names by themselves say this
+)  # said by network file systems that keep names by themselves
 
 
 def write_json(path: Path, value: Any) -> None:

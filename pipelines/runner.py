@@ -47,7 +47,13 @@ from devrf.pipelines.supervise import crash_log, tell
 from devrf.pipelines.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
 
 NO_ROOM = 1_000_000  # bytes: with less than this free, a failure to write is a full disk whatever it says
-NO_MEMORY = ("out of memory", "allocate memory", "bad_alloc", "bad allocation", "insufficient memory")  # messages
+NO_MEMORY = (
+    "out of memory",
+    "allocate memory",
+    "bad_alloc",
+    "bad allocation",
+    "insufficient memory",
+)  # messages
 NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
 
 logger = logging.getLogger(__name__)
@@ -193,7 +199,9 @@ def _execute(run: Run) -> int:
         crash_log(run.run_dir),
     ):
         start = time.monotonic()
-        tell(run_dir=str(run.run_dir), run=run.name, **_memory_limit(run.config))
+        budget_gb = run.config.budget.memory_gb
+        memory_budget = None if budget_gb is None else int(budget_gb * 1e9)
+        tell(run_dir=str(run.run_dir), run=run.name, memory_budget=memory_budget)
         logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
         run.talk.events = Events(run.run_dir, run.name)
         run.talk.event(
@@ -442,18 +450,6 @@ def _peak_rss_gb() -> float:
         resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     return kilobytes * (1024 if sys.platform != "darwin" else 1) / 1e9
-
-
-def _memory_limit(config: SceneConfig) -> dict[str, int | str]:
-    """What the parent process is to keep the run below, and what it says where it does not."""
-    allowed_gb = config.budget.memory_gb
-    if allowed_gb is None:
-        return {}
-    return {
-        "memory": int(allowed_gb * 1e9),
-        "memory_why": f"budget.memory_gb allows {allowed_gb:g}: raise it, or lower reconstruct.image_scale, "
-        "reconstruct.rays or reconstruct.resolution",
-    }
 
 
 def _check_disk_budget(run: Run) -> None:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.processes import adopt_orphans, descendants, die_with_parent, memory_of
+from devrf.pipelines.budget.memory import left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import FAILED, STOPPED
 from devrf.pipelines.logs import LOG_FILE, Events, log_file
@@ -28,7 +29,12 @@ from devrf.pipelines.workspace import Workspace
 GRACE_S = (
     15.0  # between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
 )
-TICK_S = 0.25  # between two looks at the child's memory; a core fills about 1 GB in this time at most
+TICK_S = 0.25  # between two looks at the child's memory ...
+SHORT_TICK_S, NEAR = (
+    0.03,
+    1_000_000_000,
+)  # ... and where less than this is left, bytes: a core fills 4 GB in a second
+LAST_BYTES = 150_000_000  # of the machine or its cgroup; the kernel starts to kill soon after
 TREE_EVERY_S = 2.0  # between two searches for what the child has started (reads all of /proc)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 
@@ -115,14 +121,14 @@ class _Supervisor:
         self._kill_at: float | None = None  # when the time to end by itself is over
         self._too_much: str | None = None  # why it was ended for its memory
         self._tree, self._tree_at = [child], 0.0
-        self._peak = 0  # bytes
+        self._peak, self._left = 0, sys.maxsize  # bytes
         os.set_blocking(link, False)
         adopt_orphans()
 
     def exit_code(self) -> int:
         """Wait until the child has ended, and say what it could not say itself."""
         while True:
-            signalled = signal.sigtimedwait(self._waited, TICK_S)
+            signalled = signal.sigtimedwait(self._waited, SHORT_TICK_S if self._left < NEAR else TICK_S)
             self._listen()
             if signalled is not None:
                 self._pass_on(signal.Signals(signalled.si_signo))
@@ -164,19 +170,29 @@ class _Supervisor:
             os.killpg(self._child, signal.SIGCONT)  # what sleeps hears nothing
 
     def _watch_memory(self) -> None:
-        limit = self._facts.get("memory")
-        if not isinstance(limit, int):
+        """End the run before it takes more than it may, or so much that the system would end something."""
+        if not self._facts.get("run_dir"):
             return
         now = time.monotonic()
         if now - self._tree_at > TREE_EVERY_S:
             self._tree, self._tree_at = [self._child, *descendants(self._child)], now
-        used = memory_of(self._tree)
-        if used > limit:
+        budget = self._facts.get("memory_budget")
+        limit = budget if isinstance(budget, int) else sys.maxsize
+        used, left = memory_of(self._tree), left_bytes()
+        if used > limit or left < LAST_BYTES:
             used = memory_of(self._tree, shared_once=True)
-        self._peak = max(self._peak, used)
+        self._peak, self._left = max(self._peak, used), min(left, limit - used)
         if used > limit:
-            self._too_much = f"uses {used / 1e9:.2f} GB of memory; {self._facts.get('memory_why')}"
-            self._kill()
+            why = f"more than budget.memory_gb allows ({limit / 1e9:g} GB); raise it"
+        elif left < LAST_BYTES and used > left:
+            why = f"and the machine has only {left / 1e9:.2f} GB left; close other programs"
+        else:
+            return
+        self._too_much = (
+            f"uses {used / 1e9:.2f} GB of memory, {why}, or lower reconstruct.image_scale, reconstruct.rays or "
+            "reconstruct.resolution"
+        )
+        self._kill()
 
     def _kill(self) -> None:
         for pid in (self._child, *descendants(self._child)):
@@ -203,9 +219,8 @@ class _Supervisor:
         else:
             why = "a native library crashed" if sign in CRASHES else "someone ended it"
             if sign == signal.SIGKILL:
-                why = "out of memory, or someone killed it"
-            peak = f" after {self._peak / 1e9:.2f} GB of memory" if self._peak else ""
-            message = f"the program was ended by {sign.name}{peak} ({why}); finished stages are kept{log}"
+                why = f"out of memory, or someone killed it; it had taken {self._peak / 1e9:.1f} GB"
+            message = f"the program was ended by {sign.name} ({why}); finished stages are kept{log}"
         if stage and code == FAILED:
             message = f"{stage}: {message}"
         talk = Talk()

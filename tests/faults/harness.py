@@ -113,6 +113,7 @@ def go_on(tiny: Tiny, reference: Path, count: Count, *settings: str) -> None:
 def finished(run_dir: Path) -> dict[str, str]:
     """Stage -> identity of those that are finished and fit what they read; found by other means than the runner's."""
     found: dict[str, str] = {}
+    contents: dict[str, str] = {}
     for stage in stages():
         folder = run_dir / stage.name
         if not folder.exists() and (swapped := list(run_dir.glob(f".old-{stage.name}-*"))):
@@ -123,8 +124,10 @@ def finished(run_dir: Path) -> dict[str, str]:
             continue
         forced = run_dir / f".forced-{stage.name}"
         stopped = forced.exists() and forced.read_text(errors="replace") == stamp["id"]
-        if not stopped and stamp["identity"]["reads"] == {name: found.get(name) for name in stage.reads}:
-            found[stage.name] = stamp["id"]
+        if stamp["identity"]["reads"] == {name: contents.get(name) for name in stage.reads}:
+            contents[stage.name] = stamp["content"]  # made again, it comes out the same
+            if not stopped:
+                found[stage.name] = stamp["id"]
     return found
 
 

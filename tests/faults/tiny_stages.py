@@ -32,7 +32,7 @@ from devrf.pipelines.health.rows import row
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import Run, execute
 from devrf.pipelines.stage import Stage, StageContext
-from devrf.pipelines.stamp import stamp_id
+from devrf.pipelines.stamp import stamp_content
 from devrf.pipelines.supervise import supervised
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # run as a program, it does not know where the tests lie
@@ -79,7 +79,7 @@ def big(context: StageContext) -> None:
 def parts(context: StageContext) -> None:
     """Parts in a folder beside the stages, as `flow` does: a run that was killed finds those it has."""
     unfinished = context.run_dir / ".parts"
-    mark, made_of = unfinished / "made_of", stamp_id(context.run_dir / "frames") or ""
+    mark, made_of = unfinished / "made_of", stamp_content(context.run_dir / "frames") or ""
     if not (mark.is_file() and mark.read_text() == made_of):
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.mkdir()
@@ -98,7 +98,7 @@ def parts(context: StageContext) -> None:
 def steps(context: StageContext) -> None:
     """A chain in which each step needs the one before, with a checkpoint, as training does."""
     checkpoint = context.run_dir / ".steps.json"
-    made_of = stamp_id(context.run_dir / "parts")
+    made_of = stamp_content(context.run_dir / "parts")
     try:
         state = json.loads(checkpoint.read_text())
     except (OSError, ValueError):
@@ -211,7 +211,8 @@ def _leave_room(more: int) -> None:
     kilobytes = next(
         line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmData")
     )
-    resource.setrlimit(resource.RLIMIT_DATA, (int(kilobytes.split()[1]) * 1024 + more,) * 2)
+    most = int(kilobytes.split()[1]) * 1024 + more
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def _always(config: object) -> None:
