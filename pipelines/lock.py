@@ -61,10 +61,7 @@ class Lock:
                 os.close(handle)
                 raise
             self._handle = handle
-        try:
-            self._beats.start()
-        except RuntimeError as error:  # no room for a thread's stack
-            raise MemoryError(str(error)) from error
+        self._beats.start()
 
     def check(self) -> None:
         """Make sure that this process still holds the lock.

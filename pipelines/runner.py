@@ -1,5 +1,6 @@
 """Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens."""
 
+import errno
 import json
 import logging
 import math
@@ -28,7 +29,7 @@ from devrf.pipelines.digests import Digests
 from devrf.pipelines.durable import write_json
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import HealthRow
-from devrf.pipelines.logs import Events, log_file, new_run_name
+from devrf.pipelines.logs import LOG_FILE, Events, log_file, new_run_name
 from devrf.pipelines.plan import (
     Choice,
     Standing,
@@ -237,13 +238,16 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         run.talk.error("stopped; finished stages are kept, the next run goes on from there")
         return STOPPED
-    except OSError as error:
-        if not is_disk_full(error):
-            raise
-        run.talk.error(disk_full_message(run.run_dir, "the run", 0))
-        return FAILED
-    except MemoryError:
-        run.talk.error("not enough memory even to begin; close other programs, then run again")
+    except Exception as error:
+        logger.debug("%s", "".join(traceback.format_exception(error)))
+        if is_disk_full(error):
+            run.talk.error(disk_full_message(run.run_dir, "the run", 0))
+        elif _is_no_memory(error):
+            run.talk.error(
+                f"not enough memory to go on ({_first_line(error)}); close other programs, then run again"
+            )
+        else:
+            run.talk.error(_unexpected(run, error))
         return FAILED
 
 
@@ -378,13 +382,12 @@ def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: i
         return UNHEALTHY, f"{name}: {error}"
     if isinstance(error, DevrfError):
         return FAILED, f"{name}: {error}"
-    if isinstance(error, MemoryError) or any(words in str(error).lower() for words in NO_MEMORY):
-        first_line = str(error).splitlines()[0] if str(error) else "MemoryError"
+    if _is_no_memory(error):
         budget, on_gpu = run.config.budget.gpu_memory_gb, not isinstance(error, MemoryError)
         bounded = budget is not None and run.device == "cuda" and on_gpu
         remedy = f"raise budget.gpu_memory_gb ({budget:g})" if bounded else "close other programs"
         return FAILED, (
-            f"{name}: not enough memory ({first_line}); {remedy}, or use "
+            f"{name}: not enough memory ({_first_line(error)}); {remedy}, or use "
             "--preset tiny, or lower reconstruct.image_scale, reconstruct.rays or reconstruct.resolution"
         )
     if isinstance(error, SystemExit):
@@ -394,10 +397,25 @@ def _explain(run: Run, stage: Stage, error: BaseException, written: int, free: i
         )
     if run.talk.loudness == "verbose":
         run.talk.err.print(trace, markup=False)
-    return FAILED, (
-        f"{name}: unexpected {type(error).__name__}: {error}. This is a fault of the program, not of your "
-        f"files; the whole trace is in {run.run_dir / 'devrf.log'}"
+    return FAILED, f"{name}: {_unexpected(run, error)}"
+
+
+def _unexpected(run: Run, error: BaseException) -> str:
+    return (
+        f"unexpected {type(error).__name__}: {error}. This is a fault of the program, not of your files; the whole "
+        f"trace is in {run.run_dir / LOG_FILE}"
     )
+
+
+def _is_no_memory(error: BaseException) -> bool:
+    """Whether an error says that memory has run out, in Python's words or a library's."""
+    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+        return True
+    return isinstance(error, MemoryError) or any(words in str(error).lower() for words in NO_MEMORY)
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def _finish(

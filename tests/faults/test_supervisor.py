@@ -21,7 +21,10 @@ from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
             "parts: the program was ended by SIGSEGV (a native library crashed); finished stages are kept",
         ),
         ("abort", "parts: the program was ended by SIGABRT (a native library crashed)"),
-        ("killed", "parts: the program was ended by SIGKILL (out of memory, or someone killed it; it had taken 0."),
+        (
+            "killed",
+            "parts: the program was ended by SIGKILL (out of memory, or someone killed it; it had taken 0.",
+        ),
     ],
 )
 def test_a_death_by_a_signal_is_explained(tiny: Tiny, fault: str, said: str) -> None:
