@@ -69,6 +69,8 @@ def write_pair(
             confidence=confidence,
             checks=np.array(json.dumps(dict(checks))),
         )
+        file.flush()
+        os.fsync(file.fileno())  # or a power cut could leave a hole under a name that counts
     os.replace(new, path)
 
 

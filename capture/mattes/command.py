@@ -141,6 +141,8 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
         read_given(new, width, height, inverted=False)
     except CaptureError as error:
         raise CaptureError(f"{_named(command)}: no matte of {picture}: {error}") from None
+    with new.open("rb") as written:
+        os.fsync(written.fileno())  # or a power cut could leave an empty file under a name that counts
     new.replace(name)
 
 
