@@ -96,6 +96,14 @@ def _matte_program(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
     return {f"file {n} of capture.mattes.command ({path.name})": path for n, path in enumerate(files, 1)}
 
 
+PRINTED_BOARD = tuple(  # how the board looks; its clips are read by ingest alone
+    f"capture.board.{key}"
+    for key in (
+        *("type", "squares", "square_m", "marker_m", "separation_m"),
+        *("dictionary", "inverted", "legacy", "lens"),
+    )
+)
+
 STAGES = (
     Stage(
         name="ingest",
@@ -118,7 +126,7 @@ STAGES = (
     Stage(
         name="static_poses",
         reads=("ingest",),
-        config_keys=("calibration.static_poses", "capture.board"),
+        config_keys=("calibration.static_poses", "capture.static", *PRINTED_BOARD),
         applies=_from_the_sweep,
         run=_glue("static_poses"),
     ),
@@ -132,7 +140,7 @@ STAGES = (
     Stage(
         name="rig",
         reads=("ingest", "static_poses", "sync"),
-        config_keys=("capture.board", "capture.rest", "calibration.rig"),
+        config_keys=(*PRINTED_BOARD, "capture.board.metric", "capture.rest", "calibration.rig"),
         applies=_from_fixed_cameras,
         run=_glue("rig"),
         inputs=_beside_given,
@@ -150,6 +158,9 @@ STAGES = (
         config_keys=(
             "preset",
             "dataset",
+            "capture.static",
+            "capture.cameras",
+            "capture.test_cameras",
             "capture.rest",
             "capture.range_s",
             "capture.mattes",
@@ -187,7 +198,18 @@ STAGES = (
     Stage(
         name="deformation",
         reads=("sync", "scene", "flow", "canonical"),
-        config_keys=("preset", "reconstruct"),
+        config_keys=(  # all of `reconstruct` but image_scale, which is the scene's
+            "preset",
+            "reconstruct.resolution",
+            "reconstruct.rays",
+            "reconstruct.canonical_iterations",
+            "reconstruct.motion_iterations",
+            "reconstruct.fine_tuning_iterations",
+            "reconstruct.key_times",
+            "reconstruct.learn_clocks",
+            "reconstruct.adapt",
+            "reconstruct.seed",
+        ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
     ),

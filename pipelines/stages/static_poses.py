@@ -15,7 +15,6 @@ from devrf.capture.picture_files import open_picture
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
-from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.health.board import board_rows
 from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, mask_rows, sweep_rows
@@ -26,6 +25,8 @@ def run(context: StageContext) -> None:
     """Write `static_poses.json`, `colmap/`, `points.npz` and `colmap.log`."""
     ingest = context.run_dir / "ingest"
     frames = FrameSet.read(ingest)
+    capture = context.config.capture
+    assert capture is not None and capture.static is not None  # else the stage does not apply
     board = _board(context, frames)
     model, without_mask = recover_sweep(
         ingest,
@@ -33,7 +34,7 @@ def run(context: StageContext) -> None:
         context.out,
         context.config.calibration.static_poses,
         context.scene_dir,
-        raw_file(context.config, context.scene_dir, SWEEP),
+        context.config.path(context.scene_dir, capture.static),
         known=None if board is None else board.intrinsics,
         progress=context.progress,
     )

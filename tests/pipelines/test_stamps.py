@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import sys
 import time
@@ -9,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.pipelines.config_reads import leaves, reads_of
 from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage
 
 from devrf.pipelines import code_version, digests, stamp
 from devrf.pipelines.digests import Digests
 from devrf.pipelines.plan import Standing, standings
 from devrf.pipelines.runner import DONE, execute
-from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stages import STAGES
 
 CHAIN = ["first", "second", "third"]
@@ -144,6 +146,71 @@ def test_code_that_is_gone_is_named(folder: Path, monkeypatch: pytest.MonkeyPatc
     now = stand(folder)
     assert now["second"].why == ("the code changed (flow/part0.py, flow/part1.py, flow/part2.py and 2 more)",)
     assert now["third"].why == ("second runs",)
+
+
+# --- what the stages say of themselves is what their code does ---
+
+MOTION = ("motion_iterations", "fine_tuning_iterations", "key_times", "learn_clocks")
+READ_BUT_NOT_A_KEY = {
+    "ingest": {"capture.rest"},  # a session carries it for `check`
+    "canonical": {
+        f"reconstruct.{key}" for key in MOTION
+    },  # options of both trainings are made at once: test_stages
+    "evaluate": {"evaluate.truth"},  # `inputs` has its content, named or not
+}
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_the_keys_of_a_stage_are_those_its_code_reads(stage: Stage) -> None:
+    declared = {leaf for key in stage.config_keys for leaf in leaves(key)}
+    assert declared == reads_of(stage.module) - READ_BUT_NOT_A_KEY.get(stage.name, set())
+
+
+def test_keys_are_found_wherever_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that the test above can fail."""
+    (tmp_path / "reader.py").write_text(
+        "from devrf.pipelines.board_spec import board_spec\n"
+        "class Work:\n"
+        "    def __init__(self, context: StageContext) -> None:\n"
+        "        self.context, self.rig = context, context.config.calibration.rig\n"
+        "    def given(self):\n"
+        "        return self.rig.given\n"
+        "def helper(settings: 'SyncConfig | None'):\n"
+        "    return lambda: settings.method\n"
+        "def unused(config: SceneConfig):\n"
+        "    return config.name\n"
+        "def run(context: StageContext) -> None:\n"
+        "    capture = None if context is None else context.config.capture\n"
+        "    Work(context), helper(None), board_spec, capture.training_cameras\n"
+        "    context.config.flow.model_dump_json()\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    board = {
+        f"capture.board.{key}"
+        for key in (
+            *("type", "squares", "square_m", "marker_m", "separation_m", "dictionary", "inverted", "legacy"),
+        )
+    }
+    assert reads_of("reader") == board | {
+        "calibration.rig.given",
+        "calibration.sync.method",
+        "capture.cameras",
+        "capture.test_cameras",
+        "flow.method",
+        "flow.preset",
+        "flow.weights",
+    }
+
+
+STAGE_FOLDER = re.compile(r"""(?:run_dir|self\.run) / ["'](\w+)["']""")
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_the_folders_that_a_stage_reads_are_among_its_reads(stage: Stage) -> None:
+    files = [path for name, path in code_version.sources(stage.module).items() if ".pipelines." in name]
+    named = {word for path in files for word in STAGE_FOLDER.findall(path.read_text())}
+    if stage.name != "report":  # which is told the stages it looks at
+        assert named & {s.name for s in STAGES} - {stage.name} <= set(stage.reads)
 
 
 # --- libraries ---
