@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from devrf.pipelines.lock import LOCK
 from devrf.pipelines.plan import error_path, last_error
 from devrf.pipelines.runner import FAILED, STOPPED
-from devrf.pipelines.workspace import LOCK
 
 POLL_S = 0.1  # between two looks at whether to stop
 GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it

@@ -4,7 +4,6 @@ Pairs are written to `.flow` in the run folder as they are found, and become the
 was stopped finds only those that are missing.
 """
 
-import hashlib
 import json
 import shutil
 from collections.abc import Sequence
@@ -22,11 +21,10 @@ from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
-from devrf.pipelines.code_version import code_version
 from devrf.pipelines.health.flow import health
 from devrf.pipelines.health.rows import note
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.stamp import identity_key
 
 UNFINISHED = ".flow"  # in the run folder
 MADE_OF = "made_of"  # in it: what its pairs belong to
@@ -82,23 +80,14 @@ def run(context: StageContext) -> None:
 
 def _unfinished(context: StageContext) -> Path:
     """The folder of pairs found so far; emptied where they belong to something else."""
-    weights = context.config.flow.weights
-    digest = hashlib.sha256(context.config.flow.model_dump_json().encode())
-    digest.update(code_version(__name__).encode())
-    digest.update((context.run_dir / "scene" / STAMP).read_bytes() if _made(context) else b"")
-    if weights is not None:
-        digest.update(context.config.path(context.scene_dir, weights).read_bytes())
+    made_of = identity_key("flow", context.made_from)
     folder = context.run_dir / UNFINISHED
     mark = folder / MADE_OF
-    if not (mark.is_file() and mark.read_text() == digest.hexdigest()):
+    if not (mark.is_file() and mark.read_text() == made_of):
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        mark.write_text(digest.hexdigest())
+        mark.write_text(made_of)
     return folder
-
-
-def _made(context: StageContext) -> bool:
-    return (context.run_dir / "scene" / STAMP).is_file()
 
 
 def _estimator(context: StageContext) -> FlowEstimator:

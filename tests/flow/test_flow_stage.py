@@ -185,7 +185,8 @@ def test_pairs_of_another_method_are_not_taken_over(context: StageContext, monke
     )
     fresh = Counted(1000)
     monkeypatch.setattr(flow, "_estimator", lambda context: fresh)
-    flow.run(replace(context, config=config))
+    made_from = {"config": {"flow.preset": "fast"}}
+    flow.run(replace(context, config=config, made_from=made_from))
     assert fresh.asked == 2 * 6  # all pairs of both cameras but the gap
 
 
