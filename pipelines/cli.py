@@ -197,9 +197,10 @@ def report(
     preset: PresetOption = None,
     overrides: SetOption = None,
     quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Make the report anew from what the run folder holds, and say where it is."""
-    talk = talk_of(quiet)
+    talk = talk_of(quiet, verbose)
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
     if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
@@ -227,9 +228,10 @@ def render(
     overrides: SetOption = None,
     device: DeviceOption = "auto",
     quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Film the reconstruction anew: an orbit through space and time."""
-    _only("render", scene, preset, overrides, talk_of(quiet), device)
+    _only("render", scene, preset, overrides, talk_of(quiet, verbose), device)
 
 
 @app.command()
