@@ -29,18 +29,20 @@ logger = logging.getLogger(__name__)
 METRICS = "evaluate/metrics.json"
 POSTER_WIDTH = 800
 MAX_FILM_BYTES = 8_000_000  # base64 makes it a third larger; a bigger film is linked instead
-SECTIONS = (
-    ("capture", "Capture", capture_section),
-    ("space", "Cameras in space", space_section),
-    ("rig", "Rig", rig_section),
-    ("evidence", "Evidence", evidence_section),
-    ("colour", "Colours", colour_section),
-    ("sync", "Clocks", sync_section),
-    ("flow", "Flow", flow_section),
-    ("training", "Training", training_section),
-    ("views", "Views", views_section),
+SECTIONS = (  # key, title, what makes it, the stages that its numbers and pictures come from
+    ("capture", "Capture", capture_section, ("ingest", "scene")),
+    ("space", "Cameras in space", space_section, ("scene",)),
+    ("rig", "Rig", rig_section, ("static_poses", "rig", "evaluate")),
+    ("evidence", "Evidence", evidence_section, ("static_poses", "rig", "scene", "evaluate")),
+    ("colour", "Colours", colour_section, ("colour", "scene")),
+    ("sync", "Clocks", sync_section, ("sync", "scene")),
+    ("flow", "Flow", flow_section, ("flow", "scene")),
+    ("training", "Training", training_section, ("canonical", "deformation", "evaluate")),
+    ("views", "Views", views_section, ("evaluate",)),
 )
-OPTIONAL = (("speed", "Speed", speed_section),)  # only where it has been measured
+OPTIONAL = (
+    ("speed", "Speed", speed_section, ()),
+)  # only where it has been measured; by `bench`, not a stage
 
 
 def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
@@ -51,7 +53,10 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
         name: Name of the scene, as the user wrote it.
         facts: A few words for the line under the title (preset, device, ...).
     """
-    made = [(key, title, _made(run, key, title, make)) for key, title, make in (*SECTIONS, *OPTIONAL)]
+    made = [
+        (key, title, _traced(run, _made(run, key, title, make), stages))
+        for key, title, make, stages in (*SECTIONS, *OPTIONAL)
+    ]
     made = [(key, title, html) for key, title, html in made if html]
     sections = "".join(html for _, _, html in made)
     facts_line = f'<p class="sub">{text(" · ".join(facts))}</p>'
@@ -78,6 +83,26 @@ def _made(run: RunFolder, key: str, title: str, make: Callable[[RunFolder], str]
         logger.exception("report: section %s", key)
         reason = f"This section cannot be made: {type(error).__name__}: {error}"
         return section(key, title, "", absent(reason))
+
+
+def _traced(run: RunFolder, html: str, stages: Sequence[str]) -> str:
+    """A section and, below it, when and in which run the stages were made that it draws on."""
+    made = [text for stage in stages if (text := _making(run, stage))]
+    if not html or not made:
+        return html
+    return f'<div data-stages="{" ".join(stages)}">{html}<p class="source made">From {"; ".join(made)}.</p></div>'
+
+
+def _making(run: RunFolder, stage: str) -> str:
+    """One making of a stage, linked to its stamp; empty text where there is none."""
+    file = f"{stage}/stamp.json"
+    stamp = run.object(file)
+    if not stamp:
+        return ""
+    made = [f"made {stamp['finished']}"] if stamp.get("finished") else []
+    made += [f"in run {stamp['run']}"] if stamp.get("run") else []
+    said = f" {text(' '.join(made))}" if made else ""
+    return f'<span title="id {text(stamp.get("id"))}">{link(file, stage)}{said}</span>'
 
 
 def verdict(run: RunFolder) -> str:
@@ -180,7 +205,7 @@ def stages_table(run: RunFolder) -> str:
             if isinstance(seconds, (int, float))
             else ""
         )
-        rows.append([f"<strong>{text(stage)}</strong>", state, took, _chips(run, stage)])
+        rows.append([f"<strong>{text(stage)}</strong>", state, took, _chips(run, stage), _making(run, stage)])
     checks = [
         [
             text(stage),
@@ -200,7 +225,8 @@ def stages_table(run: RunFolder) -> str:
         if checks
         else ""
     )
-    return f"<h3>Stages</h3>{table(('stage', 'state', 'time', 'checks'), rows, numeric=(2,))}{details}"
+    head = ("stage", "state", "time", "checks", "made")
+    return f"<h3>Stages</h3>{table(head, rows, numeric=(2,))}{details}"
 
 
 def health_rows(run: RunFolder, stage: str) -> list[dict[str, Any]]:
@@ -260,7 +286,9 @@ def _footer(run: RunFolder) -> str:
     if metrics.get("seed") is not None:
         words.append(f"seed {metrics['seed']}")
     line = f"{text(' · '.join(words))}. " if words else ""
-    return f"<footer>{line}Dotted numbers lead to the file they stand in.</footer>"
+    return (
+        f"<footer>{line}Dotted numbers lead to the file they stand in, in the folder of its stage.</footer>"
+    )
 
 
 def _asset(name: str) -> str:

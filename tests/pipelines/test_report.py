@@ -188,7 +188,13 @@ def full_run(tmp_path_factory) -> Path:
     )  # fmt: skip
     for stage in stage_names():
         if (run / stage).is_dir():
-            _json(run / stage / "stamp.json", {"id": "1", "identity": {}, "seconds": 12.5})
+            stamp = {
+                "id": f"id-{stage}",
+                "run": "night-1",
+                "finished": "2026-11-22 23:15:00",
+                "seconds": 12.5,
+            }
+            _json(run / stage / "stamp.json", stamp | {"identity": {}})
             _json(run / stage / "health.json", {"stage": stage, "rows": [_row("ok"), _row("warn")]})
     return run
 
@@ -282,7 +288,7 @@ def _page(run: Path, reasons: dict[str, str] | None = None, name: str = NASTY) -
 
 def test_every_section_is_there_and_none_is_empty(full_run):
     _, page = _page(full_run)
-    assert {key for key, _, _ in SECTIONS} <= page.ids
+    assert {key for key, *_ in SECTIONS} <= page.ids
     for words in ("orbit.mp4", "Hold the camera still.", "not registered", "Metric scale"):
         assert words.lower() in page.text.lower()
 
@@ -360,6 +366,68 @@ def _entry(value, key: str):
         value = value[head] if name is not None else value[int(head)]
         key = key[len(head) + 1 :]
     return value
+
+
+class Sources(HTMLParser):
+    """Of every number, table and figure: the stages of its section, and the files that it or its section links to."""
+
+    SHOWN = {"table", "figure", "svg", "img", "video", "canvas"}
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.stages: list[tuple[str, tuple[str, ...]]] = []  # open tags, with the stages that count there
+        self.shown: list[tuple[str, tuple[str, ...]]] = []
+        self.numbers: list[tuple[str, tuple[str, ...]]] = []
+        self.linked: dict[tuple[str, ...], set[str]] = {}
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        inside = self.stages[-1][1] if self.stages else ()
+        inside = tuple(values["data-stages"].split()) if "data-stages" in values else inside
+        if tag in self.SHOWN:
+            self.shown.append((tag, inside))
+        if "data-file" in values:
+            self.numbers.append((values["data-file"], inside))
+        if str(values.get("href", "")).startswith("../"):
+            self.linked.setdefault(inside, set()).add(values["href"][3:])
+        if tag not in Page.VOID:
+            self.stages.append((tag, inside))
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in Page.VOID:
+            self.stages.pop()
+
+    def handle_endtag(self, tag):
+        self.stages.pop()
+
+
+def test_every_number_and_figure_can_be_traced_to_its_stage(full_run):
+    html, page = _page(full_run)
+    found = Sources(html)
+    top = ()  # the summary, whose numbers and film are linked one by one
+    assert {tag for tag, stages in found.shown if stages == top} <= {"table", "figure", "video"}
+    assert len([1 for _, stages in found.shown if stages != top]) > 10 and len(found.numbers) > 50
+    for file, stages in found.numbers:
+        assert (full_run / file).is_file()
+        assert stages == top or file.split("/")[0] in stages, f"{file} in a section of {stages}"
+    for stages, links in found.linked.items():
+        if stages != top:
+            assert {f"{stage}/stamp.json" for stage in stages} <= links
+    made = {f"{stage}/stamp.json" for stage in stage_names() if stage != "report"}
+    assert made <= found.linked[top]  # the table of stages
+    assert "made 2026-11-22 23:15:00 in run night-1" in page.text
+    assert 'title="id id-evaluate"' in html
+
+
+def test_a_stage_without_a_stamp_is_not_named_as_a_source(full_run, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(full_run, copy)
+    (copy / "ingest/stamp.json").unlink()
+    (copy / "scene/stamp.json").write_text('{"id": "x"}')  # of an earlier version
+    html, _ = _page(copy)
+    assert "ingest/stamp.json" not in html and "scene/stamp.json" in html
 
 
 def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
