@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.capture.cores import usable_cores
+from devrf.capture.errors import InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.batch.board import HTML_FILE, Board
 from devrf.pipelines.batch.engine import Engine
 from devrf.pipelines.batch.groups import groups
 from devrf.pipelines.batch.local import LocalPool
+from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.rows import SceneRow, exit_code
 from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
 from devrf.pipelines.batch.schedule import Job, work_through
@@ -57,6 +59,10 @@ def batch(
     Raises:
         InputError: The batch as a whole cannot be run.
     """
+    if machines.engine not in ("local", "ray"):
+        raise InputError(f"--engine {machines.engine}: expected local or ray")
+    if machines.address is not None and machines.engine != "ray":
+        raise InputError("--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
     out.mkdir(parents=True, exist_ok=True)
     scenes = look(paths, options, unique_names=store is not None)
@@ -120,7 +126,10 @@ def _engine(machines: Machines) -> Iterator[Engine]:
     Raises:
         InputError: It is not there.
     """
-    engine = _local(machines)
+    if machines.engine == "ray":
+        engine: Engine = RayCluster(machines.address, machines.jobs, CORES_PER_JOB, machines.device)
+    else:
+        engine = _local(machines)
     try:
         yield engine
     finally:

@@ -1,0 +1,146 @@
+"""Batches on a real Ray cluster of two nodes on this machine, one of which is killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.pipelines.tiny_scenes import tiny_scene
+
+from devrf.capture.errors import InputError
+from devrf.pipelines.batch import ray_cluster
+from devrf.pipelines.batch.ray_cluster import RayCluster
+from devrf.pipelines.runner import DONE, STOPPED
+
+pytest.importorskip("ray")
+SCENES = 4
+ENVIRONMENT = {**os.environ, **ray_cluster.LOOPBACK_ONLY, **ray_cluster.SILENT}
+NODES = """
+import sys
+from ray.cluster_utils import Cluster
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+other = cluster.add_node(num_cpus=1)
+print(cluster.address, other.node_id, flush=True)
+for line in sys.stdin:
+    if line == "kill\\n":
+        cluster.remove_node(other, allow_graceful=False)
+        print("killed", flush=True)
+cluster.shutdown()
+"""
+
+
+class Nodes:
+    """Two nodes with a core each, in a process of their own."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", NODES],
+            env=ENVIRONMENT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        self.address, self.other = self._process.stdout.readline().split()
+
+    def kill_the_other(self) -> None:
+        """SIGKILL to one node; its scheduler, and with it all that it began, is gone."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write("kill\n")
+        self._process.stdin.flush()
+        assert self._process.stdout.readline() == "killed\n"
+
+    def close(self) -> None:
+        """End both."""
+        self._process.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Nodes]:
+    cluster = Nodes()
+    yield cluster
+    cluster.close()
+
+
+def start_batch(folder: Path, nodes: Nodes, names: list[str], iterations: int) -> subprocess.Popen:
+    scenes = [str(tiny_scene(folder, name, iterations).parent) for name in names]
+    words = ["-m", "devrf.pipelines.cli", "batch", *scenes, "--engine", "ray", "--address", nodes.address]
+    options = ["--device", "cpu", "--jobs", "2", "--out", str(folder / "out")]
+    return subprocess.Popen(
+        [sys.executable, *words, *options],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    try:
+        return json.loads((folder / "out/batch.json").read_text())["scenes"]
+    except OSError:
+        return []
+
+
+def wait_for(what: Callable[[], bool], limit_s: float = 90.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not what() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert what()
+
+
+def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path) -> None:
+    batch = start_batch(tmp_path, nodes, ["a", "b", "c"], 100_000)
+    wait_for(lambda: len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2)
+    batch.send_signal(signal.SIGTERM)
+    said, _ = batch.communicate(timeout=90)
+    assert batch.returncode == STOPPED, said
+    assert {row["state"] for row in rows(tmp_path)} == {"stopped"}
+    assert not list(tmp_path.glob("*/run/.lock")) and not list(tmp_path.glob("*/run/.new-*"))
+
+
+def test_all_scenes_finish_though_a_node_is_killed(nodes: Nodes, tmp_path: Path) -> None:
+    names = [f"scene{n}" for n in range(SCENES)]
+    batch = start_batch(tmp_path, nodes, names, 10)
+
+    def lasting() -> list[str]:
+        """Scenes in training on the node that will be lost."""
+        on_it = [r["name"] for r in rows(tmp_path) if nodes.other[:6] in "".join(r["nodes"][-1:])]
+        return [name for name in on_it if list(tmp_path.glob(f"{name}/run/.new-canonical*"))]
+
+    wait_for(lambda: bool(lasting()))
+    lost = lasting()
+    nodes.kill_the_other()
+    said, _ = batch.communicate(timeout=300)
+    assert batch.returncode == DONE, said
+    found = {row["name"]: row for row in rows(tmp_path)}
+    assert {row["state"] for row in found.values()} == {"done"}
+    assert [name for name, row in found.items() if row["lost"]] == lost, said
+    for name in names:
+        assert (tmp_path / name / "run/report/stamp.json").is_file()
+        assert not list((tmp_path / name / "run").glob(".new-*"))
+    assert "begun anew elsewhere" in said and "raylet" not in said
+
+
+def test_without_ray_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"pip install 'devrf\[ray\]'"):
+        RayCluster(None, None, 1, "cpu")
+
+
+def test_an_address_where_nothing_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Deaf:
+        def init(self, **options: object) -> None:
+            raise ConnectionError("nobody there")
+
+    import ray
+
+    monkeypatch.setattr(ray, "init", Deaf().init)
+    with pytest.raises(InputError, match="ray start --head"):
+        ray_cluster.RayCluster("10.0.0.9:6379", None, 1, "cpu")
