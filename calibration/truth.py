@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
+from devrf.capture.limits import TEXT_BYTES, check_bytes
 
 FEWEST_CENTRES = 3  # a similarity needs three points that are not on one line
 COLLINEAR = 1e-6  # second extent over first; below, the turn about the line is free
@@ -60,6 +61,7 @@ def read_truth(path: Path) -> Truth:
         InputError: Not such a file.
     """
     try:
+        check_bytes(path, TEXT_BYTES)
         data = json.loads(path.read_text())
         static = {n: _pose(pose) for n, pose in enumerate(data.get("static") or [])}
         cams = data.get("cams") or {}
@@ -72,7 +74,7 @@ def read_truth(path: Path) -> Truth:
                 if cam.get("offset_s") is not None
             },
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
             f"{path}: not a ground truth ({error!r}); expected static and cams with world_from_camera poses, "
             "see evaluate.truth"

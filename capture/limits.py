@@ -14,6 +14,9 @@ CLIP_S = (
     4 * 3600
 )  # from a clip's first picture or sample to its last; its sound, 48 kHz, is held in memory: 2.8 GB
 TEXT_BYTES = 100_000_000  # JSON, CSV: 100 000 pictures of a data set, or of timestamps, are a tenth of it
+MODEL_BYTES = (
+    1_000_000_000  # one file of a COLMAP model: a picture with 10 000 keypoints takes a quarter of a megabyte
+)
 ARRAY_BYTES = 1_000_000_000  # in one npy or npz, unpacked: flow of a picture of 8K takes 0.3 GB
 WEIGHT_BYTES = 2_000_000_000  # in one file of weights, unpacked: VGG-16 has 0.55 GB
 

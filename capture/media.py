@@ -64,6 +64,8 @@ def video_stream(container: InputContainer, path: Path) -> VideoStream:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
         raise InputError(f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml")
     stream = streams[0]
+    if stream.codec_context is None:
+        raise InputError(f"{path}: its pictures are coded in a way that is not known; convert it to H.264")
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
         check_pixels(path, stream.codec_context.width, stream.codec_context.height, CLIP_PX)
     stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(CLIP_PX)}

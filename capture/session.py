@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
 from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions
@@ -132,6 +133,7 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
         InputError: Naming the row or the camera, and what was expected.
     """
     check_file(path)
+    check_bytes(path, TEXT_BYTES)
     rows: dict[str, dict[int, float]] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:

@@ -10,8 +10,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from devrf.capture.errors import InputError
+from devrf.capture.errors import DevrfError, InputError
 from devrf.flow.raft_network import LARGE, SMALL, Raft
+from devrf.flow.weights_file import read_weights
 
 LISTED = 4  # names in a message
 SIZES = {sizes.stem: sizes for sizes in (SMALL, LARGE)}
@@ -58,7 +59,9 @@ def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
         raise InputError(f"flow.weights: {path}: no such file; expected a checkpoint of RAFT (.pth)")
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        found = read_weights(path)
+    except DevrfError as error:
+        raise InputError(f"flow.weights: {error}") from error
     except OSError as error:
         raise InputError(f"flow.weights: {path}: cannot be read ({error.strerror or error})") from error
     except Exception as error:  # what torch's reader raises of other files depends on their first bytes

@@ -25,6 +25,7 @@ from devrf.pipelines.cli_options import (
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.own_folder import check_run_folder
 from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import Run, check_choice, check_reads, dry_run, execute
 from devrf.pipelines.stages import STAGES, stage_names
@@ -213,7 +214,11 @@ def report(
     from devrf.pipelines.stages.report import report_so_far
 
     try:
+        check_run_folder(job.run_dir, ("report",))
         report_so_far(job.config, job.run_dir)
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
     except OSError as error:
         talk.error(f"{job.run_dir}: the report cannot be written ({error.strerror or error})")
         raise typer.Exit(FAILED) from None
@@ -367,6 +372,7 @@ def _prepare(
         config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
         if choice is not None:
             check_choice(config, STAGES, choice)
+            check_run_folder(config.run_dir(scene_dir), stage_names())
     except InputError as error:
         talk.error(str(error))
         raise typer.Exit(BAD_INPUT) from None

@@ -16,9 +16,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-import numpy as np
-
-from devrf.capture.errors import ReconstructError
+from devrf.capture.arrays import ArrayError, read_npz
+from devrf.capture.errors import DevrfError, ReconstructError
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -143,11 +142,16 @@ def _read(path: Path) -> Mapping[str, Any]:
     """Tensors by name, of an npz or of a file of torch's; nothing in them is executed."""
     import torch
 
+    from devrf.flow.weights_file import read_weights
+
     try:
         if path.suffix == ".npz":
-            with np.load(path, allow_pickle=False) as data:
-                return {key: torch.from_numpy(data[key]) for key in data.files}
-        state = torch.load(path, map_location="cpu", weights_only=True)
+            return {key: torch.from_numpy(value) for key, value in read_npz(path).items()}
+        state = read_weights(path)
+    except ArrayError as error:
+        raise ReconstructError(f"{error}; get the file again") from error
+    except DevrfError as error:
+        raise ReconstructError(str(error)) from error
     except OSError as error:
         raise ReconstructError(f"{path}: cannot be read ({_short(error)})") from error
     except Exception as error:  # torch and numpy raise errors of many kinds

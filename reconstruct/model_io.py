@@ -146,8 +146,10 @@ def load_deformation(folder: Path, device: str = "cpu") -> tuple[MotionField | N
 
 
 def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> RestModel:
-    net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"]).to(device)
-    net.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")})
+    with torch.device("meta"):  # no memory by what the file says, before its tensors are known to fit
+        net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"])
+    weights = {k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")}
+    net.load_state_dict(weights, assign=True)
     for parameter in net.parameters():
         parameter.requires_grad_(False)
     X, Y, Z = meta["shape"]
@@ -211,7 +213,15 @@ def _damage_named(path: Path) -> Iterator[None]:
     """Tensors that are missing or do not fit together, as an error that names the file."""
     try:
         yield
-    except (KeyError, ValueError, TypeError, RuntimeError, IndexError) as error:
+    except (
+        KeyError,
+        ValueError,
+        TypeError,
+        RuntimeError,
+        IndexError,
+        AttributeError,
+        OverflowError,
+    ) as error:
         raise ReconstructError(
             f"{path}: its parts do not fit together ({error}); delete it and run its stage again"
         ) from None
@@ -229,7 +239,9 @@ def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[s
         with safe_open(str(path), framework="pt", device=device) as file:
             meta = json.loads((file.metadata() or {}).get("devrf", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, json.JSONDecodeError, OSError) as error:
+            if not isinstance(meta, dict):
+                raise ValueError("its metadata are no names with values")
+    except (SafetensorError, ValueError, RecursionError, OSError) as error:
         raise ReconstructError(
             f"{path}: cannot be read ({error}); delete it and run its stage again"
         ) from None

@@ -5,6 +5,7 @@ Distortion is OpenCV's k1, k2, p1, p2, k3 (`OPENCV`) or k1, k2, k3, k4, 0 of the
 `where` in every check names the file and the key, for messages.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from devrf.capture.errors import InputError
 Unit = Literal["m", "cm", "mm", "arbitrary", "unsaid"]
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 LARGEST_BYTES = 10_000_000  # a calibration is kilobytes; a clip named by mistake is not read
+DEEPEST = 200  # levels; OpenCV's own parser, which is native code, falls at thousands
 LENGTHS = (0, 4, 5, 8, 12, 14)  # of OpenCV's distortion vectors
 FISHEYE_LENGTH = 4
 HELD = 5  # coefficients that our lens model has
@@ -72,11 +74,24 @@ def text_of(path: Path) -> str:
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise InputError(f"{path}: has {path.stat().st_size / 1e6:.0f} MB; expected a calibration file")
-        return path.read_text(encoding="utf-8-sig")
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; expected a calibration file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
+    if nesting(text) > DEEPEST:
+        raise InputError(f"{path}: nested {nesting(text)} deep; expected a calibration file")
+    return text
+
+
+def nesting(text: str) -> int:
+    """How deep a text can be nested at most, whether it is YAML, TOML, JSON or XML: brackets, indents, tags."""
+    steps = {"[": 1, "{": 1, "]": -1, "}": -1, "</": -1, "/>": -1}
+    depth = deepest = 0
+    for mark in re.findall(r"[\[\]{}]|</|/>|<(?=\w)", text):
+        depth = max(0, depth + steps.get(mark, 1))
+        deepest = max(deepest, depth)
+    return max(deepest, *(len(indent) for indent in re.findall(r"^[ \t?-]*", text, re.MULTILINE)))
 
 
 def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
@@ -89,7 +104,7 @@ def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
         raise InputError(f"{where} is missing; expected {_shape_words(shape)}")
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where} is {_shorten(value)}; expected {_shape_words(shape)}") from None
     squeezed = tuple(n for n in array.shape if n != 1)
     if squeezed != tuple(n for n in shape if n != 1) and array.shape != (int(np.prod(shape)),):
@@ -132,7 +147,7 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
     """
     try:
         flat = np.array([] if value is None else value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where} is {_shorten(value)}; expected distortion coefficients") from None
     lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
@@ -194,7 +209,7 @@ def size_of(pair: Any, where: str) -> tuple[int, int]:
 def _holds(value: Any, count: int) -> bool:
     try:
         return np.array(value, dtype=np.float64).size == count
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
 
 

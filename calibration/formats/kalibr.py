@@ -30,13 +30,25 @@ from devrf.capture.picture_files import natural_key
 FORMAT = "kalibr camchain"
 LENSES = {"radtan": False, "none": False, "equidistant": True}  # whether it is OpenCV's fisheye model
 IDENTITY = np.eye(4)
+LONGEST = 300_000  # characters: a camera takes 600, and the parser a second for 100 000
+
+
+class _Loader(yaml.SafeLoader):
+    """Without aliases, which kalibr never writes and which make millions of values of a few lines."""
+
+    def compose_node(self, parent: yaml.Node | None, index: object) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("an alias")
+        return super().compose_node(parent, index)  # pyright: ignore[reportArgumentType]: a node in mappings
 
 
 def parse(text: str) -> dict[str, dict[str, Any]] | None:
     """The cameras of a camchain; None if the text is none."""
+    if "camera_model" not in text or len(text) > LONGEST:
+        return None
     try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError:
+        data = yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError):  # by the kind of value
         return None
     if not isinstance(data, dict):
         return None

@@ -26,6 +26,8 @@ OPENCV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 
 def parse(text: str) -> ElementTree.Element | None:
     """The root of a Qualisys calibration; None if the text is none."""
+    if "<!DOCTYPE" in text:  # entities can stand for gigabytes; QTM writes none
+        return None
     try:
         root = ElementTree.fromstring(text.encode())
     except (ElementTree.ParseError, LookupError):  # LookupError: an encoding that does not exist

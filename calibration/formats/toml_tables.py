@@ -41,7 +41,7 @@ def parse(text: str) -> dict[str, dict[str, Any]] | None:
     """The tables of cameras; None if the text has none."""
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):  # of syntax; of a number with thousands of digits
         return None
     inner = data.get("cameras")
     tables = inner if isinstance(inner, dict) else data

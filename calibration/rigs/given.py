@@ -115,8 +115,11 @@ def _placed(intrinsics: Intrinsics, camera: FoundCamera, metres: float) -> RigCa
 def _is_json(path: Path) -> bool:
     if path.suffix.lower() == ".json" or not path.is_file():
         return path.suffix.lower() == ".json"
-    with path.open("rb") as file:
-        return file.read(64).lstrip().startswith(b"{")
+    try:
+        with path.open("rb") as file:
+            return file.read(64).lstrip().startswith(b"{")
+    except OSError:
+        return False  # its reader says what is wrong
 
 
 def _own(rig: Rig) -> Found:

@@ -15,6 +15,7 @@ import numpy as np
 from devrf.calibration.rigs.graph import Link
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
+from devrf.capture.limits import TEXT_BYTES, check_bytes
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ def read_rig(path: Path) -> Rig:
     """
     where = ""
     try:
+        check_bytes(path, TEXT_BYTES)
         data = json.loads(path.read_text())
         cameras = {}
         for name, c in data["cameras"].items():
@@ -135,7 +137,7 @@ def read_rig(path: Path) -> Rig:
         return Rig(cameras, scale, data.get("route", "given"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
             f"{path}: not a rig.json ({where}{_words(error)}); expected cameras with width, height, K, distortion and "
             "cam_from_world, as docs/formats.md says"

@@ -145,7 +145,7 @@ def pose(image: ModelImage, where: str) -> np.ndarray:
         CaptureError: Not finite, or not a rotation.
     """
     length = np.linalg.norm(image.quat_wxyz)
-    if not (np.isfinite(image.quat_wxyz).all() and np.isfinite(image.translation).all() and length > 0.5):
+    if not (0.5 < length < np.inf and np.isfinite(image.translation).all()):
         values = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
         raise CaptureError(f"{where}: the pose is not one ({values}); remove the image from the model")
     w, x, y, z = image.quat_wxyz / length

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.limits import MODEL_BYTES, check_bytes
 
 MODELS = (  # name and number of parameters, by COLMAP's number of the model
     ("SIMPLE_PINHOLE", 3),
@@ -109,10 +110,11 @@ def read_model(folder: Path) -> Model:
                 continue
             raise CaptureError(f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model")
         try:
+            check_bytes(path, MODEL_BYTES)
             parts.append(
                 binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
             )
-        except (struct.error, ValueError, IndexError, OSError, KeyError) as error:
+        except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
             raise CaptureError(
                 f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
             ) from None
@@ -235,6 +237,8 @@ def _text_images(text: str) -> dict[int, ModelImage]:
         lines.pop()
     for head, keypoints in zip(lines[::2], [*lines[1::2], ""], strict=False):
         number, *pose, camera_id, name = head.split(maxsplit=9)
+        if len(pose) != 7:
+            raise ValueError(f"image {number} has {len(pose)} numbers of a pose, expected 7")
         values = np.array(keypoints.split(), dtype=np.float64).reshape(-1, 3)
         quat_wxyz, translation = np.array(pose[:4], dtype=np.float64), np.array(pose[4:], dtype=np.float64)
         points = values[:, 2].astype(np.int64)

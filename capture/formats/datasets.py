@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
+
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import (
     Pictures,
@@ -119,7 +121,16 @@ def read_dataset(
         static=static if found.has_split else hold_out(static, holdout_every, found.keep),
         dynamic=every_nth_time(found.dynamic, frame_stride),
     )
-    return _scene(found, background, notes)
+    try:
+        return _scene(found, background, notes)
+    except (
+        ValueError,
+        OverflowError,
+        np.linalg.LinAlgError,
+    ) as error:  # positions of 1e300, all at one place
+        raise CaptureError(
+            f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"
+        ) from None
 
 
 def _scene(found: Pictures, background: Background | None, notes: list[str]) -> Scene:

@@ -11,6 +11,7 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.picture_files import open_picture
 
+LONGEST_NAME = 64  # of a camera, characters
 PICTURE_ENDINGS = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 GREY_MODES = ("1", "L", "I;16", "I;16B", "I")  # Pillow's names
 COLOUR_MODES = ("RGB", "RGBA", "P", "RGBX")
@@ -115,7 +116,7 @@ def relative_to(path: Path, base: Path) -> str:
 
 def safe_name(name: object) -> str:
     """A name that can be a file's: letters, digits, `_` and `-`."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name)).strip("_") or "camera"
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name))[:LONGEST_NAME].strip("_") or "camera"
 
 
 def _word(kind: type) -> str:

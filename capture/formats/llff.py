@@ -18,6 +18,7 @@ from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
 from devrf.capture.formats.files import Header, read_header
 from devrf.capture.formats.opengl import cam_from_opengl
+from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
 
@@ -190,4 +191,10 @@ def read_names(path: Path) -> frozenset[str] | None:
     """Names in a list, one per line; None where there is no list."""
     if not path.is_file():
         return None
-    return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
+    try:
+        check_bytes(path, TEXT_BYTES)
+        return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(
+            f"{path}: no list of names ({error}); write one name per line, or remove it"
+        ) from None

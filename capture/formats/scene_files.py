@@ -61,7 +61,7 @@ def with_scene_entry(scene: Scene, entry: Any, path: Path) -> Scene:
     """The scene with box, times and background of an exported data set, as `scene_entry` wrote them."""
     try:
         return replace(scene, **_values(entry))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CaptureError(
             f"{path}: {OWN_KEY} is damaged ({error}); remove the key, or export again"
         ) from None

@@ -1,5 +1,6 @@
 """The files that a scene.yaml names."""
 
+import os
 from pathlib import Path
 
 from devrf.pipelines.config.scene import SceneConfig
@@ -35,6 +36,18 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
     paths["evaluate.truth"] = config.evaluate.truth
     paths["flow.weights"] = config.flow.weights
     return {key: path for key, path in paths.items() if path is not None}
+
+
+def check_output(config: SceneConfig, scene_dir: Path, say: Say) -> None:
+    """Say where the run folder cannot be: stages' folders in it are replaced."""
+    run_dir = config.run_dir(scene_dir)
+    if run_dir == Path(run_dir.anchor):
+        say("output", f"{config.output!r} is the root of a disk; name a folder of its own")
+    elif run_dir == Path(os.path.realpath(Path.home())):
+        say("output", f"{config.output!r} is your home folder; name a folder of its own")
+    for key, text in input_paths(config).items():
+        if config.path(scene_dir, text) == run_dir:
+            say("output", f"{config.output!r} is {key} too, which a run only reads; name a folder of its own")
 
 
 def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:

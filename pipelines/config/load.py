@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from devrf.pipelines.config.error import ConfigError
-from devrf.pipelines.config.files import check_files_exist
+from devrf.pipelines.config.files import check_files_exist, check_output
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.config.text import override, read_yaml
 from devrf.pipelines.config.together import check_together
@@ -44,6 +44,7 @@ def load_scene(
     config = validated(raw, say)
     if config is not None:
         check_together(config, raw, say)
+        check_output(config, path.parent.resolve(), say)
         if check_files:
             check_files_exist(config, path.parent.resolve(), say)
     if mistakes or config is None:

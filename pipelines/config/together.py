@@ -3,7 +3,13 @@
 import difflib
 from collections import Counter
 
-from devrf.pipelines.config.scene import CAMERA_NAME, RESERVED_NAMES, RESERVED_PREFIXES, SceneConfig
+from devrf.pipelines.config.scene import (
+    CAMERA_NAME,
+    DEVICES,
+    RESERVED_NAMES,
+    RESERVED_PREFIXES,
+    SceneConfig,
+)
 from devrf.pipelines.config.words import Say, suggestion
 
 
@@ -103,8 +109,16 @@ def _check_names(config: SceneConfig, say: Say) -> None:
                     f"capture.{section}",
                     f"{name!r} cannot be a camera's name; use letters, digits, _ and - (at most 64)",
                 )
-            elif name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
+            elif name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES) or name.lower() in DEVICES:
                 say(f"capture.{section}", f"{name!r} is a name that the run folder needs; choose another")
+    alike: dict[str, str] = {}
+    for name in capture.all_cameras:
+        other = alike.setdefault(name.lower(), name)
+        if other != name:
+            say(
+                "capture.cameras",
+                f"{other!r} and {name!r} differ only in case, and on many disks name one folder",
+            )
     sync = config.calibration.sync
     for key, named_cameras in (("av_lag_s", sync.av_lag_s), ("readout_s", sync.readout_s)):
         for name in named_cameras:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import yaml
 from PIL import Image
+from tests.faults.mutations import BINARY, JSON, TEXT, Mutation
 
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
@@ -21,7 +22,6 @@ from devrf.capture.formats.flow_files import write_flow_file
 from devrf.capture.scene import Scene
 from devrf.capture.video_writer import write_video
 from devrf.flow.store import write_pair
-from tests.faults.mutations import BINARY, JSON, TEXT, Mutation
 
 SIZE = (96, 72)
 FRAMES = 12
@@ -84,8 +84,8 @@ def scene_yaml(folder: Path, **keys: Any) -> Path:
 def _clips(folder: Path, repository: Path, data: Path | None, out: dict[str, Target]) -> None:
     folder.mkdir()
     write_video(folder / "static.mp4", pictures(), 10.0)
-    made = {"mp4": ("libx264", "aac"), "mkv": ("libx264", "pcm_s16le"), "avi": ("mpeg4", "mp3"), "ts": ("mpeg2video", "mp2"),
-            "mov": ("mjpeg", "pcm_s16be"), "webm": ("libvpx", "libopus")}  # fmt: skip
+    made = {"mp4": ("libx264", "aac"), "mkv": ("libx264", "pcm_s16le"), "avi": ("mpeg4", "mp3"),
+            "ts": ("mpeg2video", "mp2"), "mov": ("mjpeg", "pcm_s16be"), "webm": ("libvpx", "libopus")}  # fmt: skip
     for ending, codecs in made.items():
         _encode(folder / f"made.{ending}", *codecs)
     real = {"example": repository / "examples/waving-sheet/cam0.mp4"}
@@ -192,11 +192,14 @@ def _data_sets(folder: Path, odd_scene: Scene, out: dict[str, Target]) -> None:
     flow = np.zeros((60, 88, 2), np.float32), np.ones((60, 88), bool)
     files = {
         "nerfstudio": [("transforms.json", JSON), ("images/static/000000.png", BINARY)],
-        "devrf": [("dynamic_2views/transforms_train.json", JSON), ("dynamic_2views/train_flow/*.npz", BINARY)],
+        "devrf": [
+            ("dynamic_2views/transforms_train.json", JSON),
+            ("dynamic_2views/train_flow/*.npz", BINARY),
+        ],
         "blender": [("transforms_train.json", JSON)],
         "llff": [("poses_bounds.npy", BINARY)],
-        "colmap": [("sparse/0/cameras.bin", BINARY), ("sparse/0/images.bin", BINARY), ("sparse/0/points3D.bin", BINARY)],
-    }  # fmt: skip
+        "colmap": [(f"sparse/0/{part}.bin", BINARY) for part in ("cameras", "images", "points3D")],
+    }
     for name, found in files.items():
         scene = scene_yaml(folder / name, dataset={"format": name, "path": "set"})
         write_dataset(name, odd_scene, scene / "set", lambda frame: None)  # pyright: ignore[reportArgumentType]
@@ -269,7 +272,8 @@ def _calibrations(folder: Path, data: Path | None, out: dict[str, Target]) -> No
     write_rig(folder / "rig.json", Rig({n: RigCamera(c, "given") for n, c in cameras.items()}, ARBITRARY))
     out["rig.json"] = Target(folder / "rig.json", JSON, reader="rig", named=("rig.json",))
     if data is not None:
-        real = {"qualisys": "pose2sim_single/calibration/Calib.qca.txt", "stereo": "opencv_stereo_chessboard/intrinsics.yml",
+        real = {"qualisys": "pose2sim_single/calibration/Calib.qca.txt",
+                "stereo": "opencv_stereo_chessboard/intrinsics.yml",
                 "caliscope": "caliscope_charuco_calibration/camera_array.toml"}  # fmt: skip
         for name, source in real.items():
             file = folder / Path(source).name
@@ -278,9 +282,10 @@ def _calibrations(folder: Path, data: Path | None, out: dict[str, Target]) -> No
 
 
 def _models(folder: Path, out: dict[str, Target]) -> None:
+    from tests.reconstruct.test_model_io import _model
+
     from devrf.reconstruct.checkpoint import Checkpoint
     from devrf.reconstruct.model_io import save_motion, save_rest
-    from tests.reconstruct.test_model_io import _model
 
     folder.mkdir()
     model = _model()

@@ -11,8 +11,8 @@ Mutation = Callable[[bytes, np.random.Generator], bytes]
 WORDS_32 = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 FRONT = 4096  # bytes in which headers are
 NUMBERS = (
-    "0", "-1", "1e308", "-1e308", "1e-320", "NaN", "Infinity", "null", "true", '"text"', "[]", "{}", "9" * 400, "1" * 5000,
-    "2147483648", "18446744073709551616", "0.5", "[[[[1]]]]", "",
+    "0", "-1", "1e308", "-1e308", "1e-320", "NaN", "Infinity", "null", "true", '"text"', "[]", "{}", "9" * 400,
+    "1" * 5000, "2147483648", "18446744073709551616", "0.5", "[[[[1]]]]", "",
 )  # fmt: skip
 
 
@@ -74,9 +74,9 @@ def repeated(data: bytes, rng: np.random.Generator) -> bytes:
 
 def headless(data: bytes, rng: np.random.Generator) -> bytes:
     """The beginning of another kind of file."""
-    heads = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0\x00\x10JFIF", b"PK\x03\x04", b"RIFF\xff\xff\xff\xffAVI ", b"II*\0",
-             b"\x00\x00\x00\x18ftypmp42", b"%!PS-Adobe-3.0 EPSF-3.0\n", b"<?xml version='1.0'?>", b"\x93NUMPY\x01\x00",
-             b"\x80\x04.", b"%YAML:1.0\n", b"\xef\xbb\xbf", b"BM", b"#!/bin/sh\n")  # fmt: skip
+    heads = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0\x00\x10JFIF", b"PK\x03\x04", b"RIFF\xff\xff\xff\xffAVI ",
+             b"II*\0", b"\x00\x00\x00\x18ftypmp42", b"%!PS-Adobe-3.0 EPSF-3.0\n", b"<?xml version='1.0'?>",
+             b"\x93NUMPY\x01\x00", b"\x80\x04.", b"%YAML:1.0\n", b"\xef\xbb\xbf", b"BM", b"#!/bin/sh\n")  # fmt: skip
     head = heads[int(rng.integers(len(heads)))]
     return head + data[len(head) :]
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from devrf.capture.scene import Scene
 from tests.conftest import REPOSITORY
 from tests.faults.fuzz_material import Target, targets
 from tests.faults.fuzzing import Fuzzer, Outcome, fuzzer
+
+from devrf.capture.scene import Scene
 
 SMALL, FULL = 60, 500
 
