@@ -5,11 +5,16 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from devrf.capture.errors import InputError
-from devrf.pipelines.logs import LOG_FILE
+from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, OLD_LOGS
 from devrf.pipelines.stamp import HEALTH, STAMP
 
 PAGE = "index.html"  # a report about an unfinished run carries no stamp
-OTHERS = (LOG_FILE, "events.jsonl", "export")  # what runs write beside stages' folders and hidden files
+OTHERS = (
+    LOG_FILE,
+    EVENTS_FILE,
+    OLD_LOGS,
+    "export",
+)  # what runs write beside the folders of stages and hidden files
 
 
 def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:

@@ -82,7 +82,7 @@ def scene_yaml(folder: Path, **keys: Any) -> Path:
 
 
 def _clips(folder: Path, repository: Path, data: Path | None, out: dict[str, Target]) -> None:
-    folder.mkdir()
+    folder.mkdir(parents=True)
     write_video(folder / "static.mp4", pictures(), 10.0)
     made = {"mp4": ("libx264", "aac"), "mkv": ("libx264", "pcm_s16le"), "avi": ("mpeg4", "mp3"),
             "ts": ("mpeg2video", "mp2"), "mov": ("mjpeg", "pcm_s16be"), "webm": ("libvpx", "libopus")}  # fmt: skip
@@ -185,7 +185,8 @@ def _tables(folder: Path, out: dict[str, Target]) -> None:
     scene = scene_yaml(folder / "table", capture={**clips, "timestamps": "times.csv"})
     (scene / "times.csv").write_text("\n".join(["camera,frame_index,time_s", *rows]))
     named = ("times.csv", "timestamps", "cam0", "cam1", "sync")
-    out["timestamps"] = Target(scene / "times.csv", TEXT, scene, ("--until", "sync"), named=named)
+    arguments = ("--until", "sync", "--set", "calibration.sync.method=timestamps")
+    out["timestamps"] = Target(scene / "times.csv", TEXT, scene, arguments, named=named)
 
 
 def _data_sets(folder: Path, odd_scene: Scene, out: dict[str, Target]) -> None:
@@ -284,15 +285,17 @@ def _calibrations(folder: Path, data: Path | None, out: dict[str, Target]) -> No
 def _models(folder: Path, out: dict[str, Target]) -> None:
     from tests.reconstruct.test_model_io import _model
 
-    from devrf.reconstruct.checkpoint import Checkpoint
+    from devrf.reconstruct.checkpoint import Checkpoint, Saved
     from devrf.reconstruct.model_io import save_motion, save_rest
+    from devrf.reconstruct.training_log import TrainingLog
 
     folder.mkdir()
     model = _model()
     assert model.motion is not None
     save_rest(folder / "rest.safetensors", model.rest)
     save_motion(folder / "motion.safetensors", model.motion, model.rest.canonical.voxel)
-    Checkpoint(folder / "checkpoint.safetensors", "fuzz").write({"a": model.motion.aabb}, {"level": 1})
+    saved = Saved(7, {"a": model.motion.aabb}, {"level": 1, "log": TrainingLog("cpu", 10).state()})
+    Checkpoint(folder / "checkpoint.safetensors", "fuzz").write(saved)
     for name in ("rest", "motion", "checkpoint"):
         file = folder / f"{name}.safetensors"
         out[f"model {name}"] = Target(file, BINARY, reader=name, named=(file.name,))

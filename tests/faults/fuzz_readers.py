@@ -67,8 +67,9 @@ def _calibration(path: str) -> None:
 
 def _checkpoint(path: str) -> None:
     from devrf.reconstruct.checkpoint import Checkpoint
+    from devrf.reconstruct.training_log import TrainingLog
 
-    Checkpoint(Path(path), "fuzz").read()
+    Checkpoint(Path(path), "fuzz").found(TrainingLog("cpu", 10))
 
 
 READERS: dict[str, Callable[[str], None]] = {

@@ -1,28 +1,25 @@
 """Damaged files of every kind through the entry points that read them: a message or a result, nothing else.
 
-Every case has a number, which decides file and damage: `--fuzz-case N` in a failure's text repeats it.
+A case's number decides file and damage, so that a failure can be repeated: `damage(whole, target, case)`.
 """
 
 import itertools
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, Figures
 from tests.faults.fuzz_material import Target, targets
 from tests.faults.fuzzing import Fuzzer, Outcome, fuzzer
 
 from devrf.capture.scene import Scene
+from devrf.pipelines.stages import stage_names
 
-SMALL, FULL = 60, 500
-
-
-@pytest.fixture(scope="module")
-def run() -> Iterator[Fuzzer]:
-    with fuzzer() as one:
-        yield one
+CASES = {"small": 52, "full": 500}  # small: one for each kind of file
 
 
 def attempt(run: Fuzzer, target: Target, damaged: bytes) -> tuple[Outcome, str | None]:
@@ -52,32 +49,49 @@ def attempt(run: Fuzzer, target: Target, damaged: bytes) -> tuple[Outcome, str |
 
 def half_made(run_dir: Path, outcome: Outcome) -> str | None:
     """A stage's folder without its stamp, or leftovers of one."""
-    for folder in run_dir.glob("*"):
-        if folder.is_dir() and not folder.name.startswith(".") and not (folder / "stamp.json").is_file():
-            return f"left {folder.name} without a stamp"
-        if folder.name.startswith((".new-", ".old-")):
-            return f"left {folder.name}"
-    return None
+    for name in stage_names():
+        if (run_dir / name).is_dir() and not (run_dir / name / "stamp.json").is_file():
+            return f"left {name} without a stamp"
+    left = [path.name for path in run_dir.glob(".*") if path.name.startswith((".new-", ".old-"))]
+    return f"left {left[0]}" if left else None
 
 
 def damage(whole: bytes, target: Target, case: int) -> bytes:
+    """The file of a case."""
     rng = np.random.default_rng(case)
-    for _ in itertools.count():
-        mutation = target.mutations[int(rng.integers(len(target.mutations)))]
-        damaged = mutation(whole, rng)
-        if damaged != whole:
-            return damaged
-    raise AssertionError
+    damaged = whole
+    while damaged == whole:
+        damaged = target.mutations[int(rng.integers(len(target.mutations)))](whole, rng)
+    return damaged
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("damage")
+def run() -> Iterator[Fuzzer]:
+    with fuzzer() as one:
+        yield one
 
 
-def test_files(run: Fuzzer, places: Path, odd_scene: Scene, data_dir: Path) -> None:
-    found = targets(places, odd_scene, REPOSITORY, data_dir)
-    for case, name in zip(range(SMALL), itertools.cycle(found), strict=False):
+def test_files(
+    run: Fuzzer,
+    tmp_path: Path,
+    odd_scene: Scene,
+    data_dir: Path,
+    faults: Literal["small", "full"],
+    figures: Figures,
+) -> None:
+    found = targets(tmp_path / "files", odd_scene, REPOSITORY, data_dir)
+    for name, target in found.items():
+        outcome, fault = attempt(run, target, target.file.read_bytes())
+        assert fault is None and outcome.code == 0, f"{name}, whole: {fault}\n{outcome.said[-3000:]}"
+    codes: Counter[int | None] = Counter()
+    failures = []
+    for case, name in zip(range(CASES[faults]), itertools.cycle(found), strict=False):
         target = found[name]
         outcome, fault = attempt(run, target, damage(target.file.read_bytes(), target, case))
-        assert fault is None, f"case {case}, {name}: {fault}\n--- it said\n{outcome.said[-3000:]}"
+        codes[outcome.code] += 1
+        if fault is not None:
+            failures.append(f"case {case}, {name}: {fault}\n--- it said\n{outcome.said[-3000:]}")
+    codes_said = {str(code): count for code, count in codes.items()}
+    figures(fuzzed_files=CASES[faults], kinds=len(found), faults=len(failures), exit_codes=codes_said,
+            slowest_s=round(run.slowest_s, 1), most_mb=round(run.most_mb))  # fmt: skip
+    assert not failures, "\n\n".join(failures)
