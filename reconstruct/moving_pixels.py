@@ -20,6 +20,7 @@ NOISE_FACTOR = 5.0  # a change is this many times the noise
 LEAST_CHANGE = 0.04  # of the full range; compression alone changes half as much
 MOVES_PX = 1.0  # of the training size: no method is that wrong where its flow is
 SURE = BEST / 2  # confidence, from which a vector is believed
+AT_ONCE = 1 << 20  # numbers
 GROW = 0.015  # of the picture's width, around what changed: motion that is still to be explained lies there
 
 
@@ -97,8 +98,13 @@ def _view(camera: Camera) -> bytes:
 def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) -> np.ndarray:
     """True where the pictures of one camera change or move [H, W], and a little around."""
     camera = rays.cameras[members[0]]
-    smooth = np.stack([_smooth(_picture(rays, n)) for n in members]).astype(np.float32) / 255
-    blocks = _as_a_whole(np.abs(smooth - np.median(smooth, axis=0)).max(axis=(0, 3)))
+    smooth = np.stack([_smooth(_picture(rays, n)) for n in members])
+    apart = np.empty(smooth.shape[1:3], np.float32)
+    rows = max(1, AT_ONCE // smooth[:, 0].size)
+    for at in range(0, len(apart), rows):  # in floating point all would be many times as large
+        band = smooth[:, at : at + rows].astype(np.float32) / 255
+        apart[at : at + rows] = np.abs(band - np.median(band, axis=0)).max(axis=(0, 3))
+    blocks = _as_a_whole(apart)
     for name in {rays.frames[n].camera_name for n in members} & flows.keys() if flows else ():
         if flows[name].flow.shape[1:3] == blocks.shape:
             blocks |= _moves(flows[name])

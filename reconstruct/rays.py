@@ -5,7 +5,7 @@ distortion undone once), which a picture's rotation turns into the world. Rays h
 them is a distance. Every picture brings its own size, intrinsics, principal point, lens and time.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,17 +68,21 @@ class RaySet:
         device: str = "cpu",
         progress: Progress = no_progress,
     ) -> None:
-        pictures, mattes = [], []
-        for n, frame in enumerate(frames):
-            pictures.append(load_image(frame, image_scale, background))
-            if background != "shell":
-                mattes.append(load_matte(frame, pictures[-1].shape[:2], background))
-            progress((n + 1) / len(frames), f"reading picture {n + 1} of {len(frames)}")
         cameras = [f.camera.scaled(image_scale) for f in frames]  # rounds sizes as load_image does
-        self._fill(frames, cameras, pictures, device)
-        if mattes and all(m is not None for m in mattes):
-            flat = np.concatenate([m.reshape(-1) for m in mattes if m is not None])
-            self.opacity = torch.from_numpy(flat).to(device)
+        mattes: list[UInt8[np.ndarray, " _"]] = []
+
+        def pictures() -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+            for n, frame in enumerate(frames):
+                picture = load_image(frame, image_scale, background)
+                matte = None if background == "shell" else load_matte(frame, picture.shape[:2], background)
+                if matte is not None:
+                    mattes.append(matte.reshape(-1))
+                yield picture
+                progress((n + 1) / len(frames), f"reading picture {n + 1} of {len(frames)}")
+
+        self._fill(frames, cameras, pictures(), device)
+        if mattes and len(mattes) == len(frames):
+            self.opacity = torch.from_numpy(np.concatenate(mattes)).to(device)
 
     @staticmethod
     def from_arrays(
@@ -95,16 +99,20 @@ class RaySet:
         return rays
 
     def _fill(
-        self, frames: tuple[PosedFrame, ...], cameras: list[Camera], pictures: list[np.ndarray], device: str
+        self,
+        frames: tuple[PosedFrame, ...],
+        cameras: list[Camera],
+        pictures: Iterable[np.ndarray],
+        device: str,
     ) -> None:
         self.opacity: Tensor | None = None
         self.kept: Tensor | None = None
         self.frames, self.cameras, self.device = frames, cameras, torch.device(device)
-        counts = [c.width * c.height for c in cameras]
-        self.first = torch.tensor(np.concatenate([[0], np.cumsum(counts)]), dtype=torch.int64, device=device)
-        flat = (
-            np.concatenate([p.reshape(-1, 3) for p in pictures]) if pictures else np.zeros((0, 3), np.uint8)
-        )
+        first = np.concatenate([[0], np.cumsum([c.width * c.height for c in cameras], dtype=np.int64)])
+        self.first = torch.tensor(first, dtype=torch.int64, device=device)
+        flat = np.empty((int(first[-1]), 3), np.uint8)
+        for n, picture in enumerate(pictures):  # one by one: a list of them would be as large again
+            flat[first[n] : first[n + 1]] = picture.reshape(-1, 3)
         self.pixels = torch.from_numpy(flat).to(device)
         tables: dict[tuple[object, ...], int] = {}
         directions, table_of, size = [], [], 0

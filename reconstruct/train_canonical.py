@@ -239,6 +239,7 @@ class _Recipe:
         self.decay = 0.1 ** (iteration / self.options.iterations)
         if iteration in self.scalings:
             self._clear_untouched()
+            del self.density, self.features, self.surround  # their memory is what the next resolution needs
             level = self.scalings[iteration]
             self.canonical.refine(self._share(level) * self.options.resolution)
             if self.shell is not None:
@@ -282,7 +283,8 @@ class _Recipe:
             group["lr"] = self.options.lr_mlp * self.decay
         self.net_optimiser.step()
         self.net_optimiser.zero_grad()
-        return {"mse": mse, "entropy": entropy, "per_point": per_point}
+        # Detached: what remembers how it was computed would keep the grids of a resolution that has been left.
+        return {"mse": mse.detach(), "entropy": entropy.detach(), "per_point": per_point.detach()}
 
     def state(self, generator: torch.Generator) -> State:
         """Everything that the next iteration depends on."""

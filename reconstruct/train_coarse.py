@@ -73,14 +73,7 @@ def train_coarse(
             trainer = GridTrainer(model.grid, copies_for(model.grid.device))
         if iteration % OCCUPANCY_EVERY == 0:
             trainer.visit(model.rebuild_occupancy())
-        batch = rays.draw(options.coarse_rays, generator)
-        jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
-        segment = RaySegments(
-            batch.rays_o, batch.rays_d, torch.full_like(jitter, near), torch.full_like(jitter, far), jitter
-        )
-        rgb, _, apart = model.render(segment, True, batch.rgb, trainer.grad)
-        loss = rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
-        loss.backward()
+        _loss(model, rays, options, generator, trainer.grad).backward()
         trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
         checkpoint.keep(step + 1, log, state)
     return model
@@ -123,3 +116,15 @@ def hand_on(
     density = optical + torch.log(-torch.expm1(-optical)) - canonical.shift  # the softplus undone
     near = trilinear(seen.float()[..., None], u, CUBE)[:, 0]
     canonical.density[..., 0] = torch.where(near > 0, density, EMPTY).reshape(canonical.shape)
+
+
+def _loss(
+    model: Shell, rays: RaySet, options: CanonicalOptions, generator: torch.Generator, grad: Tensor
+) -> Float[Tensor, ""]:
+    """Of rays that are drawn."""
+    batch = rays.draw(options.coarse_rays, generator)
+    jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
+    begin, end = torch.full_like(jitter, model.near), torch.full_like(jitter, model.far)
+    segment = RaySegments(batch.rays_o, batch.rays_d, begin, end, jitter)
+    rgb, _, apart = model.render(segment, True, batch.rgb, grad)
+    return rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()
