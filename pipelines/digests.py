@@ -68,11 +68,7 @@ class Digests:
         paths = list(paths)
         keys = [os.path.relpath(path, self._run_dir) for path in paths]
         unknown = {k: path for k, path in zip(keys, paths, strict=True) if not self._knows(k, path)}
-        if len(unknown) <= FEW:
-            entries = [_entry(path) for path in unknown.values()]
-        else:
-            with ThreadPoolExecutor(READERS) as pool:
-                entries = list(pool.map(_entry, unknown.values()))
+        entries = _entries(list(unknown.values()))
         self._known.update(zip(unknown, entries, strict=True))
         self._changed |= bool(unknown)
         return [self._known[key][DIGEST] for key in keys]
@@ -107,11 +103,25 @@ class Digests:
 def file_digest(path: Path) -> str:
     """Digest of a file's content, 32 hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=16)
-    block = memoryview(bytearray(BLOCK))
     with path.open("rb", buffering=0) as file:
+        block = memoryview(bytearray(min(BLOCK, os.fstat(file.fileno()).st_size + 1)))
         while count := file.readinto(block):
             digest.update(block[:count])
     return digest.hexdigest()
+
+
+def _entries(paths: list[Path]) -> list[list]:
+    """What is remembered of each file; many are read side by side, in as many shares as there are readers."""
+    if len(paths) <= FEW:
+        return [_entry(path) for path in paths]
+    shares = [range(first, len(paths), READERS) for first in range(READERS)]
+    found: dict[int, list] = {}
+    with ThreadPoolExecutor(READERS) as pool:
+        for share, entries in zip(
+            shares, pool.map(lambda share: [_entry(paths[n]) for n in share], shares), strict=True
+        ):
+            found.update(zip(share, entries, strict=True))
+    return [found[n] for n in range(len(paths))]
 
 
 def _entry(path: Path) -> list:

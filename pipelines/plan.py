@@ -108,7 +108,9 @@ def standing(
         known = {
             name: then.get(name) if name in unknown else made for name, made in made_from["reads"].items()
         }
-        why = why_stale(folder, made_from | {"reads": known}, digests) + [f"{name} runs" for name in unknown]
+        why = why_stale(stage, folder, made_from | {"reads": known}, digests) + [
+            f"{name} runs" for name in unknown
+        ]
         again = _is_to_be_forced(run_dir, stage.name, stamp)
         why += ["forced before, and not finished"] if again else []
         state = "stale" if why else "fresh"

@@ -4,15 +4,17 @@ from pathlib import Path
 from typing import Any
 
 from devrf.pipelines.digests import Digests
+from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamp import damage, read_stamp
 
 MOST_FILES = 3  # files of code that are named; an update of the program changes them all
 
 
-def why_stale(folder: Path, now: dict, digests: Digests) -> list[str]:
+def why_stale(stage: Stage, folder: Path, now: dict, digests: Digests) -> list[str]:
     """Reasons why a stage's folder does not fit; empty where it does.
 
     Args:
+        stage: The stage.
         folder: The stage's folder.
         now: What it would be made from now (`identity`).
         digests: Source of content digests.
@@ -32,7 +34,8 @@ def why_stale(folder: Path, now: dict, digests: Digests) -> list[str]:
         elif name not in then["reads"]:
             reasons.append(f"{name} applies now")
         else:
-            reasons.append(f"{name} is not made" if made is None else f"{name} came out differently")
+            again = "was made again" if stage.quotes_stamps else "came out differently"
+            reasons.append(f"{name} {'is not made' if made is None else again}")
     reasons += _code_change(then, now)
     for name, old, new in _differences(then, now, "libraries"):
         reasons.append(
