@@ -31,7 +31,7 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt | $(VENV)/.python
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,simulate]'
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,ray,simulate]'
 	touch $@
 
 $(VENV)/.python:

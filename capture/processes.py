@@ -13,18 +13,19 @@ from pathlib import Path
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 
 
-def die_with_parent(parent: int) -> None:
-    """Have this process killed when the one that started it ends, however that ends.
+def die_with_parent(parent: int, sign: signal.Signals = signal.SIGKILL) -> None:
+    """Have this process sent a signal when the one that started it ends, however that ends.
 
     Args:
         parent: Process number of the parent, taken before this process was started: if it is gone already, the
             kernel will not tell.
+        sign: What it is sent.
     """
     if sys.platform != "linux":
         return
-    _prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    _prctl(PR_SET_PDEATHSIG, sign)
     if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getpid(), sign)
 
 
 def adopt_orphans() -> None:

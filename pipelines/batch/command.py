@@ -20,7 +20,7 @@ from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
 from devrf.pipelines.batch.schedule import Job, work_through
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
-from devrf.pipelines.runner import BAD_INPUT, DONE, UNHEALTHY
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, UNHEALTHY
 
 CORES_PER_JOB = 2  # stages use more than one core about half of their time
 

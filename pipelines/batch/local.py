@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from devrf.pipelines.batch.task import Ended, Started, Task, node_name, run_task
-from devrf.pipelines.runner import FAILED, STOPPED
+from devrf.pipelines.exit_codes import FAILED, STOPPED
 
 
 class LocalPool:

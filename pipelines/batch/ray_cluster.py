@@ -5,6 +5,7 @@ behind, and the summary is to say what was lost.
 """
 
 import os
+import socket
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,7 @@ import devrf
 from devrf.capture.cores import usable_cores
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch.task import Ended, Started, Task, node_name, run_task
-from devrf.pipelines.runner import FAILED, STOPPED
+from devrf.pipelines.exit_codes import FAILED, STOPPED
 
 LOOPBACK_ONLY = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"
@@ -23,6 +24,7 @@ SILENT = {
     "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to Ray's makers
     "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # a lost node would print pages; what it means is said by the batch
 }
+KNOCK_S = 5.0  # a head that does not take a connection within this time is not there
 
 
 class RayCluster:
@@ -113,6 +115,8 @@ class RayCluster:
 
 def _connected(address: str | None) -> Any:
     """The module `ray`, connected."""
+    if address is not None and address != "auto":
+        _knock(address)  # Ray itself tries for minutes
     os.environ.update(SILENT if address else SILENT | LOOPBACK_ONLY)
     try:
         import ray
@@ -130,10 +134,23 @@ def _connected(address: str | None) -> Any:
             ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise InputError(
-            f"--address {address}: no Ray cluster answers there ({error}); start its head with ray start --head, or "
-            "leave --address out"
+            f"--engine ray: no connection to {address or 'a cluster of its own'} ({error}); is ray of the same version "
+            "there, and does `ray status` show its nodes?"
         ) from None
     return ray
+
+
+def _knock(address: str) -> None:
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InputError(f"--address {address}: expected HOST:PORT, or auto")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), KNOCK_S).close()
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"--address {address}: nothing answers there ({error}); start the cluster's head with "
+            f"ray start --head --port={port}, or leave --address out"
+        ) from None
 
 
 def _carry_out(task: Task, version: str) -> Iterator[Started | Ended]:

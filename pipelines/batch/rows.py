@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.plan import read_health
-from devrf.pipelines.runner import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.stamp import read_stamp
 
 State = Literal["waiting", "running", "done", "failed", "unhealthy", "refused", "stopped"]

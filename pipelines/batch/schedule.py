@@ -10,7 +10,7 @@ from devrf.pipelines.batch.engine import Engine
 from devrf.pipelines.batch.groups import Group
 from devrf.pipelines.batch.rows import SceneRow
 from devrf.pipelines.batch.task import Ended, Started, Task
-from devrf.pipelines.runner import DONE, FAILED
+from devrf.pipelines.exit_codes import DONE, FAILED
 
 TICK_S = 0.5  # between two looks at what runs
 ATTEMPTS = 4  # of one task, where nodes are lost; whatever takes down so many is the task

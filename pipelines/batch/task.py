@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from devrf.pipelines.lock import LOCK
+from devrf.capture.errors import InputError
+from devrf.pipelines.exit_codes import FAILED, STOPPED
+from devrf.pipelines.lock import Lock
 from devrf.pipelines.plan import error_path, last_error
-from devrf.pipelines.runner import FAILED, STOPPED
 
 POLL_S = 0.1  # between two looks at whether to stop
 GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it
@@ -161,5 +162,12 @@ def _message(task: Task, started_s: float, code: int, said: str) -> str:
 def _wait_for_lock(run_dir: Path, stop: Callable[[], bool]) -> None:
     """Give a run that a lost node left behind the time to let go. What holds it then is `run`'s to judge."""
     deadline = time.monotonic() + LOCK_WAIT_S
-    while (run_dir / LOCK).exists() and time.monotonic() < deadline and not stop():
-        time.sleep(POLL_S)
+    while run_dir.is_dir() and time.monotonic() < deadline and not stop():
+        lock = Lock(run_dir)
+        try:
+            lock.take()
+        except InputError:
+            time.sleep(POLL_S)
+        else:
+            lock.release()
+            return

@@ -17,8 +17,8 @@ from tests.pipelines.tiny_scenes import tiny_scene
 from devrf.pipelines.batch.groups import groups
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Task, run_task
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.plan import Standing
-from devrf.pipelines.runner import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.workspace import Workspace
 
@@ -181,7 +181,8 @@ def batch_in_course(folder: Path) -> subprocess.Popen:
     process = subprocess.Popen(
         [sys.executable, *words, "--out", str(folder / "o")], stderr=subprocess.PIPE, text=True
     )
-    wait_for(lambda: list(folder.glob("a/run/.new-canonical*")))
+    wait_for(lambda: process.poll() is not None or list(folder.glob("a/run/.new-canonical*")))
+    assert process.poll() is None
     return process
 
 

@@ -16,7 +16,7 @@ from tests.pipelines.tiny_scenes import tiny_scene
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch import ray_cluster
 from devrf.pipelines.batch.ray_cluster import RayCluster
-from devrf.pipelines.runner import DONE, STOPPED
+from devrf.pipelines.exit_codes import DONE, STOPPED
 
 pytest.importorskip("ray")
 SCENES = 4
@@ -88,16 +88,16 @@ def rows(folder: Path) -> list[dict[str, Any]]:
         return []
 
 
-def wait_for(what: Callable[[], bool], limit_s: float = 90.0) -> None:
+def wait_for(what: Callable[[], bool], batch: subprocess.Popen, limit_s: float = 90.0) -> None:
     deadline = time.monotonic() + limit_s
-    while not what() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert what()
+    while not what():
+        assert batch.poll() is None and time.monotonic() < deadline, batch.communicate(timeout=1)
+        time.sleep(0.02)
 
 
 def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path) -> None:
     batch = start_batch(tmp_path, nodes, ["a", "b", "c"], 100_000)
-    wait_for(lambda: len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2)
+    wait_for(lambda: len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2, batch)
     batch.send_signal(signal.SIGTERM)
     said, _ = batch.communicate(timeout=90)
     assert batch.returncode == STOPPED, said
@@ -114,7 +114,7 @@ def test_all_scenes_finish_though_a_node_is_killed(nodes: Nodes, tmp_path: Path)
         on_it = [r["name"] for r in rows(tmp_path) if nodes.other[:6] in "".join(r["nodes"][-1:])]
         return [name for name in on_it if list(tmp_path.glob(f"{name}/run/.new-canonical*"))]
 
-    wait_for(lambda: bool(lasting()))
+    wait_for(lambda: bool(lasting()), batch)
     lost = lasting()
     nodes.kill_the_other()
     said, _ = batch.communicate(timeout=300)
@@ -134,13 +134,10 @@ def test_without_ray_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
         RayCluster(None, None, 1, "cpu")
 
 
-def test_an_address_where_nothing_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Deaf:
-        def init(self, **options: object) -> None:
-            raise ConnectionError("nobody there")
-
-    import ray
-
-    monkeypatch.setattr(ray, "init", Deaf().init)
-    with pytest.raises(InputError, match="ray start --head"):
-        ray_cluster.RayCluster("10.0.0.9:6379", None, 1, "cpu")
+@pytest.mark.parametrize(
+    ("address", "expected"),
+    [("127.0.0.1:9", "nothing answers there"), ("here", "expected HOST:PORT, or auto")],
+)
+def test_an_address_where_nothing_answers(address: str, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        RayCluster(address, None, 1, "cpu")
