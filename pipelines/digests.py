@@ -53,7 +53,7 @@ class Digests:
         """
         if not path.is_dir():
             return self.of_files([path])[0]
-        files = _raw_files(path)
+        files = raw_files(path)
         digest = hashlib.blake2b(digest_size=16)
         for file, content in zip(files, self.of_files(files), strict=True):
             digest.update(f"{file.relative_to(path).as_posix()}\0{content}\0".encode())
@@ -153,7 +153,7 @@ def _read(path: Path) -> dict[str, list]:
     }
 
 
-def _raw_files(folder: Path) -> list[Path]:
+def raw_files(folder: Path) -> list[Path]:
     """All files below a folder, in order, but those of run folders, which are known by their log."""
     found = []
     for root, folders, files in os.walk(folder):

@@ -13,13 +13,18 @@ from devrf.capture.writable import check_folder
 from devrf.pipelines.batch.board import HTML_FILE, Board
 from devrf.pipelines.batch.engine import Engine
 from devrf.pipelines.batch.groups import groups
+from devrf.pipelines.batch.inputs import inputs_of
 from devrf.pipelines.batch.local import LocalPool
+from devrf.pipelines.batch.mirror import mirror
 from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.rows import SceneRow, exit_code
 from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
 from devrf.pipelines.batch.schedule import Job, work_through
+from devrf.pipelines.batch.scratch import Stored
+from devrf.pipelines.batch.store import Store
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
+from devrf.pipelines.digests import Digests
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, UNHEALTHY
 
 CORES_PER_JOB = 2  # stages use more than one core about half of their time
@@ -66,7 +71,8 @@ def batch(
     check_folder(out, "--out")
     out.mkdir(parents=True, exist_ok=True)
     scenes = look(paths, options, unique_names=store is not None)
-    rows = [_row(scene, options) for scene in scenes]
+    place = _Place(out, None if store is None else Store(store))
+    rows = [_row(scene, options, place) for scene in scenes]
     with ExitStack() as stack:
         engine = None
         if any(row.code is None for row in rows):
@@ -79,20 +85,41 @@ def batch(
             stack.enter_context(_stopped_by_signals(engine))
             pairs = enumerate(zip(scenes, rows, strict=True))
             work_through(
-                [_job(n, s, r, options, engine) for n, (s, r) in pairs if r.code is None], engine, board
+                [_job(n, s, r, options, engine, place) for n, (s, r) in pairs if r.code is None],
+                engine,
+                board,
             )
     done = sum(row.code == DONE for row in rows)
     talk.say(f"{done} of {len(rows)} scenes done; {out / HTML_FILE}")
     return exit_code(rows)
 
 
-def _row(scene: BatchScene, options: Options) -> SceneRow:
+@dataclass(frozen=True)
+class _Place:
+    """Where the stages of scenes are seen: in their run folders, or in mirrors of a store."""
+
+    out: Path
+    store: Store | None
+
+    def seen_in(self, scene: BatchScene) -> Path:
+        """A folder with the stamps of the scene's stages, brought up to date."""
+        if scene.config is None:
+            raise ValueError(f"{scene.path} has no configuration")
+        run_dir = scene.config.run_dir(scene.scene_dir)
+        if self.store is None:
+            return run_dir
+        folder = (self.out / "scenes" / scene.folder_name).resolve()
+        mirror(self.store, scene, scene.folder_name, folder)
+        return folder
+
+
+def _row(scene: BatchScene, options: Options, place: _Place) -> SceneRow:
     """A scene's row, ended already where there is nothing to run."""
-    run_dir = scene.run_dir
-    row = SceneRow(str(scene.path), scene.name, None if run_dir is None else str(run_dir))
-    if run_dir is not None:
-        stand(scene, options, run_dir)
-        row.look(run_dir, scene.stages)
+    row = SceneRow(str(scene.path), scene.name, None if scene.run_dir is None else str(scene.run_dir))
+    if scene.config is not None and scene.problem is None:
+        seen_in = place.seen_in(scene)
+        stand(scene, options, seen_in)
+        row.look(seen_in, scene.stages)
     if scene.problem is not None:
         row.end(BAD_INPUT, scene.problem)
     elif not scene.to_do:
@@ -104,18 +131,26 @@ def _row(scene: BatchScene, options: Options) -> SceneRow:
     return row
 
 
-def _job(number: int, scene: BatchScene, row: SceneRow, options: Options, engine: Engine) -> Job:
+def _job(
+    number: int, scene: BatchScene, row: SceneRow, options: Options, engine: Engine, place: _Place
+) -> Job:
     if scene.config is None or scene.run_dir is None:
         raise ValueError(f"{scene.path} has no configuration")
-    run_dir = scene.run_dir
+    arguments, stored = options.arguments(), None
+    if place.store is not None:
+        inputs = inputs_of(scene.config, scene.path, Digests(place.seen_in(scene)))
+        place.store.put_inputs(inputs.here)
+        arguments += [word for text in inputs.overrides for word in ("--set", text)]
+        stored = Stored(place.store.url, scene.folder_name, scene.path.name, inputs.files, last=False)
     return Job(
         number,
         scene.path,
-        run_dir,
-        tuple(options.arguments()),
+        scene.run_dir,
+        tuple(arguments),
         row,
         deque(groups(scene.config, scene.standing, engine.gpus > 0)),
-        lambda: row.look(run_dir, scene.stages),
+        lambda: row.look(place.seen_in(scene), scene.stages),
+        stored,
     )
 
 

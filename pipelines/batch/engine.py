@@ -1,11 +1,12 @@
 """What carries out tasks: the local pool (`local.py`) or a Ray cluster (`ray_cluster.py`)."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from devrf.pipelines.batch.task import Ended, Started, Task
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Carries out tasks side by side, as its resources allow.
 

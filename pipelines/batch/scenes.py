@@ -1,5 +1,6 @@
 """The scenes of a batch, each looked at before anything starts: what is wrong with it, and what it still needs."""
 
+import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -70,6 +71,11 @@ class BatchScene:
         return None if self.config is None else self.config.run_dir(self.scene_dir)
 
     @property
+    def folder_name(self) -> str:
+        """Its name, as a folder's."""
+        return re.sub(r"[^A-Za-z0-9_.-]+", "_", self.name).strip(".") or "scene"
+
+    @property
     def stages(self) -> list[str]:
         """Stages that belong to the batch."""
         return [now.stage.name for now in self.standing]
@@ -94,7 +100,7 @@ def look(paths: Sequence[Path], options: Options, *, unique_names: bool = False)
         scenes, "the same run folder", "give each its own output", lambda scene: scene.run_dir or scene.path
     )
     if unique_names:
-        _refuse_twice(scenes, "the same name", "give each its own name", lambda scene: scene.name)
+        _refuse_twice(scenes, "the same name", "give each its own name", lambda scene: scene.folder_name)
     return scenes
 
 

@@ -2,13 +2,15 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from devrf.capture.errors import DevrfError
 from devrf.pipelines.batch.board import Board
 from devrf.pipelines.batch.engine import Engine
 from devrf.pipelines.batch.groups import Group
 from devrf.pipelines.batch.rows import SceneRow
+from devrf.pipelines.batch.scratch import Stored
 from devrf.pipelines.batch.task import Ended, Started, Task
 from devrf.pipelines.exit_codes import DONE, FAILED
 
@@ -28,6 +30,7 @@ class Job:
         row: Its row in the summary.
         todo: Groups of stages to come; the first is the one in work.
         look: Brings the row up to date with what the stages left.
+        stored: Where the scene lies in a store.
         attempt: How often the group in work was begun.
     """
 
@@ -38,7 +41,8 @@ class Job:
     row: SceneRow
     todo: deque[Group]
     look: Callable[[], None]
-    attempt: int = field(default=1)
+    stored: Stored | None = None
+    attempt: int = 1
 
     def task(self, threads: int) -> Task:
         """What to run next."""
@@ -52,6 +56,7 @@ class Job:
             threads,
             group.gpu,
             self.attempt,
+            None if self.stored is None else replace(self.stored, last=len(self.todo) == 1),
         )
 
 
@@ -78,7 +83,10 @@ def work_through(jobs: Sequence[Job], engine: Engine, board: Board) -> None:
 def _goes_on(job: Job, ended: Ended, board: Board) -> bool:
     """Take the end of a task; whether there is another to run."""
     job.row.seconds = round(job.row.seconds + ended.seconds, 3)
-    job.look()
+    try:
+        job.look()
+    except DevrfError as error:  # a store that does not answer for a while
+        board.say(job.row, str(error))
     if ended.code is None:
         job.row.lost += 1
         if job.attempt >= ATTEMPTS:

@@ -1,5 +1,7 @@
 """One piece of work of a batch: a group of stages of one scene, run in a process of its own."""
 
+import contextlib
+import json
 import os
 import signal
 import socket
@@ -7,15 +9,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from devrf.capture.errors import InputError
-from devrf.pipelines.exit_codes import FAILED, STOPPED
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.batch.scratch import Scratch, Stored
+from devrf.pipelines.batch.store import StoreError
+from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 from devrf.pipelines.lock import Lock
 from devrf.pipelines.plan import error_path, last_error
 
 POLL_S = 0.1  # between two looks at whether to stop
+MEANWHILE_S = 5.0  # between two looks for stages to store: a lost machine costs the stage in work only
 GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it
 LOCK_WAIT_S = 90.0  # for a run that a dead node left: it has been told to stop, and gets its grace
 MESSAGE_CHARACTERS = 4000
@@ -34,6 +39,7 @@ class Task:
         threads: Cores to use.
         gpu: Whether to have a GPU.
         attempt: 1, or more where a node was lost on the way.
+        stored: Where the scene lies in a store; None: the machine sees the paths above.
     """
 
     scene: int
@@ -44,6 +50,7 @@ class Task:
     threads: int
     gpu: bool
     attempt: int = 1
+    stored: Stored | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +91,34 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
         stop: Asked now and then; True ends the run as Ctrl-C does.
         gpu: Number of the GPU to use, where the scheduler has not set it already.
     """
-    start, started_s = time.monotonic(), time.time()
+    start = time.monotonic()
+    if task.stored is None:
+        return _run(task, stop, lambda: None, gpu, start)
+    try:
+        scratch = Scratch(task.stored)
+        task = replace(task, path=scratch.scene, run_dir=scratch.run_dir)
+        if task.attempt > 1:
+            _wait_for_lock(task.run_dir, stop)
+        scratch.fetch(task.stages)
+        ended = _run(task, stop, lambda: _push(scratch, task), gpu, start)
+        scratch.push(task.stages)
+        if ended.code == DONE and task.stored is not None and task.stored.last:
+            scratch.remove()
+    except (DevrfError, OSError) as error:
+        return Ended(task.scene, FAILED, f"{task.path.name}: {error}", time.monotonic() - start)
+    return replace(ended, seconds=time.monotonic() - start)
+
+
+def _push(scratch: Scratch, task: Task) -> None:
+    """Store stages while others run; what does not succeed is tried again in the end."""
+    with contextlib.suppress(StoreError):
+        scratch.push(task.stages)
+
+
+def _run(
+    task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gpu: int | None, start: float
+) -> Ended:
+    started_s = time.time()
     if task.attempt > 1:
         _wait_for_lock(task.run_dir, stop)
     process = subprocess.Popen(
@@ -98,12 +132,12 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
         start_new_session=True,  # Ctrl-C in a terminal comes from the batch, once
     )
     try:
-        said = _wait(process, stop)
+        said = _wait(process, stop, meanwhile)
     except BaseException:  # how Ray cancels
         _end(process)
         raise
     code = process.returncode
-    message = None if code == 0 else _message(task, started_s, code, said)
+    message = None if code == DONE else _message(task, started_s, code, said)
     return Ended(task.scene, code if code >= 0 else FAILED, message, time.monotonic() - start)
 
 
@@ -114,7 +148,8 @@ def node_name() -> str:
 
 def _command(task: Task) -> list[str]:
     stages = ["--from", task.stages[0], "--until", task.stages[-1]]
-    return ["run", str(task.path), *stages, *task.arguments, "--quiet"]
+    output = ["--set", f"output={json.dumps(str(task.run_dir))}"] if task.stored is not None else []
+    return ["run", str(task.path), *stages, *task.arguments, *output, "--quiet"]
 
 
 def _environment(task: Task, gpu: int | None) -> dict[str, str]:
@@ -126,14 +161,18 @@ def _environment(task: Task, gpu: int | None) -> dict[str, str]:
     return {**os.environ, **ours}
 
 
-def _wait(process: subprocess.Popen, stop: Callable[[], bool]) -> str:
+def _wait(process: subprocess.Popen, stop: Callable[[], bool], meanwhile: Callable[[], None]) -> str:
     """Wait for the end; what it said on stderr."""
+    next_s = time.monotonic() + MEANWHILE_S
     while True:
         try:
             return process.communicate(timeout=POLL_S)[1]
         except subprocess.TimeoutExpired:
             if stop():
                 return _end(process)
+        if time.monotonic() > next_s:
+            meanwhile()
+            next_s = time.monotonic() + MEANWHILE_S
 
 
 def _end(process: subprocess.Popen) -> str:

@@ -1,0 +1,190 @@
+"""A store that all machines of a batch reach, through fsspec: a shared folder, S3, Google Cloud Storage, …
+
+    inputs/<digest>                  a raw file, by its content
+    runs/<scene>/<stage>.json        the stamp of a finished stage: the last thing that is written of it
+    runs/<scene>/<stage>/<id>/...    its files; `id` names one making of it
+
+So a stage that was pushed by half is none, and one that replaces another does so at once. What is fetched is compared
+with sizes and digests: of the stamp, or of the batch that named the input.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.digests import file_digest
+from devrf.pipelines.durable import write_json
+from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.workspace import NEW
+
+SizeAndDigest = tuple[int, str]
+
+
+class StoreError(DevrfError):
+    """The store cannot be used, or gave back something else than was put into it."""
+
+
+class Store:
+    """A store at a URL.
+
+    Args:
+        url: `s3://bucket/path`, `file:///path`, …; credentials are found as each protocol's library does.
+    Raises:
+        InputError: No such protocol, or its library is not installed.
+    """
+
+    def __init__(self, url: str) -> None:
+        try:
+            import fsspec.core
+        except ImportError:
+            raise InputError("--store: fsspec is not installed; pip install 'devrf[store]'") from None
+        try:
+            self._fs, self._root = fsspec.core.url_to_fs(url)
+        except (ImportError, ValueError) as error:
+            raise InputError(f"--store {url}: {error}") from None
+        self.url = url
+
+    def put_inputs(self, files: Mapping[str, Path]) -> None:
+        """Store raw files that are not there yet.
+
+        Args:
+            files: Digest -> where the file lies.
+        """
+        known = {entry["name"].rsplit("/", 1)[-1]: entry["size"] for entry in self._list("inputs")}
+        new = {d: path for d, path in files.items() if known.get(d) != path.stat().st_size}
+        self._put(list(new.values()), [f"inputs/{digest}" for digest in new])
+
+    def get_inputs(self, files: Mapping[SizeAndDigest, Path]) -> None:
+        """Fetch raw files.
+
+        Raises:
+            StoreError: One is not there, or is not what it was.
+        """
+        self._get([(f"inputs/{digest}", path, (size, digest)) for (size, digest), path in files.items()])
+
+    def stamp(self, scene: str, stage: str) -> dict[str, Any] | None:
+        """The stamp of a finished stage; None where there is none."""
+        try:
+            with self._errors():
+                stamp = json.loads(self._fs.cat_file(self._path(f"runs/{scene}/{stage}.json")))
+        except (FileNotFoundError, ValueError):
+            return None
+        return stamp if isinstance(stamp, dict) and {"id", "files", "identity"} <= stamp.keys() else None
+
+    def push(self, scene: str, folder: Path, stamp: Mapping[str, Any]) -> None:
+        """Store a finished stage.
+
+        Args:
+            scene: Name of the scene.
+            folder: The stage's folder.
+            stamp: What stands in its stamp.
+        """
+        where = f"runs/{scene}/{folder.name}"
+        names = list(stamp["files"])
+        self._put([folder / name for name in names], [f"{where}/{stamp['id']}/{name}" for name in names])
+        self._make_folders([self._path(f"{where}.json")])
+        old = [e["name"] for e in self._list(where) if not e["name"].rstrip("/").endswith(f"/{stamp['id']}")]
+        with self._errors():
+            self._fs.pipe_file(self._path(f"{where}.json"), json.dumps(stamp).encode())
+            for place in old:  # what it replaces
+                self._fs.rm(place, recursive=True)
+
+    def pull(self, scene: str, stage: str, run_dir: Path) -> None:
+        """Put a finished stage into a run folder, whole or not at all; one that is not stored is left out.
+
+        Raises:
+            StoreError: It is not what was stored.
+        """
+        stamp, folder = self.stamp(scene, stage), run_dir / stage
+        if stamp is None:
+            return
+        half = run_dir / f"{NEW}{stage}-pull"  # a run clears such folders away
+        shutil.rmtree(half, ignore_errors=True)
+        half.mkdir(parents=True)
+        self.get(scene, stage, stamp, half)
+        write_json(half / STAMP, stamp)
+        shutil.rmtree(folder, ignore_errors=True)
+        half.rename(folder)
+
+    def get(
+        self,
+        scene: str,
+        stage: str,
+        stamp: Mapping[str, Any],
+        folder: Path,
+        names: Sequence[str] | None = None,
+    ) -> None:
+        """Fetch files of a stage (None: all) into a folder.
+
+        Raises:
+            StoreError: One is not there, or is not what was stored.
+        """
+        wanted = [name for name in stamp["files"] if names is None or name in names]
+        where = f"runs/{scene}/{stage}/{stamp['id']}"
+        files = [(f"{where}/{name}", folder / name, tuple(stamp["files"][name])) for name in wanted]
+        for _, path, _ in files:
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise StoreError(
+                    f"{self.url}/{where}: names a file outside of the stage ({path}); remove it there"
+                )
+        self._get(files)
+
+    def _put(self, files: Sequence[Path], names: Sequence[str]) -> None:
+        """All at once: a store far away takes many files side by side."""
+        places = [self._path(name) for name in names]
+        self._make_folders(places)
+        if files:
+            with self._errors():
+                self._fs.put([str(path) for path in files], places)
+
+    def _get(self, files: Sequence[tuple[str, Path, SizeAndDigest]]) -> None:
+        for _, path, _ in files:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        if not files:
+            return
+        try:
+            with self._errors():
+                self._fs.get([self._path(name) for name, _, _ in files], [str(path) for _, path, _ in files])
+        except FileNotFoundError as error:
+            raise StoreError(f"{self.url}: a file is missing ({error}); run the batch again") from error
+        for name, path, (size, digest) in files:
+            there = path.stat().st_size
+            if there != size or file_digest(path) != digest:
+                path.unlink()
+                raise StoreError(
+                    f"{self.url}/{name}: is not what was stored ({there} bytes, expected {size} and digest {digest}); "
+                    "remove it there and run the batch again"
+                )
+
+    def _list(self, folder: str) -> list[dict[str, Any]]:
+        try:
+            with self._errors():
+                self._fs.invalidate_cache()
+                return self._fs.ls(self._path(folder), detail=True)
+        except FileNotFoundError:
+            return []
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Each protocol's library has errors of its own; all of them mean that the store cannot be used."""
+        try:
+            yield
+        except (DevrfError, FileNotFoundError, ValueError):
+            raise
+        except Exception as error:
+            raise StoreError(
+                f"--store {self.url}: {type(error).__name__}: {error}; check address, credentials and network"
+            ) from error
+
+    def _make_folders(self, places: Sequence[str]) -> None:
+        if "file" in self._fs.protocol:  # others have no folders
+            for parent in {os.path.dirname(place) for place in places}:
+                self._fs.makedirs(parent, exist_ok=True)
+
+    def _path(self, name: str) -> str:
+        return f"{self._root.rstrip('/')}/{name}"
