@@ -1,0 +1,304 @@
+"""Small files that claim to be large: refused by their headers, with the file, the claim and the limit in the message,
+and without the memory that they ask for."""
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+from numpy.lib import format as npy
+from PIL import Image
+from tests.faults.fuzz_material import pictures, scene_yaml
+from tests.faults.fuzzing import Fuzzer, fuzzer
+
+from devrf.capture import limits
+from devrf.capture.arrays import ArrayError, npz_shapes, read_npy, read_npz
+from devrf.capture.errors import CaptureError, DevrfError, FlowError, ReconstructError
+from devrf.capture.formats.files import read_header, read_json
+from devrf.capture.picture_files import read_pixels
+from devrf.capture.pictures import probe_picture, read_picture
+from devrf.capture.session import read_timestamps
+from devrf.capture.video import VideoReader
+from devrf.flow import weights_file
+from devrf.flow.weights_file import read_weights
+from devrf.reconstruct.model_io import load_rest
+
+LITTLE_MB = 700  # the libraries, and a few pictures; what these files claim is a hundred times that
+WIDE = 60_000
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[Fuzzer]:
+    with fuzzer() as one:
+        yield one
+
+
+def refused(run: Fuzzer, code: int, *words: str, arguments: tuple[object, ...]) -> None:
+    """The command ends with a message, and has taken no memory."""
+    outcome = run.command(*[str(a) for a in arguments])
+    assert outcome.fault((code,)) is None, (outcome.fault((code,)), outcome.said)
+    assert all(word in outcome.said for word in words), outcome.said
+    assert outcome.peak_mb < LITTLE_MB
+
+
+# --- pictures ---
+
+
+def png(side: int) -> bytes:
+    data = bytearray(saved("PNG"))
+    data[16:24] = struct.pack(">II", side, side)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    return bytes(data)
+
+
+def jpeg(side: int) -> bytes:
+    data = bytearray(saved("JPEG"))
+    at = data.index(b"\xff\xc0") + 5
+    data[at : at + 4] = struct.pack(">HH", side, side)
+    return bytes(data)
+
+
+def tiff(side: int) -> bytes:
+    data = bytearray(saved("TIFF"))
+    (directory,) = struct.unpack_from("<I", data, 4)
+    for n in range(struct.unpack_from("<H", data, directory)[0]):
+        at = directory + 2 + 12 * n
+        if struct.unpack_from("<H", data, at)[0] in (256, 257):  # ImageWidth, ImageLength
+            struct.pack_into("<HII", data, at + 2, 4, 1, side)
+    return bytes(data)
+
+
+def bmp(side: int) -> bytes:
+    data = bytearray(saved("BMP"))
+    data[18:26] = struct.pack("<ii", side, side)
+    return bytes(data)
+
+
+def saved(kind: str) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pictures(1)[0]).save(file, kind)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("make", [png, jpeg, tiff, bmp])
+def test_pictures(make: Callable[[int], bytes], tmp_path: Path, run: Fuzzer) -> None:
+    """3.6 thousand million pixels in a few kilobytes; a picture of the largest medium format is let in."""
+    path = tmp_path / f"bomb.{make.__name__}"
+    path.write_bytes(make(WIDE))
+    assert path.stat().st_size < 25_000
+    for read in (read_pixels, read_picture, probe_picture, read_header):
+        with pytest.raises(
+            CaptureError, match=r"bomb.*60000x60000, 3600 million pixels; at most 250 million"
+        ):
+            read(path)
+    scene = scene_yaml(tmp_path / "scene", capture={"static": "photos"})
+    (scene / "photos").mkdir()
+    for name in ("a", "b", "c"):
+        (scene / "photos" / f"{name}.{make.__name__}").write_bytes(make(WIDE))
+    refused(run, 2, "60000x60000", "photos", arguments=("run", scene, "--dry-run"))
+    path.write_bytes(make(14_204))  # 201 million: more than Pillow lets in
+    assert read_header(path).width == 14_204
+
+
+def test_postscript_is_no_picture(tmp_path: Path) -> None:
+    """Pillow would call ghostscript."""
+    path = tmp_path / "a.png"
+    path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n")
+    for read in (read_pixels, read_picture, probe_picture, read_header):
+        with pytest.raises(CaptureError, match="not a picture"):
+            read(path)
+
+
+# --- clips ---
+
+
+def test_a_clip_of_huge_pictures(tmp_path: Path, run: Fuzzer) -> None:
+    path = tmp_path / "wide.y4m"
+    path.write_bytes(b"YUV4MPEG2 W16000 H16000 F25:1 Ip A1:1 C420jpeg\nFRAME\n" + bytes(1000))
+    scene = scene_yaml(tmp_path / "scene", capture={"static": "../wide.y4m"})
+    refused(run, 2, "wide.y4m", "16000x16000", "100 million", arguments=("run", scene, "--dry-run"))
+
+
+def test_a_picture_that_is_huge_only_later(tmp_path: Path) -> None:
+    """Motion JPEG has its size in every picture; the header of the file is that of the first."""
+    path = tmp_path / "grows.avi"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mjpeg", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuvj420p"
+        for picture in pictures(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+    data = bytearray(path.read_bytes())
+    second = data.index(b"\xff\xc0", data.index(b"\xff\xc0") + 2) + 5
+    data[second : second + 4] = struct.pack(">HH", 12_000, 12_000)  # ffmpeg alone lets 268 million in
+    path.write_bytes(data)
+    with VideoReader(path) as reader:
+        sizes = [frame.size for frame in reader]
+        ended = reader.ended_early
+    assert set(sizes) <= {(96, 72)} and ended is not None
+
+
+def test_times_that_are_years_apart(tmp_path: Path, run: Fuzzer) -> None:
+    path = tmp_path / "years.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for n, picture in enumerate(pictures(4)):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = n * 10**9, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    scene = scene_yaml(tmp_path / "scene", capture={"static": "../years.mkv"})
+    refused(run, 1, "years.mkv", "s apart, at most 14400", arguments=("run", scene, "--until", "ingest"))
+
+
+# --- arrays, weights, models ---
+
+
+def npy_header(shape: tuple[int, ...], dtype: str = "<f4") -> bytes:
+    file = io.BytesIO()
+    npy.write_array_header_1_0(file, {"descr": dtype, "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+def test_arrays_that_claim_a_terabyte(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("flow.npy", npy_header((1 << 20, 1 << 18)) + bytes(1000))
+        archive.writestr("bomb.npy", npy_header((10_000_000,)) + bytes(40_000_000))
+        archive.writestr("code.npy", npy_header((1,), "|O") + b"cos\nsystem\n(S'id'\ntR.")
+    with pytest.raises(ArrayError, match=r"a.npz: damaged.*shape \[1048576, 262144\], it has 1000 bytes"):
+        read_npz(path, ["flow"])
+    with pytest.raises(ArrayError, match=r"a.npz: 40 MB, at most 1 MB"):
+        read_npz(path, ["bomb"], most=1_000_000)
+    with pytest.raises(ArrayError, match="Python objects"):
+        read_npz(path, ["code"])
+    assert npz_shapes(path, ["flow"]) == [(1 << 20, 1 << 18)]
+    plain = tmp_path / "a.npy"
+    plain.write_bytes(npy_header((1 << 20, 1 << 18)) + bytes(1000))
+    with pytest.raises(ArrayError, match=r"a.npy: damaged"):
+        read_npy(plain)
+    np.save(plain, np.arange(6.0).reshape(2, 3))
+    assert read_npy(plain).shape == (2, 3)
+
+
+def test_weights_that_unpack_to_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.pth"
+    torch.save({"a": torch.zeros(1).expand(10**12)}, path)
+    with pytest.raises(FlowError, match=r"a has shape \[1000000000000\]"):
+        read_weights(path)
+    torch.save({"a": torch.zeros(1000)}, path)
+    assert isinstance(read_weights(path), dict)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/data/1", bytes(50_000_000))
+    monkeypatch.setattr(weights_file, "WEIGHT_BYTES", 1_000_000)
+    with pytest.raises(CaptureError, match=r"a.pth: 50 MB, at most 1 MB"):
+        read_weights(path)
+
+
+def test_models_that_claim_more(tmp_path: Path) -> None:
+    path = tmp_path / "model.safetensors"
+    for header in (b"", b'{"a":{"dtype":"F32","shape":[1099511627776],"data_offsets":[0,4398046511104]}}'):
+        path.write_bytes(struct.pack("<Q", len(header) or 1 << 60) + header + bytes(16))
+        with pytest.raises(ReconstructError, match="model.safetensors: cannot be read"):
+            load_rest(path)
+    numbers = json.dumps(
+        {"format": 5, "kind": "rest", "channels": 10**6, "mlp_width": 10**6, "view_frequencies": 10**6}
+    )
+    header = json.dumps({"__metadata__": {"devrf": numbers}}).encode()
+    path.write_bytes(struct.pack("<Q", len(header)) + header)
+    with pytest.raises(ReconstructError, match="do not fit together"):
+        load_rest(path)
+
+
+# --- texts ---
+
+
+def test_texts_that_are_too_long_or_too_deep(tmp_path: Path) -> None:
+    path = tmp_path / "transforms.json"
+    path.write_text('{"frames": ' + "[" * 100_000)
+    with pytest.raises(CaptureError, match="not a JSON file"):
+        read_json(path)
+    with path.open("wb") as file:
+        file.truncate(limits.TEXT_BYTES + 1)  # a file with a hole: it takes no disk
+    with pytest.raises(CaptureError, match="100 MB, at most 100 MB"):
+        read_json(path)
+    with pytest.raises(CaptureError, match="100 MB, at most 100 MB"):
+        read_timestamps(path, ["cam0"])
+
+
+LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
+CALIBRATIONS = {
+    "billion laughs": f'<?xml version="1.0"?><!DOCTYPE c [<!ENTITY l0 "ha">{LAUGHS}]><calibration><cameras><camera '
+    'serial="&l9;"/></cameras></calibration>',
+    "external entity": '<?xml version="1.0"?><!DOCTYPE c [<!ENTITY e SYSTEM "file:///etc/passwd">]><calibration><cameras>'
+    '<camera serial="&e;"/></cameras></calibration>',
+    "aliases": "a: &a [1,1,1,1,1,1,1,1,1,1]\n"
+    + "".join(f"{chr(98 + n)}: &{chr(98 + n)} [{','.join([f'*{chr(97 + n)}'] * 10)}]\n" for n in range(8))
+    + "cam0: {camera_model: pinhole, intrinsics: *i, resolution: *i}\n",
+    "yaml, brackets": "%YAML:1.0\ncamera_matrix: " + "[" * 100_000,
+    "yaml, indents": "%YAML:1.0\n---\n" + "\n".join(" " * n + "a:" for n in range(3000)),
+    "yaml, dashes": "%YAML:1.0\n---\na:\n   " + "- " * 100_000,
+    "xml": '<?xml version="1.0"?><opencv_storage>' + "<a>" * 100_000,
+    "json": '{"camera_matrix":' * 100_000,
+    "toml": "matrix = " + "[" * 100_000,
+}
+
+
+@pytest.mark.parametrize("kind", CALIBRATIONS)
+def test_calibrations(kind: str, tmp_path: Path, run: Fuzzer) -> None:
+    path = tmp_path / "given.yml"
+    path.write_text(CALIBRATIONS[kind])
+    outcome = run.read("calibration", path)
+    assert outcome.fault((1,)) is None, (outcome.fault((1,)), outcome.said)
+    assert "given.yml" in outcome.said and "root:" not in outcome.said and outcome.peak_mb < LITTLE_MB
+
+
+SCENES = {
+    "aliases": "name: x\na: &a [1,1,1,1,1,1,1,1,1,1]\n"
+    + "".join(f"{chr(98 + n)}: &{chr(98 + n)} [{','.join([f'*{chr(97 + n)}'] * 10)}]\n" for n in range(9)),
+    "alias of itself": "name: x\ncapture: &a {static: *a}\n",
+    "depth": "name: " + "[" * 100_000,
+    "depth, closed": "name: " + "[" * 5000 + "]" * 5000,
+    "length": "name: x\n" + "# comment\n" * 200_000,
+    "many keys": "\n".join(f"k{n}: {n}" for n in range(16_000)),
+}
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_scene_files(kind: str, tmp_path: Path, run: Fuzzer) -> None:
+    (tmp_path / "scene.yaml").write_text(SCENES[kind])
+    refused(run, 2, "scene.yaml", arguments=("run", tmp_path, "--dry-run"))
+
+
+def test_values_of_the_command_line(tmp_path: Path, run: Fuzzer) -> None:
+    scene = scene_yaml(tmp_path, capture={"static": "gone.mp4"})
+    for value in ("[" * 5000, "2020-13-45", "!!int ''", "&a [*a]", "!!python/object/apply:os.getpid []"):
+        refused(run, 2, "--set", arguments=("run", scene, "--dry-run", "--set", f"reconstruct.rays={value}"))
+
+
+def test_the_limits_themselves(tmp_path: Path) -> None:
+    """What is just within is not refused."""
+    path = tmp_path / "a"
+    limits.check_pixels(path, 25_000, 10_000)
+    limits.check_span(path, float(limits.CLIP_S))
+    path.write_bytes(b"12345")
+    limits.check_bytes(path, 5)
+    for refuse in (
+        lambda: limits.check_pixels(path, 25_000, 10_001),
+        lambda: limits.check_pixels(path, 0, 5),
+        lambda: limits.check_span(path, limits.CLIP_S + 0.1),
+        lambda: limits.check_span(path, float("nan")),
+        lambda: limits.check_bytes(path, 4),
+    ):
+        with pytest.raises(DevrfError, match=str(path)):
+            refuse()

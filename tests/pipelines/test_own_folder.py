@@ -1,0 +1,132 @@
+"""Where a run may write: its own folder, nothing of others in it, and nothing through links."""
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.conftest import Command
+
+from devrf.capture.errors import InputError
+from devrf.capture.formats.datasets import read_dataset, write_dataset
+from devrf.capture.formats.files import LONGEST_NAME
+from devrf.capture.scene import Scene
+from devrf.pipelines.config.error import ConfigError
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.config.scene import CAMERA_NAME
+from devrf.pipelines.own_folder import check_run_folder
+from devrf.pipelines.stages import stage_names
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A scene.yaml with two clips that are never opened."""
+    for name in ("a.mp4", "b.mp4"):
+        (tmp_path / name).write_bytes(b"x")
+    return tmp_path
+
+
+def mistakes(scene: Path, text: str) -> str:
+    (scene / "scene.yaml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_scene(scene / "scene.yaml")
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../evil", "/etc", "a/b", "..", ".", ".hidden", "a\\b", "-rf", "a b", "a\nb", "x" * 65, "名前", "static",
+     "board_a", "joint_a", "nul", "COM1", ""],
+)  # fmt: skip
+def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
+    said = mistakes(
+        scene, json.dumps({"name": "x", "capture": {"static": "a.mp4", "cameras": {name: "b.mp4"}}})
+    )
+    assert "capture.cameras" in said and (
+        "cannot be a camera's name" in said or "the run folder needs" in said
+    )
+
+
+def test_names_that_differ_only_in_case(scene: Path) -> None:
+    cameras = {"cam": "a.mp4", "Cam": "b.mp4"}
+    said = mistakes(scene, json.dumps({"name": "x", "capture": {"static": "s.mp4", "cameras": cameras}}))
+    assert "'cam' and 'Cam' differ only in case" in said
+
+
+@pytest.mark.parametrize(
+    ("output", "says"),
+    [("/", "root of a disk"), ("~", "home folder"), ("photos", "capture.static"), ("a\0b", "zero byte")],
+)  # fmt: skip
+def test_outputs_that_are_something_else(scene: Path, output: str, says: str) -> None:
+    (scene / "photos").mkdir()
+    assert says in mistakes(
+        scene, json.dumps({"name": "x", "output": output, "capture": {"static": "photos"}})
+    )
+
+
+@pytest.mark.parametrize("name", ["..", "../../x", ".", "a/../../b", "\0", "~"])
+def test_the_scene_s_name_makes_a_folder_beside_it(scene: Path, name: str) -> None:
+    (scene / "scene.yaml").write_text(json.dumps({"name": name, "capture": {"static": "a.mp4"}}))
+    folder = load_scene(scene / "scene.yaml").run_dir(scene)
+    assert folder.parent == scene / "runs" and folder.name not in ("", ".", "..")
+
+
+def test_a_folder_of_others_is_not_replaced(tmp_path: Path) -> None:
+    check_run_folder(tmp_path / "missing", stage_names())
+    (tmp_path / "flow").mkdir()
+    check_run_folder(tmp_path, stage_names())  # nothing in it
+    (tmp_path / "flow" / "mine.npz").write_bytes(b"years of work")
+    with pytest.raises(InputError, match=r"holds a folder flow that no run has made.*name another folder"):
+        check_run_folder(tmp_path, stage_names())
+    (tmp_path / "flow" / "stamp.json").write_text("damaged, but a run's")
+    check_run_folder(tmp_path, stage_names())
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "index.html").write_text("of a run that has not come to its end")
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.jpg").write_bytes(b"no stage has this name")
+    check_run_folder(tmp_path, stage_names())
+
+
+@pytest.mark.parametrize(
+    "name", [".lock", "devrf.log", "events.jsonl", "ingest", ".flow/cam0", ".anything", "export"]
+)
+def test_links_are_not_written_through(scene: Path, devrf: Command, name: str) -> None:
+    """A run folder that came from elsewhere: its links lead to files of the user's."""
+    outside = scene / "outside"
+    outside.mkdir()
+    (outside / "precious").write_text("precious")
+    target = outside if name in ("ingest", ".flow/cam0", "export") else outside / "precious"
+    link = scene / "run" / name
+    link.parent.mkdir(parents=True)
+    link.symlink_to(target)
+    with pytest.raises(InputError, match="is a link to .*outside.*remove the link"):
+        check_run_folder(scene / "run", stage_names())
+    if name in (".lock", "devrf.log"):
+        (scene / "scene.yaml").write_text(
+            json.dumps({"name": "x", "output": "run", "capture": {"static": "a.mp4"}})
+        )
+        result = devrf("run", scene, "--until", "ingest")
+        assert result.code == 2 and "is a link" in result.err, result.said
+    assert [path.name for path in outside.iterdir()] == ["precious"]
+    assert (outside / "precious").read_text() == "precious"
+
+
+def test_names_in_a_data_set_stay_names(tmp_path: Path, odd_scene: Scene) -> None:
+    """They become folders of the flow and of exports."""
+    write_dataset("nerfstudio", odd_scene, tmp_path / "set")
+    path = tmp_path / "set" / "transforms.json"
+    meta = json.loads(path.read_text())
+    for frame in meta["frames"]:
+        if frame["camera"] != "static":
+            frame["camera"] = {"cam0": "../../evil", "cam1": "/etc/" + "x" * 400, "witness": "\0\n"}[
+                frame["camera"]
+            ]
+    path.write_text(json.dumps(meta))
+    found = read_dataset("nerfstudio", tmp_path / "set")
+    names = {frame.camera_name for frame in found.dynamic}
+    assert len(names) == 3 and all(
+        CAMERA_NAME.fullmatch(name) and len(name) <= LONGEST_NAME for name in names
+    )
+    write_dataset("colmap", found, tmp_path / "out" / "again")
+    write_dataset("nerfstudio", found, tmp_path / "out" / "more")
+    made = {p.relative_to(tmp_path).parts[0] for p in tmp_path.rglob("*")}
+    assert made == {"set", "out", "pictures"}
