@@ -101,7 +101,8 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
     """One picture; the matte gets its name when it is whole."""
     new = name.with_name(f".new-{name.name}")
     new.unlink(missing_ok=True)
-    arguments = [a.replace(IMAGE, str(picture)).replace(MATTE, str(new)) for a in command.arguments]
+    image, matte = (str(path.absolute()) for path in (picture, new))  # so that no name looks like an option
+    arguments = [a.replace(IMAGE, image).replace(MATTE, matte) for a in command.arguments]
     try:
         process = subprocess.Popen(
             arguments, cwd=command.folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,

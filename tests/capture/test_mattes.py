@@ -273,13 +273,18 @@ def test_a_rim_of_the_background_is_seen() -> None:
 
 
 PROGRAM = """
-    import sys, time
+    import subprocess, sys, time
     from pathlib import Path
     from PIL import Image
 
     image, matte, how = sys.argv[1:4]
     with open("calls.txt", "a") as log:
         log.write(Path(image).name + "\\n")
+    if how == "leaves":
+        code = "import os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
+        code += "open('left.txt', 'w').write(str(os.getpid())); time.sleep(60)"
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(60)
     if how == "slow":
         print("loading weights", flush=True)
         time.sleep(60)
@@ -349,6 +354,31 @@ def test_a_program_that_hangs_is_ended(program: Path) -> None:
         run_on_pictures(command(program, "slow", 2.0), sorted(program.glob("my *.png"))[:1], program / "kept")
     assert time.monotonic() - start < 20
     assert "ended after its time\nloading weights" in (program / "kept" / "command.log").read_text()
+
+
+def test_what_a_program_started_is_ended_too(program: Path) -> None:
+    """A grandchild that ignores SIGTERM."""
+    with pytest.raises(CaptureError, match="not done with"):
+        run_on_pictures(
+            command(program, "leaves", 5.0), sorted(program.glob("my *.png"))[:1], program / "kept"
+        )
+    left = int((program / "left.txt").read_text())
+    for _ in range(100):
+        try:
+            state = Path(f"/proc/{left}/stat").read_text().rsplit(")", 1)[1].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return
+        if state == "Z":
+            return
+        time.sleep(0.1)
+    pytest.fail(f"process {left} goes on")
+
+
+def test_no_name_of_a_picture_is_an_option(program: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(program)
+    Path("-rf.png").write_bytes((program / "my picture 0; $HOME.png").read_bytes())
+    (made,) = run_on_pictures(command(program, "good"), [Path("-rf.png")], Path("-kept"))
+    assert made.is_file() and Path("calls.txt").read_text() == "-rf.png\n"
 
 
 def test_what_keeps_a_program_from_running(tmp_path: Path) -> None:
