@@ -36,6 +36,7 @@ class CanonicalOptions:
         lr_grid, lr_mlp: Initial learning rates; both fall by 10 over all iterations.
         entropy, per_point, opacity: Weights of the losses beside the re-rendering loss.
         variation: Weight of the total variation of density and features.
+        parts: In how many parts, one after the other, an iteration's rays are rendered: the same gradient, less memory.
         coarse_iterations, coarse_rays, coarse_size: The first, coarse model where surroundings are modelled, or where
             it searches the box: iterations, rays per iteration, vertices along each axis.
         box_search: How the tight box is found before a plain background: from silhouettes, or, as published, by a
@@ -68,6 +69,7 @@ class CanonicalOptions:
     per_point: float = 1e-2
     opacity: float = 0.0
     variation: float = 0.0
+    parts: int = 1
     coarse_iterations: int = 1000
     coarse_rays: int = 8192
     coarse_size: int = 128
@@ -258,6 +260,15 @@ def resized(canonical: CanonicalOptions, ratio: float) -> CanonicalOptions:
     return replace(canonical, resolution=resolution, planes=planes, rays=rays, samples=samples)
 
 
+def resized_whole(canonical: CanonicalOptions, ratio: float) -> CanonicalOptions:
+    """Box, surroundings and coarse model at another resolution."""
+    return replace(
+        resized(canonical, ratio),
+        coarse_size=max(16, round(ratio * canonical.coarse_size)),
+        shell_resolution=max(16, round(ratio * canonical.shell_resolution)),
+    )
+
+
 def resized_motion(motion: MotionOptions, ratio: float) -> MotionOptions:
     """Levels for another resolution at rest; where training adapts, with the rays that its pictures then need."""
     rays = motion.rays
@@ -308,12 +319,7 @@ def preset(
     if resolution is not None:
         ratio = resolution / inward
         motion = resized_motion(motion, ratio)
-        canonical = replace(
-            resized(canonical, ratio),
-            coarse_size=max(16, round(ratio * canonical.coarse_size)),
-            shell_resolution=max(16, round(ratio * canonical.shell_resolution)),
-            adapt=False,
-        )
+        canonical = replace(resized_whole(canonical, ratio), adapt=False)
     if rays is not None:
         canonical, motion = (
             replace(

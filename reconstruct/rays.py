@@ -43,8 +43,8 @@ class RayBatch:
     frame: Int[Tensor, " n"]
     pixel: Int[Tensor, " n"]
 
-    def only(self, kept: Bool[Tensor, " n"]) -> "RayBatch":
-        """Those of the rays that are marked."""
+    def only(self, kept: Bool[Tensor, " n"] | slice) -> "RayBatch":
+        """Those of the rays that are marked, or some that follow one another."""
         opacity = None if self.opacity is None else self.opacity[kept]
         parts = (self.rays_o, self.rays_d, self.rgb, self.time, self.frame, self.pixel)
         rays_o, rays_d, rgb, time, frame, pixel = (part[kept] for part in parts)

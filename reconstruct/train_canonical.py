@@ -254,14 +254,23 @@ class _Recipe:
 
     def step(self, batch: RayBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """One iteration; returns the unweighted losses."""
-        jitter = torch.rand(2, len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
+        rays = len(batch.rgb)
+        jitter = torch.rand(2, rays, generator=generator, device=generator.device).to(batch.rgb)
+        size = -(-rays // self.options.parts)
+        parts = [slice(first, first + size) for first in range(0, rays, size)]
+        found = [self._backward(batch.only(part), jitter[:, part], rays) for part in parts]
+        self.samples_per_ray += 0.2 * (sum(samples for _, samples in found) / rays - self.samples_per_ray)
+        self._update(rays)
+        return {name: torch.stack([losses[name] for losses, _ in found]).sum() for name in found[0][0]}
+
+    def _backward(self, batch: RayBatch, jitter: Tensor, rays: int) -> tuple[dict[str, Tensor], int]:
+        """Add the gradient of some of an iteration's rays; returns their share of the losses, and their samples."""
         around = None if self.surround is None else self.surround.grad
         grads = (self.density.grad[0], self.features.grad[0], around)
         out = render_rest(
             self.canonical, self.shell, self.plain, batch.rays_o, batch.rays_d,
             near=self.near, far=self.far, jitter=jitter, target=batch.rgb, grads=grads,
         )  # fmt: skip
-        self.samples_per_ray += 0.2 * (len(out.ray_id) / len(batch.rgb) - self.samples_per_ray)
         mse = rendering_loss(out.rgb, batch.rgb)
         entropy = entropy_loss(out.left)
         per_point = (
@@ -270,10 +279,17 @@ class _Recipe:
         loss = mse + self.options.entropy * entropy + self.options.per_point * per_point
         if batch.opacity is not None:
             loss = loss + self.options.opacity * opacity_loss(out.left, batch.opacity)
-        loss.backward()
+        share = len(batch.rgb) / rays
+        (share * loss).backward()
+        # Detached: what remembers how it was computed would keep the grids of a resolution that has been left.
+        parts = {"mse": mse.detach(), "entropy": entropy.detach(), "per_point": per_point.detach()}
+        return {name: share * value for name, value in parts.items()}, len(out.ray_id)
+
+    def _update(self, rays: int) -> None:
+        """A step of all optimisers."""
         if self.options.variation:
             for grid in (self.density, self.features):
-                weight = variation_weight(self.options.variation, grid.values.shape[:3], len(batch.rgb))
+                weight = variation_weight(self.options.variation, grid.values.shape[:3], rays)
                 add_total_variation(grid.values, grid.grad[0], weight, VARIATION_CLAMP)
         self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad[0])  # touched alike
         self.density.update(self.options.lr_grid * self.decay)
@@ -283,8 +299,6 @@ class _Recipe:
             group["lr"] = self.options.lr_mlp * self.decay
         self.net_optimiser.step()
         self.net_optimiser.zero_grad()
-        # Detached: what remembers how it was computed would keep the grids of a resolution that has been left.
-        return {"mse": mse.detach(), "entropy": entropy.detach(), "per_point": per_point.detach()}
 
     def state(self, generator: torch.Generator) -> State:
         """Everything that the next iteration depends on."""

@@ -9,8 +9,10 @@ from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
+from devrf.pipelines.training_memory import fit_to_memory
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
+from devrf.reconstruct.sizing import levels_for
 from devrf.reconstruct.train_deformation import train_deformation
 
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
@@ -22,6 +24,8 @@ def run(context: StageContext) -> None:
     scene = read_scene(context.run_dir / "scene")
     options = training_options(context.config, scene).motion
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
+    options = levels_for(options, rest.canonical) if options.adapt else options
+    options, fits = fit_to_memory(context, scene, options)
     flows = read_flows(context.run_dir / "flow")
     motion, tuned, metrics = train_deformation(
         scene,
@@ -36,7 +40,7 @@ def run(context: StageContext) -> None:
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
-    metrics |= {"options": asdict(options)}
+    metrics |= {"decisions": fits + metrics["decisions"], "options": asdict(options)}
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
         row(

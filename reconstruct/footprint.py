@@ -1,0 +1,211 @@
+"""How much memory a training will take at its peak, from the shapes of what it holds.
+
+Each part is a number of bytes per vertex, pixel, ray or sample. Those of grids follow from what training keeps: values,
+gradient and two moments of 4 bytes each, and how far a vertex is from anything and whether steps visit it; what an
+occupancy rebuild needs for a moment and what samples leave until the backward pass was measured (docs/reliability.md).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.motion import MOST_ON_GPU
+from devrf.reconstruct.ndc import CUBE, Ndc
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.sizing import fewer_voxels
+
+# Measured on a CPU as differences of peaks between trainings that differ in one size (Linux, torch 2.13, warp 1.17).
+LIBRARIES = 530e6  # once the first iterations are done
+FIRST_ITERATIONS = 220e6  # of them; the others are there when all is imported
+TRAINED = 16  # per value: itself, gradient, two moments
+VERTEX = 37  # per vertex beside: 9 that stay, the rest while occupancy is rebuilt
+SHELL_VERTEX = 120  # of the surroundings: four values, two gradients, and positions while it grows
+COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
+SAMPLE = 440  # per sample in the box, until the backward pass
+SAMPLE_PER_UNIT = 15  # and per hidden unit, where the MLP is asked per sample
+MOVING_SAMPLE = 750  # with its way to rest and back
+PIXEL = 3
+MATTE = 1  # per pixel of pictures before a plain background
+LENS_PIXEL = 36  # of a lens: a viewing direction; the rest while lens distortion is undone
+VIEW_PIXEL = 56  # of a camera that stands still: what is outside the box; half of it while it is put together
+FLOW_PIXEL_READ, FLOW_PIXEL = 6, 5  # vectors and confidence as they are read, and in training's order
+
+CHANNELS = 13  # density and features
+REST_VERTEX = 4 * CHANNELS + 1  # of a scene at rest that is looked at
+FIELD_VERTEX = 2 * 3 * 4  # of both motion fields, per key time
+
+SAMPLES_PER_RAY = 16  # in motion; of solid things fewer count, of things still translucent these (measured)
+SAMPLES_PER_RAY_AT_REST = 40  # in fine-tuning, whose steps are half as long
+KEYS_IN_WINDOW = 5  # of a field too large for a GPU: around a key all that its pictures touch
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Peak memory of one training by part, bytes: main memory and that of the GPU."""
+
+    main: dict[str, int]
+    gpu: dict[str, int]
+
+    @property
+    def main_bytes(self) -> int:
+        """Of main memory."""
+        return sum(self.main.values())
+
+    @property
+    def gpu_bytes(self) -> int:
+        """Of the GPU; 0 without one."""
+        return sum(self.gpu.values())
+
+
+@dataclass(frozen=True)
+class SceneSize:
+    """How much there is to train on, at training size.
+
+    Attributes:
+        still_pixels, moving_pixels: Of all training pictures of the sweep, and of the moving cameras.
+        still_lenses, moving_lenses: Pixels of one picture of each distinct lens.
+        views: Pixels of one picture of each moving camera; of each picture, where cameras do not stand still.
+        largest_clip: Pixels of the camera with most of them.
+        times: Pictures of the camera with most of them.
+        plain: The subject is before a plain background; else surroundings are modelled.
+    """
+
+    still_pixels: int
+    moving_pixels: int = 0
+    still_lenses: int = 0
+    moving_lenses: int = 0
+    views: int = 0
+    largest_clip: int = 0
+    times: int = 0
+    plain: bool = True
+
+    @staticmethod
+    def of(scene: Scene) -> "SceneSize":
+        """Of a scene."""
+
+        def pixels(frames: list[PosedFrame], key: Any = None) -> int:
+            """Of all pictures, or of one of each with the same key."""
+            one_of = list({key(f): f for f in frames}.values()) if key is not None else frames
+            sizes = [f.camera.scaled(scene.image_scale) for f in one_of]
+            return sum(camera.width * camera.height for camera in sizes)
+
+        def lens(frame: PosedFrame) -> Any:
+            return frame.camera.lens
+
+        def view(frame: PosedFrame) -> Any:
+            return frame.camera.cam_from_world.tobytes(), frame.camera.lens
+
+        still = [f for f in scene.static if f.split == "train"]
+        moving = [f for f in scene.dynamic if f.split == "train" and f.time is not None]
+        clips = [[f for f in moving if f.camera_name == name] for name in {f.camera_name for f in moving}]
+        return SceneSize(
+            still_pixels=pixels(still),
+            moving_pixels=pixels(moving),
+            still_lenses=pixels(still, lens),
+            moving_lenses=pixels(moving, lens),
+            views=pixels(moving, view),
+            largest_clip=max(map(pixels, clips), default=0),
+            times=max(map(len, clips), default=0),
+            plain=scene.background != "shell",
+        )
+
+
+def footprint(
+    scene: Scene | SceneSize,
+    options: CanonicalOptions | MotionOptions,
+    device: str = "cpu",
+    held: int = 0,
+) -> Footprint:
+    """Predicted peak of a training.
+
+    Args:
+        scene: What is trained on; of a `Scene` also what `adapt` takes off the resolution at rest is known.
+        options: Of the scene at rest, or of the motion (its `resolution` is that of the scene at rest).
+        device: cpu or cuda.
+        held: Bytes of main memory that the process holds already, everything imported.
+    """
+    size = SceneSize.of(scene) if isinstance(scene, Scene) else scene
+    if isinstance(options, CanonicalOptions):
+        adapted = _adapted(scene, options) if isinstance(scene, Scene) and options.adapt else options
+        kept, trained = {}, _at_rest(size, adapted)
+    else:
+        kept, trained = _in_motion(size, options, on_gpu=device != "cpu")
+    main = {"libraries": max(LIBRARIES, held + FIRST_ITERATIONS)} | kept
+    if device == "cpu":
+        return Footprint(_whole(main | trained), {})
+    brought = {
+        name: trained[name] for name in ("pictures", "models")
+    }  # read here, and written as a checkpoint
+    return Footprint(_whole(main | brought), _whole(trained))
+
+
+def _at_rest(size: SceneSize, o: CanonicalOptions) -> dict[str, float]:
+    """What is trained, or trained on."""
+    grids = o.resolution**3 * (TRAINED * (1 + o.channels) + VERTEX)
+    shell = 0.0 if size.plain else o.shell_resolution**3 * SHELL_VERTEX
+    first = 0.0
+    if not size.plain or o.box_search == "coarse":
+        first = o.coarse_size**3 * COARSE_VERTEX + (grids + shell) / 2 ** len(o.scale_at)
+    per_sample = SAMPLE + (0 if o.deferred else SAMPLE_PER_UNIT * o.mlp_width)
+    return {
+        "pictures": _picture_bytes(size, size.still_pixels, size.still_lenses),
+        "models": max(first, grids + shell),
+        "samples": (o.samples * per_sample + o.rays * _steps_bytes(o)) / o.parts,
+    }
+
+
+def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[dict[str, float], dict[str, float]]:
+    """What stays in main memory in any case, and what is trained, or trained on."""
+    vertices, finest = o.resolution**3, o.levels[-1] ** 3
+    before = o.levels[-2] ** 3 if len(o.levels) > 1 else 0  # a field that is refined is there twice
+    keys = max(2, min(o.keys or o.most_keys, size.times))
+    apart = on_gpu and FIELD_VERTEX * keys * finest > MOST_ON_GPU
+    fields = FIELD_VERTEX * keys * (finest + before)
+    on_device = FIELD_VERTEX * min(keys, KEYS_IN_WINDOW) * finest if apart else fields
+    rest = vertices * REST_VERTEX
+    common = {
+        "pictures": _picture_bytes(size, size.moving_pixels, size.moving_lenses) + PIXEL * size.largest_clip,
+        "surroundings": float(VIEW_PIXEL * size.views),
+    }
+    moving = o.rays * SAMPLES_PER_RAY * MOVING_SAMPLE
+    motion = common | {
+        "flow": float(FLOW_PIXEL * size.moving_pixels * (o.flow > 0)),
+        "models": rest + on_device + 6 * 12 * finest,  # gradient and moments of one key of both fields
+        "samples": moving + o.rays * _steps_bytes(o),
+    }
+    tuning = common | {
+        "sweep": _picture_bytes(size, size.still_pixels, size.still_lenses),
+        "models": rest + on_device + vertices * (TRAINED * CHANNELS + VERTEX),
+        "samples": moving + o.rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o)),
+    }
+    phases = [motion, tuning] if o.fine_tuning else [motion]
+    kept = {
+        "flow as read": float(FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0)),
+        "motion field": float(fields * apart),
+    }
+    return kept, max(phases, key=lambda parts: sum(parts.values()))
+
+
+def _picture_bytes(size: SceneSize, pixels: int, lenses: int) -> float:
+    return pixels * (PIXEL + MATTE * size.plain) + LENS_PIXEL * lenses
+
+
+def _steps_bytes(o: CanonicalOptions | MotionOptions) -> float:
+    """Per ray, of the table of steps through the box."""
+    return 4 * math.sqrt(3) * o.resolution / o.stepsize
+
+
+def _adapted(scene: Scene, options: CanonicalOptions) -> CanonicalOptions:
+    """With no more voxels than pictures show; the box found later may be smaller than the scene's, not larger."""
+    boxed = scene.in_box_frame()
+    cameras = [f.camera.scaled(scene.image_scale) for f in boxed.static if f.split == "train"]
+    ndc = None if scene.ndc is None else Ndc(*scene.ndc)
+    aabb = CUBE if ndc is not None else torch.tensor(boxed.aabb, dtype=torch.float32)
+    return fewer_voxels(options, cameras, aabb, ndc)[0] if cameras else options
+
+
+def _whole(parts: dict[str, float]) -> dict[str, int]:
+    return {name: round(value) for name, value in parts.items() if value}

@@ -1,0 +1,123 @@
+"""Training options with which a training stays below a limit of memory; what is changed comes as a decision.
+
+First what leaves the result as it is in expectation: an iteration's rays in parts, one after the other. Then fewer rays
+(of the motion, whose losses are not sums over rays) and no fine-tuning, then coarser grids.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from devrf.capture.errors import ReconstructError
+from devrf.capture.scene import Scene
+from devrf.reconstruct.footprint import Footprint, SceneSize, footprint
+from devrf.reconstruct.options import FEWEST_RAYS, CanonicalOptions, MotionOptions, resized_whole
+from devrf.reconstruct.sizing import Decision
+
+Options = TypeVar("Options", CanonicalOptions, MotionOptions)
+
+UNSURE = 0.1  # by how much a training may take more than is predicted (docs/reliability.md)
+MOST_PARTS = 16
+COARSER = 0.9  # resolution from one try to the next
+COARSEST, COARSEST_MOTION = 24, 6  # vertices along an axis: below, nothing is recovered
+GB = 1e9
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Most memory that a training may take, bytes; None: without a limit, or no GPU."""
+
+    main: int | None = None
+    gpu: int | None = None
+
+    def hold(self, need: Footprint) -> bool:
+        """Whether a training surely stays below."""
+        pairs = ((need.main_bytes, self.main), (need.gpu_bytes, self.gpu))
+        return all(limit is None or (1 + UNSURE) * bytes_ <= limit for bytes_, limit in pairs)
+
+
+def fitted(
+    scene: Scene | SceneSize, options: Options, limits: Limits, device: str = "cpu", held: int = 0
+) -> tuple[Options, list[Decision]]:
+    """Options that keep a training below the limits, and what was changed for it.
+
+    Args:
+        scene, options, device, held: As `footprint`'s.
+        limits: Of main memory and of the GPU's.
+    Raises:
+        ReconstructError: Even the smallest training takes more.
+    """
+
+    def need(some: Options) -> Footprint:
+        return footprint(scene, some, device, held)
+
+    wanted, smaller = options, options
+    if limits.hold(need(wanted)):
+        return wanted, []
+    for smaller in _smaller_and_smaller(wanted):
+        if limits.hold(need(smaller)):
+            return smaller, _decisions(wanted, smaller, need(wanted), limits)
+    raise ReconstructError(_too_little(need(smaller), limits))
+
+
+def _smaller_and_smaller(options: Options) -> Iterator[Options]:
+    """Each takes less memory than the one before."""
+    if isinstance(options, CanonicalOptions):
+        while options.parts < MOST_PARTS:
+            options = replace(options, parts=2 * options.parts)
+            yield options
+        wanted, ratio = options, COARSER
+        while ratio * wanted.resolution >= COARSEST:
+            yield resized_whole(wanted, ratio)
+            ratio *= COARSER
+        return
+    while options.rays // 2 >= FEWEST_RAYS:
+        options = replace(options, rays=options.rays // 2)
+        yield options
+    if options.fine_tuning:
+        options = replace(options, fine_tuning=0)
+        yield options
+    wanted, ratio = options, COARSER
+    while ratio * wanted.levels[-1] >= COARSEST_MOTION:
+        yield replace(wanted, levels=tuple(max(4, round(ratio * level)) for level in wanted.levels))
+        ratio *= COARSER
+
+
+def _decisions(wanted: Options, chosen: Options, need: Footprint, limits: Limits) -> list[Decision]:
+    reason = "; ".join(_excess(need, limits))
+    named: list[tuple[str, Callable[[Options], object]]] = [
+        ("parts of an iteration's rays", lambda o: getattr(o, "parts", 1)),
+        ("resolution at rest", lambda o: o.resolution),
+        ("rays of an iteration", lambda o: o.rays),
+        ("fine-tuning", lambda o: getattr(o, "fine_tuning", 0) or "none"),
+        ("finest level of the motion", lambda o: o.levels[-1] if isinstance(o, MotionOptions) else 0),
+    ]
+    return [
+        Decision(what, str(value(chosen)), str(value(wanted)), reason)
+        for what, value in named
+        if value(chosen) != value(wanted)
+    ]
+
+
+def _excess(need: Footprint, limits: Limits) -> list[str]:
+    """Which memory is short, in words."""
+    return [
+        f"about {bytes_ / GB:.2f} GB of {name} needed, {limit / GB:.2f} GB allowed"
+        for name, bytes_, limit in (
+            ("main memory", need.main_bytes, limits.main),
+            ("GPU memory", need.gpu_bytes, limits.gpu),
+        )
+        if limit is not None and (1 + UNSURE) * bytes_ > limit
+    ]
+
+
+def _too_little(need: Footprint, limits: Limits) -> str:
+    key = "memory_gb" if limits.main is not None and (1 + UNSURE) * need.main_bytes > limits.main else ""
+    key = key or "gpu_memory_gb"
+    pictures = sum(
+        (need.gpu or need.main).get(name, 0) for name in ("pictures", "flow", "sweep", "surroundings")
+    )
+    return (
+        f"budget.{key}: the smallest training does not fit ({'; '.join(_excess(need, limits))}); raise it, close "
+        f"other programs, or lower reconstruct.image_scale (its pictures and flow take {pictures / GB:.2f} GB)"
+    )
