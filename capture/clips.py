@@ -74,6 +74,7 @@ def extract_clip(
     keep: Keep,
     times: FrameTimes | None = None,
     progress: Progress = no_progress,
+    workers: int | None = None,
 ) -> Extract:
     """Decode a video and write the frames to keep as `out/frames/<name>/<index>.jpg`.
 
@@ -85,6 +86,8 @@ def extract_clip(
         source: How the file is called in `ingest.json`.
         keep: Which frames to keep.
         times: True times of its frames; frames that are not in it are not used. None: file times.
+        progress: Told how far it is.
+        workers: Pictures decoded at once, and as many written; None: one per core.
     Raises:
         InputError: If the file cannot be opened as a video.
         CaptureError: If no frame can be used.
@@ -100,7 +103,10 @@ def extract_clip(
     unused = Unused()
     best: tuple[int, FrameRecord, VideoFrame] | None = None  # of the current window
 
-    with VideoReader(path, None if span is None else span[0]) as reader, PictureWriter() as writer:
+    with (
+        VideoReader(path, None if span is None else span[0], workers) as reader,
+        PictureWriter(workers) as writer,
+    ):
 
         def write_best() -> None:
             if best is not None:

@@ -58,6 +58,7 @@ def write_frames(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     only_ranges: bool = False,
     progress: Progress = no_progress,
+    workers: int | None = None,
 ) -> FrameSet:
     """Extract the frames of everything in the session and write `ingest.json`.
 
@@ -69,6 +70,7 @@ def write_frames(
         ranges: Camera -> (from, to), only frames in this span of the camera's own times are kept.
         only_ranges: Measure nothing outside `ranges` either (no clock needs it): long clips are not read in full.
         progress: Called with the share of sources that are done.
+        workers: Pictures in memory at once, decoded, developed or written; None: one per core. It changes no result.
     Raises:
         InputError, CaptureError: Naming the file, what was found and the remedy.
     """
@@ -86,9 +88,11 @@ def write_frames(
     def extract(name: str, path: Path, role: Role, keep: Keep, camera: str | None = None) -> None:
         source = os.path.relpath(path, root)
         if path.is_dir():
-            cameras[name] = extract_folder(path, out, name, role, source, keep.most, session.raw, step)
+            cameras[name] = extract_folder(
+                path, out, name, role, source, keep.most, session.raw, step, workers
+            )
             return
-        got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step)
+        got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step, workers)
         cameras[name] = _with_clock_cues(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
         if role in SOUND_ROLES:
             np.save(out / "motion" / f"{name}.npy", got.courses.motion)

@@ -68,6 +68,7 @@ def extract_folder(
     most: int | None = None,
     raw: RawOptions = RAW_DEFAULTS,
     progress: Progress = no_progress,
+    workers: int | None = None,
 ) -> CameraFrames:
     """Put a folder of photos upright into `out/frames/<name>`; see `clips.extract_clip` for the arguments.
 
@@ -80,7 +81,7 @@ def extract_folder(
     """
     (out / "frames" / name).mkdir(parents=True, exist_ok=True)
     pictures = list_pictures(path)
-    photos = list(_put(pictures, out, name, raw, progress))
+    photos = list(_put(pictures, out, name, raw, progress, workers))
     counts = Counter(photo.size for photo in photos)
     size = counts.most_common(1)[0][0]
     taken = {s for s, n in counts.items() if s == size or (role == "sweep" and n >= FEWEST_OF_A_SIZE)}
@@ -115,10 +116,12 @@ def extract_folder(
     )
 
 
-def _put(pictures: list[Path], out: Path, name: str, raw: RawOptions, progress: Progress) -> Iterator[_Photo]:
+def _put(
+    pictures: list[Path], out: Path, name: str, raw: RawOptions, progress: Progress, workers: int | None
+) -> Iterator[_Photo]:
     """Write each photo to the ingest folder."""
     raws = [(i, picture) for i, picture in enumerate(pictures) if is_raw(picture)]
-    developed = develop_set(raws, out, name, raw, progress) if raws else {}
+    developed = develop_set(raws, out, name, raw, progress, workers) if raws else {}
     for i, picture in enumerate(pictures):
         progress(i / len(pictures), f"{name}: {i + 1} of {len(pictures)} photos")
         if i in developed:

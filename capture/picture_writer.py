@@ -23,10 +23,13 @@ class PictureWriter:
     """`with PictureWriter() as writer: writer.put(path, frame)`; all are written when the block ends.
 
     A picture that cannot be written (a full disk) is an OSError of a later `put` or of the end.
+
+    Args:
+        workers: Pictures written at once; None: one per core.
     """
 
-    def __init__(self) -> None:
-        workers = usable_cores()
+    def __init__(self, workers: int | None = None) -> None:
+        workers = workers or usable_cores()
         self._pool = ThreadPoolExecutor(workers)
         self._most = workers + 1  # one more waits, so that no worker does
         self._writing: deque[Future[None]] = deque()

@@ -1,7 +1,8 @@
 """All RAW photos of a folder: developed side by side by one recipe, written to disk, and what was used of each.
 
-A photo of 24 million pixels takes 0.6 GB while it is developed, so at most one per core is in memory. The picture in
-`frames` is sRGB with 8 bits; where asked for, `linear/<name>/<index>.png` is the same in linear light with 16 bits.
+A photo of 24 million pixels takes 0.6 GB while it is developed, so at most one per core, or as many as are allowed, are
+in memory. The picture in `frames` is sRGB with 8 bits; where asked for, `linear/<name>/<index>.png` is the same in
+linear light with 16 bits.
 `raw/<name>.json` holds the recipe and, per file, levels, white balance as shot, matrix and what was clipped.
 """
 
@@ -65,6 +66,7 @@ def develop_set(
     name: str,
     options: RawOptions,
     progress: Progress = no_progress,
+    workers: int | None = None,
 ) -> dict[int, RawPhoto]:
     """Develop all RAW photos of a folder.
 
@@ -73,6 +75,8 @@ def develop_set(
         out: The ingest folder.
         name: The folder's name among the cameras.
         options: White balance, and what is kept.
+        progress: Told how far it is.
+        workers: Photos developed at once; None: one per core.
     Returns:
         Index -> what was written.
     Raises:
@@ -98,7 +102,7 @@ def develop_set(
 
     photos: dict[int, RawPhoto] = {}
     used = []
-    with ThreadPoolExecutor(usable_cores()) as pool:
+    with ThreadPoolExecutor(workers or usable_cores()) as pool:
         try:
             for (index, path), (photo, entry) in zip(pictures, pool.map(one, pictures), strict=True):
                 photos[index] = photo

@@ -21,7 +21,7 @@ from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.limits import check_span
 from devrf.capture.media import open_media, origin_s, video_stream
 from devrf.capture.packets import Packets, scan_packets
-from devrf.capture.video_colour import bgr_of, hdr_transfer, small_luma, small_rgb
+from devrf.capture.video_colour import bgr_of, bits_of, hdr_transfer, small_luma, small_rgb
 
 END_TOLERANCE_STEPS = 2  # announced duration minus last timestamp: one step, and rounding
 END_TOLERANCE_S = 0.05  # sound may end up to two AAC blocks after the pictures
@@ -44,6 +44,7 @@ class VideoInfo:
         has_audio: Whether there is a sound stream.
         rotation_deg: Counter-clockwise turn that makes the stored pictures upright: 0, 90, 180 or 270.
         notes: What is unusual about the file, one sentence each.
+        bits: Of a colour of its pictures: 8, or more.
     """
 
     path: Path
@@ -56,6 +57,7 @@ class VideoInfo:
     has_audio: bool
     rotation_deg: int
     notes: tuple[str, ...] = ()
+    bits: int = 8
 
 
 @dataclass(frozen=True)
@@ -127,13 +129,14 @@ class VideoReader:
     pictures and `ended_early` says in words where a damaged or truncated file ended (None for a whole one).
     """
 
-    def __init__(self, path: Path, from_s: float | None = None) -> None:
+    def __init__(self, path: Path, from_s: float | None = None, threads: int | None = None) -> None:
         """Open `path` and decode a first picture.
 
         Args:
             path: The file.
             from_s: Leave out pictures before this file time. The reader jumps to a key picture before it and decodes
                 from there: times, indices and pictures are those of reading from the start.
+            threads: Of the decoder, each of which holds a picture; None: one per core. They change no picture.
         Raises:
             InputError: If the file is missing, empty, not a video, or has no picture that decodes.
         """
@@ -141,6 +144,7 @@ class VideoReader:
         self.decoded = 0
         self.ended_early: str | None = None
         self._from_s = from_s
+        self._threads = threads or 0  # ffmpeg takes 0 for one per core
         self._packets: Packets | None = None  # known where the reader jumped
         if from_s is None or not self._open_at(from_s):
             self._open()
@@ -164,6 +168,7 @@ class VideoReader:
         try:
             self._stream = video_stream(self._container, self.path)
             self._stream.thread_type = "AUTO"
+            self._stream.codec_context.thread_count = self._threads
             self._origin_s = origin_s(self._container)
             if at_pts is not None:
                 self._container.seek(at_pts, stream=self._stream)
@@ -312,4 +317,5 @@ class VideoReader:
             has_audio=bool(container.streams.audio),
             rotation_deg=rotation,
             notes=tuple(notes),
+            bits=bits_of(picture),
         )

@@ -37,7 +37,7 @@ def bgr_of(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width 3"]:
     """B, G, R in sRGB as stored, before the file's turn. May share memory with nothing else; owned by the caller."""
     space = colour_matrix(picture)
     transfer = hdr_transfer(picture)
-    if transfer is None and _bits(picture) <= 8:
+    if transfer is None and bits_of(picture) <= 8:
         return picture.to_ndarray(format="bgr24", src_colorspace=space, threads=1)
     deep = picture.to_ndarray(format="rgb48le", src_colorspace=space, threads=1)
     if transfer is not None:
@@ -114,5 +114,6 @@ def is_full_range(picture: av.VideoFrame) -> bool:
     return picture.color_range == FULL_RANGE or picture.format.name.startswith(("yuvj", "gray"))
 
 
-def _bits(picture: av.VideoFrame) -> int:
+def bits_of(picture: av.VideoFrame) -> int:
+    """Of a colour of a stored picture: 8, or more."""
     return max(component.bits for component in picture.format.components)

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from devrf.capture.cores import usable_cores
 from devrf.capture.errors import FlowError
 from devrf.capture.progress import Progress, no_progress
 from devrf.flow.checks import FlowChecks, PairChecks, summary
@@ -47,7 +46,7 @@ def clip_flow(
     size: tuple[int, int],
     find: Find,
     folder: Path,
-    parallel: bool = False,
+    workers: int = 1,
     progress: Progress = no_progress,
 ) -> FlowChecks:
     """Write the backward flow of one camera's used frames, in order of time; pairs that are there are kept.
@@ -58,9 +57,10 @@ def clip_flow(
         gap: Between which frames there is no flow [N - 1, the pairs].
         load: Gives the n-th frame's full-size RGB picture; asked from several threads.
         size: (width, height) of the stored flow.
-        find: Gives the flow of a pair; asked from several threads where `parallel`.
+        find: Gives the flow of a pair; asked from as many threads as there are workers.
         folder: Where `<camera>/<index>.npz` are written, and looked for.
-        parallel: Use all cores. At any time at most one pair per core is held.
+        workers: Pairs worked on at once, of which each holds its pictures and flow.
+        progress: Told how far it is.
     Raises:
         FlowError: Pictures of different sizes, or that no method takes.
     """
@@ -86,7 +86,7 @@ def clip_flow(
         write_pair(path, found[0], found[1], asdict(found[2]))
         return found[2]
 
-    with ThreadPoolExecutor(usable_cores() if parallel else 1) as pool:  # each holds the pictures of one pair
+    with ThreadPoolExecutor(workers) as pool:
         futures = [pool.submit(make, n) for n in pairs]
         try:
             checks = []

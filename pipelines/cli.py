@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +26,7 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.own_folder import check_run_folder
-from devrf.pipelines.plan import Choice
+from devrf.pipelines.plan import Choice, is_chosen
 from devrf.pipelines.runner import Run, check_choice, check_reads, dry_run, execute
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
@@ -123,7 +123,7 @@ def run(
     job = _prepare(talk, scene, preset, overrides, choice)
     if dry:
         dry_run(job)
-        raise typer.Exit(_check(job, device))
+        raise typer.Exit(_check(job, device, in_full=True))
     raise typer.Exit(_start(job, device))
 
 
@@ -389,8 +389,8 @@ def _start(job: Run, device: str) -> int:
     return code
 
 
-def _check(job: Run, device: str) -> int:
-    """Look at the device, the run folder and the raw files, where a stage is to run; the exit code."""
+def _check(job: Run, device: str, *, in_full: bool = False) -> int:
+    """Look at the device, the run folder, the raw files and the budget, where a stage is to run; the exit code."""
     to_do = {
         now.stage.name for now in job.standings() if now.state in ("stale", "missing") and now.cached is None
     }
@@ -402,10 +402,27 @@ def _check(job: Run, device: str) -> int:
             from devrf.pipelines.preflight import check_inputs
 
             check_inputs(job.config, job.scene_dir, to_do)
+        if chosen := [name for name in to_do if is_chosen(name, STAGES, job.choice)]:
+            _check_budget(job, chosen, in_full)
     except InputError as error:
         job.talk.error(str(error))
         return BAD_INPUT
     return DONE
+
+
+def _check_budget(job: Run, stages: Collection[str], in_full: bool) -> None:
+    """Say what the stages will need, and refuse what cannot be had."""
+    from devrf.pipelines.budget.forecast import forecast
+
+    found = forecast(job.config, job.scene_dir, job.run_dir, job.device, stages)
+    if found is None:
+        return
+    for line in found.lines():
+        job.talk.say(line, style="dim")
+    for line in found.details():
+        (job.talk.say if in_full else job.talk.detail)(line)
+    if found.refused:
+        raise InputError("\n".join(found.refused))
 
 
 def _only(

@@ -22,6 +22,7 @@ from types import FrameType
 import devrf
 from devrf.capture.errors import DevrfError, HealthError, InputError
 from devrf.capture.progress import Progress
+from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.cache import Cache, cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, duration
@@ -253,6 +254,8 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
     start = time.monotonic()
+    budget = Budget(run.config, run.scene_dir, run.run_dir, run.device)
+    left: list[str] = []  # optional stages for which there is no time
     for number, stage in enumerate(run.stages, 1):
         if not is_chosen(stage.name, run.stages, run.choice):
             run.talk.detail(f"{stage.name}: left alone (outside --from and --until)")
@@ -265,12 +268,20 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
         else:
             _keep(run, stage)
             why = "; ".join(now.why) or "forced"
+            late = budget.late(stage.name, _to_come(run, stage))
+            if late is not None and stage.name == OPTIONAL:
+                run.talk.say(f"{stage.name}: left for later: {late}", style="yellow")
+                left.append(stage.name)
+                continue
+            if late is not None:
+                run.talk.error(late)
+                return FAILED
             from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
             does = "taken from the cache" if from_cache else "runs"
             run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
             run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
             tell(stage=stage.name)
-            code = _run_stage(run, workspace, now, from_cache)
+            code = _run_stage(run, workspace, now, from_cache, budget)
             tell(stage=None)
             if code is not None:
                 return code
@@ -298,7 +309,18 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
     counts = [f"{count} stage{'s' if count != 1 else ''} {how}" for count, how in made if count]
     what = ", ".join(counts) or "nothing changed, no stage executed"
     run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
+    if left:
+        run.talk.error(f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes")
+        return FAILED
     return DONE
+
+
+def _to_come(run: Run, stage: Stage) -> list[str]:
+    """Names of a stage and of those that follow it in this run."""
+    rest = run.stages[list(run.stages).index(stage) :]
+    return [
+        s.name for s in rest if s.applies(run.config) is None and is_chosen(s.name, run.stages, run.choice)
+    ]
 
 
 def _judge(run: Run, now: Standing) -> int | None:
@@ -317,14 +339,15 @@ def _judge(run: Run, now: Standing) -> int | None:
     return UNHEALTHY
 
 
-def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) -> int | None:
+def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, budget: Budget) -> int | None:
     """Make one stage, or take it from the cache. None where it is finished, else the exit code."""
     stage, made_from = now.stage, now.made_from
     assert made_from is not None  # all that it reads has been made
     folder: Path | None = None
     context: StageContext | None = None
     try:
-        _check_disk_budget(run)
+        say = partial(run.talk.decision, stage.name)
+        allowance = budget.allowance(stage.name, say)
         if is_forced(stage.name, run.choice):
             remember_forced(run.run_dir, stage.name)
         folder = workspace.fresh_folder(stage.name)
@@ -343,10 +366,12 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool) 
                 out=folder,
                 progress=_sane(progress),
                 device=run.device,
-                say=partial(run.talk.decision, stage.name),
+                say=say,
                 made_from=made_from,
+                allowance=allowance,
             )
-            stage.run(context)
+            with budget.watched():
+                stage.run(context)
         _finish(run, folder, stage, context.health, made_from, time.monotonic() - start)
         workspace.commit(stage.name, folder)
         run.digests.renamed(folder, run.run_dir / stage.name)
@@ -468,18 +493,6 @@ def _peak_rss_gb() -> float:
         resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     return kilobytes * (1024 if sys.platform != "darwin" else 1) / 1e9
-
-
-def _check_disk_budget(run: Run) -> None:
-    budget = run.config.budget.disk_gb
-    if budget is None:
-        return
-    used = size_of(run.run_dir) / 1e9
-    if used > budget:
-        raise DevrfError(
-            f"budget.disk_gb: {run.run_dir} holds {used:.2f} GB, more than {budget} GB; raise it, or lower "
-            "reconstruct.image_scale"
-        )
 
 
 def _skip_line(now: Standing) -> str:

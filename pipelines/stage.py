@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from devrf.capture.progress import Progress
+from devrf.pipelines.budget.allowance import UNBOUNDED, Allowance
 from devrf.pipelines.health.rows import HealthRow
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ class StageContext:
         say: Tells the user one line that stays, such as what was decided and why.
         made_from: All that the result depends on, as its stamp will say.
         afterwards: What is left to do once the folder has its name, such as to remove what a killed run goes on from.
+        allowance: Memory, pictures at once and time that it may use.
     """
 
     config: "SceneConfig"
@@ -39,6 +41,7 @@ class StageContext:
     say: Callable[[str], None] = lambda text: None
     made_from: dict[str, Any] = field(default_factory=dict)
     afterwards: list[Callable[[], None]] = field(default_factory=list)
+    allowance: Allowance = UNBOUNDED
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,7 @@ def rig_from_sweep(
     inputs: list[FixedCameraInput],
     out: Path,
     progress: Progress = no_progress,
+    threads: int | None = None,
 ) -> SweepRig:
     """Register and refine the fixed cameras, in the sweep's unit.
 
@@ -90,10 +91,11 @@ def rig_from_sweep(
         inputs: The cameras.
         out: Folder for logs and temporary files.
         progress: Called per camera.
+        threads: Pictures whose features are found at once; None: one per core.
     Raises:
         HealthError: Cameras that share no view with the sweep, with their inlier counts.
     """
-    features = _features(inputs, out)
+    features = _features(inputs, out, threads)
     progress(0.2, "features of the fixed cameras")
     found: dict[str, tuple[Registration, str]] = {}
     refused = []
@@ -115,7 +117,9 @@ def rig_from_sweep(
     return _refined(model, inputs, found)
 
 
-def _features(inputs: list[FixedCameraInput], out: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _features(
+    inputs: list[FixedCameraInput], out: Path, threads: int | None
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """SIFT of every clean picture, by file stem."""
     longest = max(max(item.width, item.height) for item in inputs)
     with tempfile.TemporaryDirectory(dir=out, prefix="work-") as work:
@@ -132,6 +136,7 @@ def _features(inputs: list[FixedCameraInput], out: Path) -> dict[str, tuple[np.n
             "image_path": str(pictures),
             "names": names,
             "features": feature_options(longest),
+            "threads": threads,
             "out": work,
         }
         run_job(job, Path(work), out / "colmap.log")

@@ -65,7 +65,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     wanted = len(pairs) if len(pairs) < len(job["pairs"]) else job["wanted"]
     with pycolmap.Database.open(str(database)) as db:
         counts = features_per_image(db)
-    matching = Matching(pairs, wanted, counts, lambda some: _match(database, work, some), clock)
+    matching = Matching(pairs, wanted, counts, lambda some: _match(database, job, some), clock)
     _say(0.35, f"matching {wanted} pairs")
     matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
@@ -212,6 +212,7 @@ def _extract(database: Path, job: dict[str, Any], names: list[str]) -> None:
     options.sift.max_num_features = wanted["max_num_features"]
     options.sift.first_octave = wanted["first_octave"]
     options.sift.peak_threshold = wanted["peak_threshold"]
+    options.num_threads = _threads(job)
     reader = pycolmap.ImageReaderOptions()
     if job.get("mask_path"):
         reader.mask_path = job["mask_path"]
@@ -225,16 +226,23 @@ def _extract(database: Path, job: dict[str, Any], names: list[str]) -> None:
     )
 
 
-def _match(database: Path, work: Path, pairs: list[Pair]) -> None:
-    pair_file = work / "pairs.txt"
+def _threads(job: dict[str, Any]) -> int:
+    """Threads of a job as COLMAP counts them."""
+    return job.get("threads") or -1
+
+
+def _match(database: Path, job: dict[str, Any], pairs: list[Pair]) -> None:
+    pair_file = Path(job["work"]) / "pairs.txt"
     pair_file.write_text("".join(f"{a} {b}\n" for a, b in pairs))
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = str(pair_file)
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads = _threads(job)
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = 0
     pycolmap.match_image_pairs(
         str(database),
-        pycolmap.FeatureMatchingOptions(),
+        matching,
         pairing,
         verification,
         pycolmap.Device.cpu,

@@ -60,11 +60,16 @@ class SweepOptions:
         mapper: Which mapper to begin with; `both`: run both and keep the better model.
         check_seed: Map with another seed too and report how far the poses move.
         time_minutes: Budget; None for none.
+        threads: Pictures whose features are found at once, and pairs that are matched at once; None: one per core.
+            They change no result.
+        side_px: Longer side to which larger pictures are reduced before features are found.
     """
 
     mapper: Mapper = "incremental"
     check_seed: bool = False
     time_minutes: float | None = 30.0
+    threads: int | None = None
+    side_px: int = MAX_IMAGE_SIZE
 
 
 DEFAULT_OPTIONS = SweepOptions()
@@ -144,8 +149,9 @@ def recover_static_poses(
                 "pairs": plan.pairs,
                 "wanted": plan.wanted,
                 "features": feature_options(
-                    max(max(g.intrinsics.width, g.intrinsics.height) for g in groups)
+                    max(max(g.intrinsics.width, g.intrinsics.height) for g in groups), options.side_px
                 ),
+                "threads": options.threads,
                 "ladder": sorted(LADDER, key=lambda rung: rung["mapper"] != first),
                 "compare": "always" if options.mapper == "both" or len(names) <= COMPARE_UP_TO else "weak",
                 "check_seed": options.check_seed,
@@ -204,10 +210,10 @@ def read_static_poses(folder: Path) -> SweepModel:
     return SweepModel(names, tuple(cameras), report=report, **read_npz(folder / "points.npz"))
 
 
-def feature_options(longest_side_px: int) -> dict[str, Any]:
-    """SIFT settings for pictures whose longer side is `longest_side_px`."""
+def feature_options(longest_side_px: int, side_px: int = MAX_IMAGE_SIZE) -> dict[str, Any]:
+    """SIFT settings for pictures whose longer side is `longest_side_px`, reduced to at most `side_px`."""
     return {
-        "max_image_size": MAX_IMAGE_SIZE,
+        "max_image_size": side_px,
         "max_num_features": MAX_FEATURES,
         "first_octave": -1 if longest_side_px <= FINE_OCTAVE_BELOW else 0,
         "peak_threshold": 0.02 / 3,

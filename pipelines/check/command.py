@@ -4,7 +4,6 @@ The rows are those of the stages where a stage has one; the stages look at all p
 """
 
 import json
-import shutil
 import time
 from pathlib import Path
 
@@ -18,6 +17,9 @@ from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at_clip
 from devrf.pipelines.board_spec import board_spec
+from devrf.pipelines.budget.disk import room_for
+from devrf.pipelines.budget.material import find_sources
+from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clips import CLIP_PICTURES, camera_rows, see_sweep
@@ -105,8 +107,14 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     sections["scale"] = _scale(config)
     sections[FILES] = left_out(config, session, scene_dir)
     progress(0.95, RESOURCES)
-    free = shutil.disk_usage(_existing(run_dir)).free
-    sections[RESOURCES] = estimate_rows(config, run_dir, {**planned, **moving}, looks, free)
+    sections[RESOURCES] = estimate_rows(
+        config,
+        run_dir,
+        find_sources(config, scene_dir, run_dir),
+        looks,
+        room_for(run_dir, config.budget.disk_gb),
+        allowed_bytes(config),
+    )
     return {title: rows for title, rows in sections.items() if rows}
 
 
@@ -151,7 +159,3 @@ def _sound(path: Path) -> Sound | None:
     except DevrfError:
         return None  # preflight has said what is wrong with it, or the stage will
     return None if sound is None or sound.silent else sound
-
-
-def _existing(path: Path) -> Path:
-    return next(place for place in (path, *path.absolute().parents) if place.exists())

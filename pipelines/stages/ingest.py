@@ -33,7 +33,14 @@ def run(context: StageContext) -> None:
     ranges = file_ranges(session, sounds, context.config.calibration.sync.method)
     only_ranges = len(ranges) == len(session.cameras)
     frames = write_frames(
-        session, sounds, context.out, context.scene_dir, ranges, only_ranges, context.progress
+        session,
+        sounds,
+        context.out,
+        context.scene_dir,
+        ranges,
+        only_ranges,
+        context.progress,
+        context.allowance.at_once,
     )
     refuse_damaged(frames)
     context.health.extend(health(frames))

@@ -231,7 +231,7 @@ class _Job:
         for name, camera in self.moving.items():
             pictures = clean_pictures(name, files_of(self.context.run_dir, camera), rest, clean)
             inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))
-        found = rig_from_sweep(model, inputs, self.context.out, progress)
+        found = rig_from_sweep(model, inputs, self.context.out, progress, self.context.allowance.at_once)
         used = {c.details["picture"] for c in found.cameras.values()}
         for picture in clean.iterdir():
             if picture.stem not in used:

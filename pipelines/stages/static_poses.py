@@ -9,14 +9,21 @@ from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.masks import prepare_masks
-from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions, recover_static_poses
+from devrf.calibration.sweep.static_poses import (
+    MAX_IMAGE_SIZE,
+    SweepModel,
+    SweepOptions,
+    recover_static_poses,
+)
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.picture_files import open_picture
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
+from devrf.pipelines.budget.allowance import UNBOUNDED, Allowance
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.health.board import board_rows
+from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, mask_rows, sweep_rows
 from devrf.pipelines.stage import StageContext
 
@@ -37,7 +44,9 @@ def run(context: StageContext) -> None:
         context.config.path(context.scene_dir, capture.static),
         known=None if board is None else board.intrinsics,
         progress=context.progress,
+        allowance=context.allowance,
     )
+    context.health.extend(coarser_rows(context.allowance.side_px))
     context.health.extend(sweep_rows(model))
     context.health.extend(mask_rows(without_mask))
     if board is not None:
@@ -56,6 +65,7 @@ def recover_sweep(
     source: Path,
     known: Intrinsics | None = None,
     progress: Progress = no_progress,
+    allowance: Allowance = UNBOUNDED,
 ) -> tuple[SweepModel, list[str]]:
     """Structure from motion of the pictures that ingest left, with all that their tags say.
 
@@ -68,6 +78,7 @@ def recover_sweep(
         source: The sweep itself, a film or a folder of photos.
         known: Intrinsics by a board.
         progress: Told how far it is.
+        allowance: Threads, size of pictures and time that it may use.
     Returns:
         The model, and the pictures that have no mask where masks are given.
     """
@@ -85,13 +96,41 @@ def recover_sweep(
             ingest / "frames",
             device_groups(sizes, exif, known),
             out,
-            options=SweepOptions(config.mapper, config.check_seed, config.time_minutes),
+            options=_options(config, allowance),
             ordered=film,
             masks=None if config.masks is None else Path(masks),
             places={name: tags.place for name, tags in exif.items()},
             progress=progress,
         )
     return model, without
+
+
+def coarser_rows(side_px: int | None) -> list[HealthRow]:
+    """Whether pictures had to be made smaller than they usually are, for want of memory."""
+    if side_px is None:
+        return []
+    return [
+        row(
+            "longer side of the sweep's pictures in which features were found",
+            float(side_px),
+            "pixels",
+            warn=float(MAX_IMAGE_SIZE),
+            remedy="The memory that was allowed was too little for larger ones: raise budget.memory_gb or take a "
+            "larger machine, and run again with --force static_poses.",
+        )
+    ]
+
+
+def _options(config: StaticPosesConfig, allowance: Allowance) -> SweepOptions:
+    left_s = allowance.left_s
+    limits = [m for m in (config.time_minutes, None if left_s is None else left_s / 60) if m is not None]
+    return SweepOptions(
+        config.mapper,
+        config.check_seed,
+        min(limits, default=None),
+        allowance.at_once,
+        allowance.side_px or MAX_IMAGE_SIZE,
+    )
 
 
 def _size(file: Path) -> tuple[int, int]:

@@ -1,0 +1,88 @@
+"""How a stage is done within the memory that is allowed: fewer pictures at once, then smaller ones, else not at all."""
+
+from dataclasses import dataclass
+
+from devrf.calibration.sweep.static_poses import MAX_IMAGE_SIZE
+from devrf.pipelines.budget.estimate import static_poses_need
+from devrf.pipelines.budget.material import Material
+from devrf.pipelines.budget.need import GB, BudgetError, Need, size_text
+from devrf.pipelines.config.scene import SceneConfig
+
+SIDES_PX = (
+    MAX_IMAGE_SIZE,
+    960,
+    720,
+    540,
+)  # of the sweep's pictures; features below that are too few to match
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A way to do a stage.
+
+    Attributes:
+        need: What it needs then.
+        at_once: Pictures, pairs or threads at once.
+        side_px: Of the sweep's pictures; None: as it is without a budget.
+    """
+
+    need: Need
+    at_once: int
+    side_px: int | None = None
+
+    @property
+    def said(self) -> str | None:
+        """What was decided; None where nothing had to be."""
+        changes = []
+        if self.at_once < self.need.at_once:
+            changes.append(f"{self.at_once} instead of {self.need.at_once} at once")
+        if self.side_px is not None:
+            changes.append(f"features at {self.side_px} instead of {MAX_IMAGE_SIZE} pixels")
+        if not changes:
+            return None
+        return f"{', '.join(changes)}, to keep within the memory that is allowed"
+
+
+def fit(need: Need, config: SceneConfig, material: Material, allowed: int) -> Fit:
+    """The quickest way to do a stage within `allowed` bytes that changes its result least.
+
+    Raises:
+        BudgetError: There is none.
+    """
+    at_once = need.fitted(allowed)
+    if at_once:
+        return Fit(need, at_once)
+    if need.stage == "static_poses":
+        for side_px in SIDES_PX[1:]:
+            smaller = static_poses_need(config, material, side_px)
+            if smaller.each < need.each and (at_once := smaller.fitted(allowed)):
+                return Fit(smaller, at_once, side_px)
+        need = static_poses_need(config, material, SIDES_PX[-1])
+    raise BudgetError(no_memory(need, config, allowed))
+
+
+def no_memory(need: Need, config: SceneConfig, allowed: int) -> str:
+    """What is said of a stage that does not fit."""
+    budget = config.budget.memory_gb
+    if budget is not None and allowed >= int(budget * GB):
+        bound, remedy = f"budget.memory_gb is {budget:g}", "raise it"
+    else:
+        bound = f"{size_text(allowed)} are left on this machine"
+        remedy = "close other programs, take a larger machine"
+    return (
+        f"{need.stage} needs about {size_text(need.least)} of main memory at the least, and {bound}; {remedy}, or "
+        f"use {REMEDIES.get(need.stage, 'smaller pictures')}"
+    )
+
+
+TRAINING = "--preset tiny, or lower reconstruct.resolution or reconstruct.image_scale"
+REMEDIES = {
+    "ingest": "smaller pictures or shorter clips (capture.range_s)",
+    "static_poses": "fewer pictures in the sweep",
+    "sync": "shorter clips, or calibration.sync.method: timestamps",
+    "flow": "flow.method: dis, or smaller pictures",
+    "canonical": TRAINING,
+    "deformation": TRAINING,
+    "evaluate": TRAINING,
+    "render": TRAINING,
+}

@@ -1,0 +1,98 @@
+"""One run kept within `budget.*`: asked before each stage, and watching while it writes.
+
+What reads clips is imported only where a stage runs, so that a run in which nothing is stale loads no library for it.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from devrf.capture.errors import DevrfError
+from devrf.pipelines.budget.allowance import Allowance
+from devrf.pipelines.budget.disk import no_room, room_for, watched
+from devrf.pipelines.budget.memory import allowed_bytes
+from devrf.pipelines.budget.need import GB, BudgetError, Need
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.console import duration
+
+if TYPE_CHECKING:
+    from devrf.pipelines.budget.material import Material
+
+OPTIONAL = "render"  # nothing but the report reads it
+LAST = "report"  # takes seconds, and is wanted most where a run ends early
+
+
+class Budget:
+    """What one call of `run` may still use. Its time begins now."""
+
+    def __init__(self, config: SceneConfig, scene_dir: Path, run_dir: Path, device: str) -> None:
+        self.config, self.scene_dir, self.run_dir, self.device = config, scene_dir, run_dir, device
+        minutes = config.budget.time_minutes
+        self._until = None if minutes is None else time.monotonic() + 60 * minutes
+
+    def allowance(self, stage: str, say: Callable[[str], None]) -> Allowance:
+        """What a stage may use, now that what it reads is made. What had to be decided is said.
+
+        Raises:
+            BudgetError: It cannot be done within the budget.
+        """
+        gpu_gb = self.config.budget.gpu_memory_gb
+        gpu = None if gpu_gb is None else int(gpu_gb * GB)
+        allowed = allowed_bytes(self.config)
+        material = self._material()
+        need = None if material is None else self._needs(material).get(stage)
+        if material is None or need is None:
+            return Allowance(allowed, gpu, until=self._until)
+        room = room_for(self.run_dir, self.config.budget.disk_gb)
+        if need.disk > room.count:
+            raise BudgetError(no_room(need.disk, "it", room))
+        from devrf.pipelines.budget.fit import fit
+
+        found = fit(need, self.config, material, allowed)
+        if found.said is not None:
+            say(f"  {found.said}")
+        at_once = found.at_once if found.at_once < need.at_once else None
+        return Allowance(allowed, gpu, at_once, found.side_px, self._until)
+
+    def watched(self) -> AbstractContextManager[None]:
+        """Stops what is done in this block before the disk is full."""
+        return watched(self.run_dir, self.config.budget.disk_gb)
+
+    def late(self, stage: str, rest: Sequence[str]) -> str | None:
+        """Why there is no time to begin a stage, and what is left; None where there is.
+
+        Args:
+            stage: Its name.
+            rest: It and the stages that follow.
+        """
+        if self._until is None or stage == LAST:
+            return None
+        material = self._material()
+        needs = {} if material is None else self._needs(material)
+        left_s = self._until - time.monotonic()
+        expected_s = needs[stage].seconds or 0.0 if stage in needs else 0.0
+        if left_s > (expected_s if stage == OPTIONAL else 0.0):
+            return None
+        known = [needs[name].seconds for name in rest if name in needs]
+        total_s = sum(seconds for seconds in known if seconds is not None)
+        more = f", which would take about {duration(total_s)}" if known and None not in known else ""
+        return (
+            f"no time left for {', '.join(rest)} (budget.time_minutes: {self.config.budget.time_minutes:g}){more}; "
+            "what is done is kept: run again to go on, or give it more time"
+        )
+
+    def _material(self) -> "Material | None":
+        """None where raw files cannot be read, which the stages report."""
+        from devrf.pipelines.budget.material import find_material
+
+        try:
+            return find_material(self.config, self.scene_dir, self.run_dir)
+        except DevrfError:
+            return None
+
+    def _needs(self, material: "Material") -> dict[str, Need]:
+        from devrf.pipelines.budget.estimate import stage_needs
+
+        return stage_needs(self.config, material, self.device)
