@@ -13,7 +13,7 @@ from torch import Tensor
 
 LEVELS = 4
 VOLUME_BYTES = 1 << 30  # of one level; the finest of a 1 megapixel picture just fits
-CHUNK_BYTES = 1 << 27  # of features fetched at a time where there is no volume
+CHUNK_SHARE = 8  # features fetched at a time where there is no volume: so many times less than a volume
 
 
 class CorrelationPyramid:
@@ -22,11 +22,17 @@ class CorrelationPyramid:
     Args:
         features0, features1: [C, H, W] in single precision.
         radius: r; (2r + 1)^2 places around a point are looked at, on each level.
+        volume_bytes: Most that a level may take.
     """
 
     def __init__(
-        self, features0: Float[Tensor, "C H W"], features1: Float[Tensor, "C H W"], radius: int
+        self,
+        features0: Float[Tensor, "C H W"],
+        features1: Float[Tensor, "C H W"],
+        radius: int,
+        volume_bytes: int = VOLUME_BYTES,
     ) -> None:
+        self.volume_bytes = volume_bytes
         channels, height, width = features0.shape
         self.queries = features0.reshape(channels, -1).T / channels**0.5
         steps = torch.arange(-radius, radius + 1, device=features0.device, dtype=torch.float32)
@@ -37,7 +43,7 @@ class CorrelationPyramid:
             if n:
                 features1 = F.avg_pool2d(features1[None], 2, stride=2)[0]
             h, w = features1.shape[1:]
-            fits = height * width * h * w * features1.element_size() <= VOLUME_BYTES
+            fits = height * width * h * w * features1.element_size() <= volume_bytes
             volume = (self.queries @ features1.reshape(channels, -1)).view(-1, 1, h, w) if fits else features1
             self.levels.append(volume)
 
@@ -53,7 +59,7 @@ class CorrelationPyramid:
         grid = 2 * at / span - 1
         if level.dim() == 4:
             return F.grid_sample(level, grid[:, None], align_corners=True)[:, 0, 0]
-        size = max(1, CHUNK_BYTES // (len(level) * at.shape[1] * level.element_size()))
+        size = max(1, self.volume_bytes // CHUNK_SHARE // (len(level) * at.shape[1] * level.element_size()))
         return torch.cat(
             [
                 torch.einsum("nc,cnk->nk", q, F.grid_sample(level[None], g[None], align_corners=True)[0])

@@ -10,11 +10,13 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
+from devrf.flow.correlation import VOLUME_BYTES
 from devrf.flow.padding import crop, pad
 from devrf.flow.raft_network import STRIDE
 from devrf.flow.raft_weights import load_raft
 
 STEPS = 20  # corrections; more change little (the authors use 12 to 32)
+LEAST_VOLUME_BYTES = VOLUME_BYTES >> 8  # smaller ones save nothing against the features themselves
 SMALLEST_SIDE = 128  # pixels; below, the coarsest level of the correlation is a single cell
 
 
@@ -34,6 +36,7 @@ class RaftFlow:
         self.device = device
         self.network = load_raft(weights).to(device)
         self.name = f"raft {self.network.sizes.name}"
+        self._volume_bytes = VOLUME_BYTES
 
     def estimate(
         self,
@@ -46,12 +49,23 @@ class RaftFlow:
             flow[at] = self._pair(image0[at], image1[at])
         return flow
 
-    @torch.inference_mode()
     def _pair(self, image0: np.ndarray, image1: np.ndarray) -> Float32[np.ndarray, "height width 2"]:
+        """Where a GPU has no room for it, tried again with smaller volumes, and so from then on."""
+        while True:
+            try:
+                return self._flow(image0, image1)
+            except torch.OutOfMemoryError:
+                if self._volume_bytes <= LEAST_VOLUME_BYTES:
+                    raise
+            self._volume_bytes //= 4
+            torch.cuda.empty_cache()
+
+    @torch.inference_mode()
+    def _flow(self, image0: np.ndarray, image1: np.ndarray) -> Float32[np.ndarray, "height width 2"]:
         height, width = image0.shape[:2]
         first, second = (self._tensor(image) for image in (image0, image1))
         with torch.autocast("cuda", dtype=torch.float16, enabled=self.device == "cuda"):
-            flow = self.network(first, second, STEPS)
+            flow = self.network(first, second, STEPS, self._volume_bytes)
         return crop(flow.permute(1, 2, 0).cpu().numpy(), height, width)
 
     def _tensor(self, image: np.ndarray) -> Tensor:

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from devrf.flow.correlation import LEVELS, CorrelationPyramid
+from devrf.flow.correlation import LEVELS, VOLUME_BYTES, CorrelationPyramid
 
 STRIDE = 8  # of features, pixels
 MASK_GAIN = 0.25  # the authors'; it slows the mask's training, and belongs to the weights
@@ -60,14 +60,18 @@ class Raft(nn.Module):
         self.update_block = _Update(sizes, small)
 
     def forward(
-        self, image0: Float[Tensor, "3 H W"], image1: Float[Tensor, "3 H W"], steps: int
+        self,
+        image0: Float[Tensor, "3 H W"],
+        image1: Float[Tensor, "3 H W"],
+        steps: int,
+        volume_bytes: int = VOLUME_BYTES,
     ) -> Float[Tensor, "2 H W"]:
         """Flow from image0 to image1 (RGB from -1 to 1, sides multiples of 8), pixels, after some steps."""
         features = self.fnet(torch.stack([image0, image1])).float()
         state, context = self.cnet(image0[None]).split([self.sizes.hidden, self.sizes.context], dim=1)
         state, context = state.tanh(), context.relu()
         with torch.autocast(image0.device.type, enabled=False):  # the authors correlate in single precision
-            pyramid = CorrelationPyramid(features[0], features[1], self.sizes.radius)
+            pyramid = CorrelationPyramid(features[0], features[1], self.sizes.radius, volume_bytes)
         y, x = (torch.arange(n, device=image0.device, dtype=torch.float32) for n in features.shape[2:])
         begin = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
         flow = torch.zeros_like(begin)

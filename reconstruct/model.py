@@ -19,12 +19,13 @@ from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
 from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in, shade
 from devrf.reconstruct.train_canonical import RestModel
 
-CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
-CACHED_CAMERAS = 64  # cameras whose surroundings are remembered
+FEWEST_RAYS = 1 << 9  # at once, where memory is short: fewer would be slow and need hardly less
+CACHED_BYTES = 1 << 28  # of surroundings of cameras that are remembered: 20 cameras of 0.5 megapixels
 LIVE_VOXELS = 40  # size of the grid that says where the moving scene may be
 STRETCH = 1.5  # how much a motion may stretch space inside one of its cells
 
@@ -36,6 +37,11 @@ class Around:
     front: Float[Tensor, "R 3"]
     through: Float[Tensor, " R"]
     back: Float[Tensor, "R 3"]
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it takes."""
+        return sum(part.numel() * part.element_size() for part in (self.front, self.through, self.back))
 
     def compose(self, rgb: Float[Tensor, "R 3"], left: Float[Tensor, " R"]) -> Float[Tensor, "R 3"]:
         """Colours of whole rays from what the box shows and lets through."""
@@ -67,11 +73,15 @@ class Moved:
 
 @dataclass
 class DynamicModel:
-    """The scene at rest, how it moves (None: it does not), and the same as it looks in motion (None: the same)."""
+    """The scene at rest, how it moves (None: it does not), and the same as it looks in motion (None: the same).
+
+    Pictures are rendered `chunk` rays at a time.
+    """
 
     rest: RestModel
     motion: MotionField | None = None
     in_motion: RestModel | None = None
+    chunk: int = CHUNK
     _around: OrderedDict[tuple[object, ...], Around] = field(default_factory=OrderedDict, repr=False)
 
     def around_camera(self, camera: Camera) -> Around:
@@ -80,13 +90,18 @@ class DynamicModel:
         if key not in self._around:
             device = str(self.rest.canonical.density.device)
             rays_o, rays_d = camera_rays(camera, device)
-            parts = [self.around(o, d) for o, d in _chunks(rays_o, rays_d)]
+            parts = [self.around(o, d) for o, d in _chunks(rays_o, rays_d, self.chunk)]
             self._around[key] = Around(
                 *(torch.cat([getattr(p, name) for p in parts]) for name in ("front", "through", "back"))
             )
-            while len(self._around) > CACHED_CAMERAS:
+            while len(self._around) > 1 and sum(a.bytes for a in self._around.values()) > CACHED_BYTES:
                 self._around.popitem(last=False)
         return self._around[key]
+
+    def forget(self) -> None:
+        """Give back memory that is only held to be quicker."""
+        self._around.clear()
+        torch.cuda.empty_cache()  # does nothing where there is none
 
     @torch.no_grad()
     def around(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Around:
@@ -163,7 +178,27 @@ def render_layers(
     Float32[np.ndarray, "height width"],
     Float32[np.ndarray, "height width"],
 ]:
-    """A picture, its depth (weighted distance in the box, 0 where nothing is) and the box's opacity."""
+    """A picture, its depth (weighted distance in the box, 0 where nothing is) and the box's opacity.
+
+    Where a GPU has no room for the rays, it is tried again with half of them at once, and so from then on.
+    """
+    while True:
+        try:
+            return _layers(model, camera, time)
+        except torch.OutOfMemoryError:
+            if model.chunk <= FEWEST_RAYS:
+                raise
+        model.chunk //= 2  # here the failed try holds nothing any more
+        model.forget()
+
+
+def _layers(
+    model: DynamicModel, camera: Camera, time: float | None
+) -> tuple[
+    Float32[np.ndarray, "height width 3"],
+    Float32[np.ndarray, "height width"],
+    Float32[np.ndarray, "height width"],
+]:
     rest, motion = model.rest, model.motion
     device = str(rest.canonical.density.device)
     rays_o, rays_d = camera_rays(camera, device)
@@ -174,7 +209,7 @@ def render_layers(
         motion, tau = motion.at(time, device)
         live = live_distance(rest, motion, tau, 1)
     out: list[tuple[Tensor, Tensor, Tensor]] = []
-    for o, d in _chunks(rays_o, rays_d):
+    for o, d in _chunks(rays_o, rays_d, model.chunk):
         middle = o.new_full((len(o),), 0.5)
         if motion is not None and live is not None and tau is not None:
             seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
@@ -190,5 +225,5 @@ def render_layers(
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
 
 
-def _chunks(rays_o: Tensor, rays_d: Tensor) -> list[tuple[Tensor, Tensor]]:
-    return list(zip(rays_o.split(CHUNK), rays_d.split(CHUNK), strict=True))
+def _chunks(rays_o: Tensor, rays_d: Tensor, size: int) -> list[tuple[Tensor, Tensor]]:
+    return list(zip(rays_o.split(size), rays_d.split(size), strict=True))

@@ -12,6 +12,7 @@ PresetName = Literal["tiny", "fast", "reference"]
 REFERENCE_EXTENT = (
     2.5  # longest side of the published objects, world units; the motion's rates are meant for it
 )
+CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
 
 
 @dataclass(frozen=True)

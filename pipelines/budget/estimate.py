@@ -11,13 +11,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from devrf.calibration.sweep.static_poses import FINE_OCTAVE_BELOW, MAX_IMAGE_SIZE
-from devrf.capture.cores import cores
+from devrf.capture.cores import usable_cores
 from devrf.pipelines.budget.material import Material, Source
 from devrf.pipelines.budget.need import Need
 from devrf.pipelines.budget.training import model_bytes, training_need
 from devrf.pipelines.clock_check import MOST_FRAMES
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stages.render import SIZES
+from devrf.pipelines.trained_model import PIECES
+from devrf.reconstruct.options import CHUNK
 
 UNSURE = 3
 
@@ -33,16 +35,15 @@ SIFT_READ = 5  # and at the full size, for reading
 PAIR_FLOW = 190  # of a pair whose flow is found, both ways, and checked (480x360 to 3840x2160: 160 to 200)
 RAFT_FLOW, RAFT_VOLUMES = 450, 1_400_000_000  # and by RAFT, of whose volumes there are at most so many bytes
 BOARD = 30  # pictures of a board, of colours, one at a time
-CACHED = 28  # surroundings of a camera, remembered
+CACHED = 28  # surroundings of a camera
 SCORED, LPIPS = 400, 1500  # pictures that are compared; and through the networks of LPIPS
 
 SWEEP_PICTURE = 3_000_000  # bytes: a sweep picture's features, matches and points while the sweep is mapped
 CHECKED_PICTURE = 1_700_000  # bytes: a moving picture whose clock is checked, with its flow at 320 pixels
 SOUND = 48_000 * 64  # bytes a second while clocks are found: samples, onsets, their spectra
 SOUND_READ = 48_000 * 16  # bytes a second of decoded sound
-CHUNK = 1 << 14  # rays rendered at once, ...
-PIECES = 8  # ... or as few as an eighth of them, ...
-RAY = 20_000  # ... of which each takes so many bytes
+MOST_CACHED = 100_000_000  # bytes: surroundings of cameras that are remembered; 0.27 GB at the most
+RAY = 20_000  # each of those that are rendered at once
 
 # Disk, bytes
 FLOW_STORED = 1.0  # for each pixel of a pair, packed; the example's 0.43, and 2.5 at the most
@@ -96,12 +97,15 @@ def _ingest(config: SceneConfig, material: Material) -> Need:
         RAW * s.pixels for s in raws
     ]
     sound_s = sum(source.sound_s for source in sources)
-    most = cores() + 1 if clips else cores()  # the writer has one more in its hands
+    largest = max(each, default=0)
     return Need(
         "ingest",
-        BASE + max(held, default=0) + int(SOUND_READ * sound_s),
-        max(each, default=0),
-        most,
+        BASE
+        + max(held, default=0)
+        + largest
+        + int(SOUND_READ * sound_s),  # the writer has one more in its hands
+        largest,
+        usable_cores(),
         left=int(sum(s.used * s.bytes_each for s in sources) + SOUND_STORED * sound_s) + SMALL,
         passing=int(sum((s.pictures - s.used) * s.bytes_each for s in (*photos, *raws))),
         seconds=FEW_S + INGEST_S_PER_MEGAPIXEL * sum(_megapixels(s) for s in sources),
@@ -119,7 +123,7 @@ def static_poses_need(config: SceneConfig, material: Material, side_px: int = MA
         "static_poses",
         BASE + SFM_WORKER + SIFT_READ * sweep.pixels + SWEEP_PICTURE * sweep.used,
         SIFT * _searched_pixels(sweep, side_px),
-        cores(),
+        usable_cores(),
         left=SWEEP_STORED * sweep.used + SMALL,
         passing=SWEEP_STORED * sweep.used + int(PAIR_STORED * pairs),
         seconds=FEW_S + min(MATCHING_S_PER_PAIR * pairs, math.inf if limit is None else 60 * limit),
@@ -146,7 +150,7 @@ def _rig(material: Material) -> Need:
         "rig",
         BASE + SFM_WORKER + BOARD * largest + SWEEP_PICTURE // 3 * sweep,
         max((SIFT * _searched_pixels(s, MAX_IMAGE_SIZE) for s in fixed), default=0),
-        cores(),
+        usable_cores(),
         left=SMALL,
         passing=int(sum(10 * s.bytes_each for s in fixed)),
         seconds=FEW_S + RIG_S_PER_CAMERA * len(fixed),
@@ -179,7 +183,7 @@ def _flow(config: SceneConfig, material: Material, device: str) -> Need:
         "flow",
         BASE + (0 if there else work) + (PAIR_FLOW * full if raft else 0),
         0 if raft else PAIR_FLOW * full,
-        1 if raft else cores(),
+        1 if raft else usable_cores(),
         gpu=work if there else 0,
         left=int(FLOW_STORED * material.pixels * material.in_motion) + SMALL,
         seconds=None if raft else FEW_S + FLOW_S_PER_MEGAPIXEL * full * material.in_motion / 1e6,
@@ -209,7 +213,7 @@ def _rendering(
     stage: str, config: SceneConfig, material: Material, device: str, pixels: int, more: int
 ) -> Need:
     """A model in memory, and rays in pieces."""
-    held = model_bytes(config, material) + CACHED * pixels * 8 + more
+    held = model_bytes(config, material) + CACHED * pixels + MOST_CACHED + more
     if device == "cuda":
         return Need(stage, 2 * BASE + model_bytes(config, material), gpu=held + CHUNK * RAY)
     return Need(stage, BASE + held, CHUNK * RAY // PIECES, PIECES)

@@ -53,8 +53,7 @@ class Budget:
         found = fit(need, self.config, material, allowed)
         if found.said is not None:
             say(f"  {found.said}")
-        at_once = found.at_once if found.at_once < need.at_once else None
-        return Allowance(allowed, gpu, at_once, found.side_px, self._until)
+        return Allowance(allowed, gpu, found.at_once, found.side_px, self._until)
 
     def watched(self) -> AbstractContextManager[None]:
         """Stops what is done in this block before the disk is full."""

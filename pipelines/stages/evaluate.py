@@ -27,7 +27,7 @@ def run(context: StageContext) -> None:
     config = context.config
     scene = read_scene(context.run_dir / "scene")
     lpips = lpips_nets(config, context.scene_dir, context.device)
-    render = load_renderer(context.run_dir, context.device)
+    render = load_renderer(context.run_dir, context.device, context.allowance.at_once)
     metrics = evaluate(scene, render, lpips, context.out, context.progress)
     metrics |= {
         "train": training(context.run_dir),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.cores import cores
+from devrf.capture.cores import usable_cores
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import PosedFrame, Scene, load_image
@@ -58,7 +58,7 @@ def run(context: StageContext) -> None:
             (small.width, small.height),
             given(lambda k, paths=paths: _read(paths[k])) if estimator is None else estimated(estimator),
             unfinished,
-            (context.allowance.at_once or cores()) if estimator is None or estimator.parallel else 1,
+            (context.allowance.at_once or usable_cores()) if estimator is None or estimator.parallel else 1,
             progress,
         )
         checks[camera] = found if _stands_still(frames) else replace(found, shake_px=None)

@@ -25,7 +25,7 @@ def run(context: StageContext) -> None:
     count, fps, pixels = SIZES[context.config.preset]
     path = orbit(film_cameras(scene), scene.aabb, count, pixels)
     times = film_times(scene, count)
-    render = load_renderer(context.run_dir, context.device)
+    render = load_renderer(context.run_dir, context.device, context.allowance.at_once)
     begin = time.perf_counter()
 
     def frames() -> Iterator[np.ndarray]:

@@ -10,9 +10,8 @@ from PIL import Image
 from tests.flow.test_estimator import UNKNOWN, read_flo, textured
 
 from devrf.capture.errors import InputError
-from devrf.flow import correlation
 from devrf.flow.consistency import endpoint_error
-from devrf.flow.correlation import CorrelationPyramid
+from devrf.flow.correlation import VOLUME_BYTES, CorrelationPyramid
 from devrf.flow.raft import RaftFlow
 from devrf.flow.raft_network import LARGE, SMALL, Raft
 from devrf.flow.raft_weights import load_raft
@@ -164,19 +163,45 @@ def test_code_in_a_file_is_not_run(tmp_path, capsys):
         load_raft(tmp_path)
 
 
-def test_lookup_without_a_volume_is_the_same(monkeypatch):
+def test_lookup_without_a_volume_is_the_same():
     generator = torch.Generator().manual_seed(0)
     first, second = (torch.randn(16, 20, 24, generator=generator) for _ in range(2))
     y, x = torch.meshgrid(torch.arange(20.0), torch.arange(24.0), indexing="ij")
     points = torch.stack([x, y], dim=-1) + 6 * torch.randn(20, 24, 2, generator=generator)
     whole = CorrelationPyramid(first, second, 3)
     volumes = [level.dim() == 4 for level in whole.levels]
-    monkeypatch.setattr(correlation, "VOLUME_BYTES", 480 * 6 * 5 * 4)  # levels 2 and 3 fit
-    monkeypatch.setattr(correlation, "CHUNK_BYTES", 16 * 49 * 4 * 100)  # several chunks
-    bounded = CorrelationPyramid(first, second, 3)
+    bounded = CorrelationPyramid(first, second, 3, 480 * 6 * 5 * 4)  # levels 2 and 3 fit; several chunks
     assert volumes == [True] * 4 and [v.dim() == 4 for v in bounded.levels] == [False, False, True, True]
     # dot products of 16 numbers of size 1 in single precision, in another order: 1e-6 times their size
     torch.testing.assert_close(bounded.around(points), whole.around(points), rtol=1e-4, atol=1e-5)
+
+
+def test_a_full_gpu_is_tried_again_with_smaller_volumes(
+    small: RaftFlow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if there were a GPU on which 1/16 of the usual volume fits."""
+    picture = np.random.default_rng(0).integers(0, 255, (136, 160, 3)).astype(np.uint8)
+    later = np.roll(picture, 2, axis=1)
+    expected = small.estimate(picture, later)
+    asked: list[int] = []
+    forward = small.network.forward
+
+    def full(first: torch.Tensor, second: torch.Tensor, steps: int, volume_bytes: int) -> torch.Tensor:
+        asked.append(volume_bytes)
+        if volume_bytes > VOLUME_BYTES >> 4:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 3.00 GiB")
+        return forward(first, second, steps, volume_bytes)
+
+    monkeypatch.setattr(small.network, "forward", full)
+    try:
+        np.testing.assert_array_equal(small.estimate(picture, later), expected)
+        small.estimate(picture, later)
+        assert [VOLUME_BYTES // n for n in asked] == [1, 4, 16, 16]
+        monkeypatch.setattr(small.network, "forward", lambda *_: full(*_[:3], VOLUME_BYTES))
+        with pytest.raises(torch.OutOfMemoryError):
+            small.estimate(picture, later)
+    finally:
+        small._volume_bytes = VOLUME_BYTES
 
 
 def test_lookup_by_hand():

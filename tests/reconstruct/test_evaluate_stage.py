@@ -111,7 +111,7 @@ def _known(moves: bool = True) -> Callable:
         picture = _picture(time if moves else None) + np.float32(0.01)
         return cv2.resize(picture, (camera.width, camera.height))
 
-    return lambda run_dir, device: render
+    return lambda run_dir, device, pieces: render
 
 
 def _run(context: StageContext, monkeypatch, moves: bool = True) -> dict:
@@ -157,8 +157,8 @@ def test_no_truth_no_block(context: StageContext, monkeypatch):
 def test_film_plays_through_all_times(context: StageContext, monkeypatch):
     seen = []
 
-    def load(run_dir: Path, device: str) -> Callable:
-        inner = _known()(run_dir, device)
+    def load(run_dir: Path, device: str, pieces: int | None) -> Callable:
+        inner = _known()(run_dir, device, pieces)
 
         def spy(camera: Camera, time: float | None) -> np.ndarray:
             seen.append(time)
