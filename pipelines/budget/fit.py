@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from devrf.calibration.sweep.static_poses import MAX_IMAGE_SIZE
 from devrf.pipelines.budget.estimate import static_poses_need
 from devrf.pipelines.budget.material import Material
-from devrf.pipelines.budget.need import GB, BudgetError, Need, size_text
+from devrf.pipelines.budget.memory import memory_bound
+from devrf.pipelines.budget.need import BudgetError, Need, size_text
 from devrf.pipelines.config.scene import SceneConfig
 
 SIDES_PX = (
@@ -63,15 +64,9 @@ def fit(need: Need, config: SceneConfig, material: Material, allowed: int) -> Fi
 
 def no_memory(need: Need, config: SceneConfig, allowed: int) -> str:
     """What is said of a stage that does not fit."""
-    budget = config.budget.memory_gb
-    if budget is not None and allowed >= int(budget * GB):
-        bound, remedy = f"budget.memory_gb is {budget:g}", "raise it"
-    else:
-        bound = f"{size_text(allowed)} are left on this machine"
-        remedy = "close other programs, take a larger machine"
     return (
-        f"{need.stage} needs about {size_text(need.least)} of main memory at the least, and {bound}; {remedy}, or "
-        f"use {REMEDIES.get(need.stage, 'smaller pictures')}"
+        f"{need.stage} needs about {size_text(need.least)} of main memory at the least, and "
+        f"{memory_bound(config, allowed)}, or use {REMEDIES.get(need.stage, 'smaller pictures')}"
     )
 
 

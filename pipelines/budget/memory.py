@@ -9,9 +9,10 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from devrf.capture.processes import descendants, memory_of
+from devrf.pipelines.budget.need import GB, size_text
 from devrf.pipelines.config.scene import SceneConfig
 
-GB = 1e9
 RESERVE = 0.1  # of what is there: other programs grow, too, ...
 MOST_RESERVE = 1_000_000_000  # ... but not with the size of the machine
 NO_MEMINFO = 0.5  # of the machine's memory, where the system does not say how much of it is free
@@ -24,10 +25,18 @@ def allowed_bytes(config: SceneConfig) -> int:
     `budget.memory_gb`, or all that is left less a reserve where that is less or no budget is given: what a budget
     promises and the machine does not have would end in a kill.
     """
-    there = left_bytes() + resident_bytes()
+    there = left_bytes() + memory_of([os.getpid(), *descendants(os.getpid())])
     there -= int(min(RESERVE * there, MOST_RESERVE))
     budget = config.budget.memory_gb
     return max(0, there if budget is None else min(there, int(budget * GB)))
+
+
+def memory_bound(config: SceneConfig, allowed: int) -> str:
+    """What allows no more than `allowed` bytes, and how there can be more, for messages."""
+    budget = config.budget.memory_gb
+    if budget is not None and allowed >= int(budget * GB):
+        return f"budget.memory_gb is {budget:g}; raise it"
+    return f"{size_text(allowed)} are left on this machine; close other programs, take a larger machine"
 
 
 def left_bytes(proc: Path = Path("/proc"), cgroups: Path | None = None) -> int:
@@ -38,29 +47,6 @@ def left_bytes(proc: Path = Path("/proc"), cgroups: Path | None = None) -> int:
         cgroups: Where its cgroups are mounted; None: as `proc` says.
     """
     return min([_machine_left(proc), *_cgroups_left(proc, cgroups)])
-
-
-def resident_bytes(pid: int | None = None, proc: Path = Path("/proc")) -> int:
-    """Resident memory of a process (None: this one) and of all that it has started, bytes.
-
-    Pages they share are counted for each; 0 where the system does not tell.
-    """
-    children: dict[int, list[int]] = {}
-    for folder in proc.glob("[0-9]*"):
-        try:
-            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
-        except (OSError, IndexError, ValueError):
-            continue  # ended meanwhile
-        children.setdefault(parent, []).append(int(folder.name))
-    total, todo = 0, [os.getpid() if pid is None else pid]
-    while todo:
-        one = todo.pop()
-        todo += children.get(one, [])
-        try:
-            total += int((proc / str(one) / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        except (OSError, IndexError, ValueError):
-            continue
-    return total
 
 
 def _machine_left(proc: Path) -> int:

@@ -67,7 +67,7 @@ def most_on_disk(needs: Iterable[Need]) -> int:
     return most
 
 
-def size_text(count: float) -> str:
+def size_text(count: int | float) -> str:
     """Bytes for people: 12 MB, 0.36 GB, 19 GB."""
     if count < 0.1 * GB:
         return f"{max(0.0, count) / 1e6:.0f} MB"

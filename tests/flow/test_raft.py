@@ -197,7 +197,7 @@ def test_a_full_gpu_is_tried_again_with_smaller_volumes(
         np.testing.assert_array_equal(small.estimate(picture, later), expected)
         small.estimate(picture, later)
         assert [VOLUME_BYTES // n for n in asked] == [1, 4, 16, 16]
-        monkeypatch.setattr(small.network, "forward", lambda *_: full(*_[:3], VOLUME_BYTES))
+        monkeypatch.setattr(small.network, "forward", lambda a, b, steps, _: full(a, b, steps, VOLUME_BYTES))
         with pytest.raises(torch.OutOfMemoryError):
             small.estimate(picture, later)
     finally:
