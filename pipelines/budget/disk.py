@@ -31,15 +31,21 @@ class Room:
     remedy: str
 
 
-def room_for(run_dir: Path, disk_gb: float | None) -> Room:
-    """Room for a run folder, by its budget and by the disk that it lies on, whichever leaves less."""
+def room_for(run_dir: Path, disk_gb: float | None, cache: Path | None = None) -> Room:
+    """Room for a run folder, by its budget and by the disk that it lies on, whichever leaves less.
+
+    Args:
+        run_dir: The run folder, made or not.
+        disk_gb: Its budget.
+        cache: Folder of results that are kept for later, and may be deleted.
+    """
     place = next(folder for folder in (run_dir, *run_dir.absolute().parents) if folder.exists())
     usage = shutil.disk_usage(place)
     free = usage.free - min(MARGIN, int(MARGIN_SHARE * usage.total))
     disk = Room(
         free,
         f"{size_text(usage.free)} are free on the disk of {run_dir}",
-        "free some space, or set output: in scene.yaml to a folder on a larger disk",
+        f"free some space{_spare(cache, place)}, or set output: in scene.yaml to a folder on a larger disk",
     )
     if disk_gb is None:
         return disk
@@ -61,8 +67,15 @@ def no_room(count: int, what: str, room: Room) -> str:
     )
 
 
+def _spare(cache: Path | None, place: Path) -> str:
+    """That a cache on the same disk may be deleted, where there is one."""
+    if cache is None or not cache.is_dir() or cache.stat().st_dev != place.stat().st_dev:
+        return ""
+    return f" ({cache} holds results of earlier runs, which can be deleted safely; cache.max_gb bounds it)"
+
+
 @contextmanager
-def watched(run_dir: Path, disk_gb: float | None) -> Iterator[None]:
+def watched(run_dir: Path, disk_gb: float | None, cache: Path | None = None) -> Iterator[None]:
     """Stop what is done in this block, by a `BudgetError` in the main thread, once there is no room left.
 
     Outside of the main thread nothing can be stopped, and nothing is watched.
@@ -76,7 +89,7 @@ def watched(run_dir: Path, disk_gb: float | None) -> Iterator[None]:
 
     def watch() -> None:
         while not done.wait(WATCH_S):
-            room = room_for(run_dir, disk_gb)
+            room = room_for(run_dir, disk_gb, cache)
             if room.count <= 0:
                 problem.append(
                     f"stopped before the disk is full: {room.bound}; {room.remedy}, then run again: finished "

@@ -11,6 +11,7 @@ from devrf.pipelines.budget.fit import Fit, fit
 from devrf.pipelines.budget.material import find_material
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk, size_text
+from devrf.pipelines.cache import cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
 
@@ -88,7 +89,8 @@ def forecast(
         material = find_material(config, scene_dir, run_dir)
     except DevrfError:
         return None
-    allowed, room = allowed_bytes(config), room_for(run_dir, config.budget.disk_gb)
+    cache, allowed = cache_of(config, scene_dir), allowed_bytes(config)
+    room = room_for(run_dir, config.budget.disk_gb, None if cache is None else cache.folder)
     fits, refused = [], []
     for need in stage_needs(config, material, device).values():
         if need.stage in stages:

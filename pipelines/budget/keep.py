@@ -14,6 +14,7 @@ from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import no_room, room_for, watched
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.budget.need import GB, BudgetError, Need
+from devrf.pipelines.cache import cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
 
@@ -29,6 +30,8 @@ class Budget:
 
     def __init__(self, config: SceneConfig, scene_dir: Path, run_dir: Path, device: str) -> None:
         self.config, self.scene_dir, self.run_dir, self.device = config, scene_dir, run_dir, device
+        cache = cache_of(config, scene_dir)
+        self._cache = None if cache is None else cache.folder
         minutes = config.budget.time_minutes
         self._until = None if minutes is None else time.monotonic() + 60 * minutes
 
@@ -45,7 +48,7 @@ class Budget:
         need = None if material is None else self._needs(material).get(stage)
         if material is None or need is None:
             return Allowance(allowed, gpu, until=self._until)
-        room = room_for(self.run_dir, self.config.budget.disk_gb)
+        room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache)
         if need.disk > room.count:
             raise BudgetError(no_room(need.disk, "it", room))
         from devrf.pipelines.budget.fit import fit
@@ -57,7 +60,7 @@ class Budget:
 
     def watched(self) -> AbstractContextManager[None]:
         """Stops what is done in this block before the disk is full."""
-        return watched(self.run_dir, self.config.budget.disk_gb)
+        return watched(self.run_dir, self.config.budget.disk_gb, self._cache)
 
     def late(self, stage: str, rest: Sequence[str]) -> str | None:
         """Why there is no time to begin a stage, and what is left; None where there is.

@@ -396,13 +396,13 @@ class BudgetConfig(_Section):
     """What a run may use."""
 
     memory_gb: float | None = Field(default=None, gt=0)
-    """Main memory. Recorded; not enforced yet."""
+    """Main memory of a run and of all processes it starts; never more than the machine and its cgroups leave."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
     """Memory of the GPU; what would take more ends with a message."""
     disk_gb: float | None = Field(default=None, gt=0)
-    """Size of the run folder; checked before each stage."""
+    """Size of the run folder; checked before each stage and watched while it writes."""
     time_minutes: float | None = Field(default=None, gt=0)
-    """Time of the whole run. Recorded; not enforced yet."""
+    """Time of one run; what is not begun by then is left for the next."""
 
 
 class CacheConfig(_Section):

@@ -200,7 +200,7 @@ def test_what_cannot_fit_is_refused_before_anything_starts(clips: Path, devrf: C
 def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tmp_path: Path) -> None:
     """In processes of their own, as if there were 16 cores."""
     program = (
-        "import os, resource, sys\nfrom pathlib import Path\n"
+        "import os, re, sys\nfrom pathlib import Path\n"
         "os.environ.pop('OMP_NUM_THREADS', None)\n"
         "os.sched_getaffinity = lambda pid: set(range(16))\n"
         "from devrf.pipelines.budget.keep import Budget\nfrom devrf.pipelines.config.load import load_scene\n"
@@ -211,7 +211,8 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
         "Path(out).mkdir()\n"
         "context = StageContext(config, folder, Path(out), Path(out), lambda *a: None, 'cpu', allowance=allowance)\n"
         "ingest.run(context)\n"
-        "print(allowance.at_once, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, *said)\n"
+        "peak = re.search(r'VmHWM:\\s+(\\d+)', Path('/proc/self/status').read_text())[1]\n"
+        "print(allowance.at_once, peak, *said)\n"
     )
     peaks, pictures = [], []
     for name, budget in (("free", []), ("tight", ["budget.memory_gb=0.5"])):
@@ -259,6 +260,13 @@ def test_nothing_is_stopped_while_there_is_room(tmp_path: Path, monkeypatch: pyt
         time.sleep(0.1)
     room = room_for(tmp_path / "not" / "yet", None)
     assert 0 < room.count < shutil.disk_usage(tmp_path).free and "free on the disk" in room.bound
+    assert "can be deleted" not in room.remedy
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    assert (
+        f"{cache} holds results of earlier runs, which can be deleted"
+        in room_for(tmp_path, None, cache).remedy
+    )
     (tmp_path / "large").write_bytes(bytes(2_000_000))
     room = room_for(tmp_path, 0.001)
     assert room.count == -1_000_000 and "budget.disk_gb is 0.001" in room.bound
