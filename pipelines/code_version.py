@@ -32,6 +32,9 @@ RUNNER = (
     "stages",
     "cli",
     "cli_options",
+    "budget.allowance",
+    "budget.memory",
+    "budget.need",
 )
 NO_RESULTS = ("jaxtyping",)  # libraries that check, and compute nothing
 

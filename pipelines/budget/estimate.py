@@ -43,7 +43,8 @@ CHECKED_PICTURE = 1_700_000  # bytes: a moving picture whose clock is checked, w
 SOUND = 48_000 * 64  # bytes a second while clocks are found: samples, onsets, their spectra
 SOUND_READ = 48_000 * 16  # bytes a second of decoded sound
 MOST_CACHED = 100_000_000  # bytes: surroundings of cameras that are remembered; 0.27 GB at the most
-RAY = 20_000  # each of those that are rendered at once
+RAY = 8_000  # each of those that are rendered at once
+LOADED = 2  # times a model's size in memory, while it is unpacked
 
 # Disk, bytes
 FLOW_STORED = 1.0  # for each pixel of a pair, packed; the example's 0.43, and 2.5 at the most
@@ -213,7 +214,7 @@ def _rendering(
     stage: str, config: SceneConfig, material: Material, device: str, pixels: int, more: int
 ) -> Need:
     """A model in memory, and rays in pieces."""
-    held = model_bytes(config, material) + CACHED * pixels + MOST_CACHED + more
+    held = LOADED * model_bytes(config, material) + CACHED * pixels + MOST_CACHED + more
     if device == "cuda":
         return Need(stage, 2 * BASE + model_bytes(config, material), gpu=held + CHUNK * RAY)
     return Need(stage, BASE + held, CHUNK * RAY // PIECES, PIECES)
