@@ -65,11 +65,13 @@ def supervised(work: Callable[[], None]) -> None:
     os.setpgid(0, 0)
     die_with_parent(parent)
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # a group in the background may print
-    signal.pthread_sigmask(signal.SIG_SETMASK, before)
     global _link
     _link = write
     try:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # a Ctrl-C that came meanwhile is heard here
         work()
+    except KeyboardInterrupt:
+        sys.exit(STOPPED)
     finally:
         for sign in (signal.SIGINT, signal.SIGTERM):  # too late: the exit code is settled
             signal.signal(sign, signal.SIG_IGN)

@@ -2,12 +2,20 @@
 
 import json
 import os
+import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+from tests.conftest import REPOSITORY
 from tests.faults.tiny_stages import NAMES, stages
 
 from devrf.pipelines.exit_codes import DONE
@@ -19,8 +27,89 @@ BESIDE = (
     ".digests.json",
     "logs",
 )  # what may lie beside the stages of a run that is done
-PROGRAM = Path(__file__).with_name("tiny_stages.py")
 LIMIT_S = 60  # no fault may hang a run
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A run that has ended: exit code (below 0: the signal) and what it and its child said."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+class Started:
+    """A run of the tiny pipeline, with the manners of subprocess.Popen.
+
+    Attributes:
+        pid: Number of the process; the parent of the one that works.
+        returncode: How it ended, below 0 by a signal; None before that is known.
+    """
+
+    def __init__(self, arguments: Sequence[str]) -> None:
+        pipes = [os.pipe() for _ in range(2)]
+        self.pid: int = _ask({"start": list(arguments)}, [write for _, write in pipes])
+        for _, write in pipes:
+            os.close(write)
+        self._said = [open(read, encoding="utf-8") for read, _ in pipes]
+        self.returncode: int | None = None
+
+    def poll(self) -> int | None:
+        """How it ended, None as long as it has not."""
+        if self.returncode is None:
+            self.returncode = _ask({"poll": self.pid})
+        return self.returncode
+
+    def send_signal(self, sign: int) -> None:
+        """Send it a signal, if it is still there."""
+        if self.poll() is None:
+            os.kill(self.pid, sign)
+
+    def terminate(self) -> None:
+        """SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+    def communicate(self, timeout: float = LIMIT_S) -> tuple[str, str]:
+        """All that it says until it has ended, as Popen has it."""
+        ended = self.end(timeout)
+        return ended.stdout, ended.stderr
+
+    def end(self, timeout: float = LIMIT_S) -> Ended:
+        """Wait until it and its child have ended; after the time it is killed."""
+        watch = threading.Timer(timeout, self.kill)  # a hang ends, and is seen by its exit code
+        watch.start()
+        with ThreadPoolExecutor(2) as pool:
+            out, err = pool.map(lambda stream: stream.read(), self._said)
+        for stream in self._said:
+            stream.close()
+        while self.poll() is None:
+            time.sleep(0.002)
+        watch.cancel()
+        assert self.returncode is not None
+        return Ended(self.returncode, out, err)
+
+
+@cache
+def _server() -> socket.socket:
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    command = [sys.executable, "-m", "tests.faults.tiny_server", str(its.fileno())]
+    subprocess.Popen(command, cwd=REPOSITORY, stdin=subprocess.DEVNULL, pass_fds=[its.fileno()])
+    its.close()
+    return ours
+
+
+_asking = threading.Lock()
+
+
+def _ask(request: dict, pipes: Sequence[int] = ()) -> Any:
+    with _asking:
+        socket.send_fds(_server(), [json.dumps(request).encode()], list(pipes))
+        return json.loads(_server().recv(65536))
 
 
 @dataclass(frozen=True)
@@ -38,26 +127,15 @@ class Tiny:
         """The run folder."""
         return self.folder / "run"
 
-    def start(self, *settings: str) -> "subprocess.Popen[str]":
+    def start(self, *settings: str) -> Started:
         """Start a run."""
-        return subprocess.Popen(
-            [sys.executable, str(PROGRAM), str(self.folder), *settings],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        return Started([str(self.folder), *settings])
 
-    def run(self, *settings: str) -> "subprocess.CompletedProcess[str]":
+    def run(self, *settings: str) -> Ended:
         """Run to the end, however that comes."""
-        started = self.start(*settings)
-        try:
-            out, err = started.communicate(timeout=LIMIT_S)
-        finally:
-            started.kill()
-        return subprocess.CompletedProcess(started.args, started.returncode, out, err)
+        return self.start(*settings).end()
 
-    def at_work(self, started: "subprocess.Popen[str]", stage: str) -> None:
+    def at_work(self, started: Started, stage: str) -> None:
         """Wait until a run has begun a stage."""
         deadline = time.monotonic() + LIMIT_S
         while not list(self.run_dir.glob(f".new-{stage}-*")):
@@ -143,7 +221,10 @@ def content(folder: Path) -> dict[str, bytes]:
 
 def children_of(pid: int) -> list[int]:
     """Processes that a process has started itself."""
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []  # it has ended
 
 
 def ends(pid: int, within_s: float) -> bool:

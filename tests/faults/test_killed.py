@@ -13,7 +13,8 @@ from tests.faults.harness import LIMIT_S, Count, Tiny, children_of, go_on
 
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 
-CODES = {"SIGKILL": (FAILED, -signal.SIGKILL), "SIGTERM": (STOPPED,), "SIGINT": (STOPPED,)}
+CODES = {"SIGKILL": (FAILED, -signal.SIGKILL), "SIGTERM": (STOPPED, -signal.SIGTERM), "SIGINT": (STOPPED,)}
+MOST_RUNS_S = 0.6  # a run is over by then
 FORCED = "force=all"  # of a finished run: every stage is made again, folders are swapped
 
 
@@ -28,6 +29,7 @@ def check_ending(code: int, err: str, sign: str) -> bool:
     """Whether a run ended by a signal, as it should."""
     assert "Traceback" not in err, err
     assert code in (DONE, *CODES[sign]), (code, err)  # done: the signal came too late
+    assert code != -signal.SIGTERM or not err  # it had not begun
     assert code != STOPPED or "finished stages are kept" in err or not err
     assert code != FAILED or "SIGKILL (out of memory, or someone killed it; it had taken" in err
     return code != DONE
@@ -67,19 +69,17 @@ def test_killed_at_random_moments(new_tiny: TinyMaker, reference: Path, faults: 
             started = tiny.start(*settings)
             sign = rng.choice(("SIGKILL", "SIGKILL", "SIGTERM", "SIGINT"))
             deadline = time.monotonic() + LIMIT_S
-            while not (tiny.run_dir / ".lock").exists() and started.poll() is None:
+            while not (children := children_of(started.pid)):
                 assert time.monotonic() < deadline
                 time.sleep(0.002)
-            time.sleep(rng.uniform(0, 0.35))
-            victim = started.pid
-            if sign == "SIGKILL" and rng.random() < 0.5:
-                victim = next(iter(children_of(started.pid)), started.pid)
+            time.sleep(rng.uniform(0, MOST_RUNS_S))
+            victim = started.pid if sign != "SIGKILL" or rng.random() < 0.5 else children[0]
             try:
                 os.kill(victim, signal.Signals[sign])
             except ProcessLookupError:
                 pass
-            _, err = started.communicate(timeout=LIMIT_S)
-            count.took_effect += check_ending(started.returncode, err, sign)
+            ended = started.end()
+            count.took_effect += check_ending(ended.returncode, ended.stderr, sign)
             kills += 1
         go_on(tiny, reference, count)
         shutil.rmtree(tiny.folder)

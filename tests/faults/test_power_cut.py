@@ -26,7 +26,7 @@ def test_what_counts_as_finished_was_on_the_disk(
     new_tiny: TinyMaker, reference: Path, faults: str, figures
 ) -> None:
     rng, count, lost = random.Random(3), Count(), 0
-    while count.faults < (100 if faults == "full" else 10):
+    while count.faults < (50 if faults == "full" else 10):
         tiny = new_tiny()
         on_disk = tiny.folder / "on_disk.txt"
         settings = start_from(tiny, reference, made=rng.random() < 0.5)

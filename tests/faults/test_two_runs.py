@@ -14,7 +14,7 @@ TOGETHER = 3
 
 def test_of_several_runs_one_works(new_tiny: TinyMaker, reference: Path, faults: str, figures) -> None:
     count, refused = Count(), 0
-    while count.faults < (50 if faults == "full" else 4):
+    while count.faults < (20 if faults == "full" else 4):
         tiny = new_tiny()
         started = [tiny.start() for _ in range(TOGETHER)]
         ended = [(process.communicate(timeout=LIMIT_S), process.returncode) for process in started]

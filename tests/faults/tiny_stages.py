@@ -1,12 +1,10 @@
-"""A pipeline of tiny stages, run by the real command, runner, stamps and supervisor in a process of its own.
-
-    python tests/faults/tiny_stages.py FOLDER [NAME=VALUE ...]
+"""A pipeline of tiny stages, run by the real runner, stamps and parent process (tiny_server.py starts it).
 
 `prepare` makes the folder. The stages take milliseconds and do what the real ones do: many files (`frames`), one that
 is large (`big`), a folder of parts that outlives a killed run (`parts`), a chain of steps that goes on from its
 checkpoint (`steps`), and a summary of them all (`last`). What they leave depends on their input alone, so any two runs
-can be compared byte by byte. Arguments name a fault (`fault`, a name in `FAULTS`; `at`, see tracing.py; `room`, bytes
-of memory), or override keys of the configuration.
+can be compared byte by byte. Settings name a fault (`fault`, a name in `FAULTS`, in `stage`; `at`, see tracing.py;
+`room`, bytes of memory), say what to make again (`force`), or override keys of the configuration.
 """
 
 import ctypes
@@ -23,6 +21,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from tests.faults.tracing import install
+
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
@@ -33,11 +33,6 @@ from devrf.pipelines.plan import Choice
 from devrf.pipelines.runner import Run, execute
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamp import stamp_content
-from devrf.pipelines.supervise import supervised
-
-sys.path.insert(0, str(Path(__file__).parents[2]))  # run as a program, it does not know where the tests lie
-
-from tests.faults.tracing import install  # noqa: E402
 
 SCENE = """
 name: tiny
@@ -206,6 +201,14 @@ def main(folder: Path, settings: dict[str, str]) -> int:
     return execute(Run(config, folder, pipeline, choice, Talk()))
 
 
+def program() -> None:
+    """What a process that runs the pipeline does: `sys.argv` is a folder and settings, NAME=VALUE."""
+    try:
+        sys.exit(main(Path(sys.argv[1]), dict(word.split("=", 1) for word in sys.argv[2:])))
+    except KeyboardInterrupt:
+        sys.exit(STOPPED)
+
+
 def _leave_room(more: int) -> None:
     """Let this process take only so many more bytes of memory."""
     kilobytes = next(
@@ -243,14 +246,3 @@ def _whole(file: Path, content: bytes) -> None:
 def _pause(context: StageContext, share: float) -> None:
     context.progress(share, "at work")
     time.sleep(STEP_S)
-
-
-def _program() -> None:
-    try:
-        sys.exit(main(Path(sys.argv[1]), dict(word.split("=", 1) for word in sys.argv[2:])))
-    except KeyboardInterrupt:
-        sys.exit(STOPPED)
-
-
-if __name__ == "__main__":
-    supervised(_program)
