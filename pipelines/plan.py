@@ -9,7 +9,7 @@ from typing import Literal
 from devrf.pipelines.cache import Cache
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.digests import Digests
-from devrf.pipelines.durable import write_json
+from devrf.pipelines.durable import sync, write_json
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.reasons import why_stale
 from devrf.pipelines.stage import Stage
@@ -198,6 +198,7 @@ def remember_forced(run_dir: Path, stage: str) -> None:
     made = stamp_id(run_dir / stage)
     if made is not None:
         forced_path(run_dir, stage).write_text(made)
+        sync(forced_path(run_dir, stage))
 
 
 def _is_to_be_forced(run_dir: Path, stage: str, stamp: dict) -> bool:

@@ -1,5 +1,6 @@
 """Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens."""
 
+import _thread
 import errno
 import json
 import logging
@@ -11,13 +12,16 @@ import secrets
 import signal
 import socket
 import sys
+import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import devrf
 from devrf.capture.errors import DevrfError, HealthError, InputError
@@ -185,12 +189,8 @@ def execute(run: Run) -> int:
     Returns:
         The exit code; the reason has been printed.
     """
-    previous = _terminate_like_ctrl_c()
-    try:
+    with _stopped_by_signals():
         return _answered(run, lambda: _execute(run))
-    finally:
-        if previous is not None:
-            signal.signal(signal.SIGTERM, previous)
 
 
 def _execute(run: Run) -> int:
@@ -510,13 +510,26 @@ def _sane(progress: Progress) -> Progress:
     return clamped
 
 
-def _terminate_like_ctrl_c():
-    """Let SIGTERM end a run as Ctrl-C does. None where this is not the main thread."""
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Let SIGTERM end a run as Ctrl-C does, wherever either comes; without effect but in the main thread."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
+    def again(unraisable: Any) -> None:
+        """Where nothing can be raised (a callback of the garbage collector) Python would only print it."""
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            return hook(unraisable)
+        _thread.interrupt_main(signal.SIGTERM)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous, hook = signal.signal(signal.SIGTERM, stop), sys.unraisablehook
+    sys.unraisablehook = again
     try:
-        return signal.signal(signal.SIGTERM, stop)
-    except ValueError:
-        return None
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+        sys.unraisablehook = hook

@@ -283,6 +283,24 @@ def test_terminated_it_cleans_up(folder: Path) -> None:
     assert not list((folder / "run").glob(".new-*"))
 
 
+def test_a_signal_in_a_callback_of_the_garbage_collector_is_not_lost(
+    folder: Path, capsys: pytest.CaptureFixture
+) -> None:
+    class Dropped:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+            time.sleep(0)  # here the handler raises, where nothing can be raised
+
+    def work(context: StageContext) -> None:
+        Dropped()
+        for _ in range(1000):
+            time.sleep(0.001)
+
+    assert execute(job(folder, small_stages(second=work))) == STOPPED
+    said = capsys.readouterr().err
+    assert "finished stages are kept" in said and "Exception ignored" not in said
+
+
 def test_reads_of_leaves_out_what_does_not_apply(folder: Path) -> None:
     config: SceneConfig = load_scene(folder / "scene.yaml")
     first = Stage("first", (), (), lambda config: "no sweep", write("x"))
