@@ -382,14 +382,14 @@ class Sources(HTMLParser):
         self.feed(html)
 
     def handle_starttag(self, tag, attrs):
-        values = dict(attrs)
+        values = {name: value or "" for name, value in attrs}
         inside = self.stages[-1][1] if self.stages else ()
         inside = tuple(values["data-stages"].split()) if "data-stages" in values else inside
         if tag in self.SHOWN:
             self.shown.append((tag, inside))
         if "data-file" in values:
             self.numbers.append((values["data-file"], inside))
-        if str(values.get("href", "")).startswith("../"):
+        if values.get("href", "").startswith("../"):
             self.linked.setdefault(inside, set()).add(values["href"][3:])
         if tag not in Page.VOID:
             self.stages.append((tag, inside))
@@ -406,7 +406,7 @@ class Sources(HTMLParser):
 def test_every_number_and_figure_can_be_traced_to_its_stage(full_run):
     html, page = _page(full_run)
     found = Sources(html)
-    top = ()  # the summary, whose numbers and film are linked one by one
+    top: tuple[str, ...] = ()  # the summary, whose numbers and film are linked one by one
     assert {tag for tag, stages in found.shown if stages == top} <= {"table", "figure", "video"}
     assert len([1 for _, stages in found.shown if stages != top]) > 10 and len(found.numbers) > 50
     for file, stages in found.numbers:
