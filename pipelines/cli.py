@@ -122,7 +122,11 @@ def run(
     choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
     job = _prepare(talk, scene, preset, overrides, choice)
     if dry:
-        dry_run(job)
+        try:
+            dry_run(job)
+        except InputError as error:
+            talk.error(str(error))
+            raise typer.Exit(BAD_INPUT) from None
         raise typer.Exit(_check(job, device, in_full=True))
     raise typer.Exit(_start(job, device))
 
@@ -184,7 +188,11 @@ def status(
     """Show each stage: fresh, stale (and why) or missing, its time, its health."""
     talk = Talk()
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
-    found = job.standings()
+    try:
+        found = job.standings()
+    except InputError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT) from None
     job.digests.save()
     if as_json:
         typer.echo(json.dumps(status_dict(job.config, job.run_dir, found), indent=1))
@@ -391,10 +399,12 @@ def _start(job: Run, device: str) -> int:
 
 def _check(job: Run, device: str, *, in_full: bool = False) -> int:
     """Look at the device, the run folder, the raw files and the budget, where a stage is to run; the exit code."""
-    to_do = {
-        now.stage.name for now in job.standings() if now.state in ("stale", "missing") and now.cached is None
-    }
     try:
+        to_do = {
+            now.stage.name
+            for now in job.standings()
+            if now.state in ("stale", "missing") and now.cached is None
+        }
         check_reads(job)
         if to_do:
             job.device = resolve_device(device, job.config.budget.gpu_memory_gb)

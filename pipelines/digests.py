@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from devrf.capture.errors import InputError
 from devrf.pipelines.durable import write_json
 from devrf.pipelines.logs import LOG_FILE
 
@@ -63,7 +64,7 @@ class Digests:
         """Digest of each file's content.
 
         Raises:
-            OSError: A file cannot be read.
+            InputError: A file cannot be read.
         """
         paths = list(paths)
         keys = [os.path.relpath(path, self._run_dir) for path in paths]
@@ -97,7 +98,10 @@ class Digests:
             return False
         *seen, taken, _ = entry
         at_rest = max(seen[1:3]) + RACY_S * 1e9 < taken <= time.time_ns()
-        return at_rest and tuple(seen) == _seen(path.stat())
+        try:
+            return at_rest and tuple(seen) == _seen(path.stat())
+        except OSError:
+            return False  # reading it will say why
 
 
 def file_digest(path: Path) -> str:
@@ -126,10 +130,15 @@ def _entries(paths: list[Path]) -> list[list]:
 
 def _entry(path: Path) -> list:
     """[size, modified, changed, inode, taken (ns), digest]: what is remembered of a file."""
-    taken, seen = time.time_ns(), _seen(path.stat())
-    digest = file_digest(path)
-    if _seen(path.stat()) != seen:  # written to meanwhile: true of no moment, so never trusted
-        taken = 0
+    try:
+        taken, seen = time.time_ns(), _seen(path.stat())
+        digest = file_digest(path)
+        if _seen(path.stat()) != seen:  # written to meanwhile: true of no moment, so never trusted
+            taken = 0
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk"
+        ) from error
     return [*seen, taken, digest]
 
 

@@ -216,6 +216,7 @@ def _execute(run: Run) -> int:
             pid=os.getpid(),
         )
         code = _answered(run, lambda: _run_stages(run, workspace))
+        run.digests.save()
         run.talk.event(
             "run_finished",
             code=code,

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 from tests.conftest import Command
+from tests.faults.harness import Tiny
+from tests.faults.tiny_stages import prepare
 from tests.pipelines.small_stages import ALL, job, small_stages, write
 
 from devrf.capture.errors import CaptureError
@@ -88,6 +90,16 @@ def test_progress_comes_every_few_seconds(folder: Path, monkeypatch: pytest.Monk
     assert told[0]["text"].startswith("step ") and 0 < told[0]["fraction"] < 1
 
 
+def test_a_run_that_is_killed_is_finished_by_its_parent(tmp_path: Path) -> None:
+    prepare(tmp_path)
+    assert Tiny(tmp_path).run("fault=segfault", "stage=parts").returncode == FAILED
+    *others, last = events_of(tmp_path / "run")
+    assert (last["event"], last["code"], last["run"]) == ("run_finished", FAILED, others[0]["run"])
+    assert others[-1]["event"] == "error" and others[-1]["message"].startswith("parts: ")
+    assert [e["stage"] for e in others if e["event"] == "stage_finished"] == ["frames", "big"]
+    assert f"run {last['run']}" in (tmp_path / "run" / LOG_FILE).read_text()
+
+
 # --- torn and full ---
 
 
@@ -130,12 +142,11 @@ def test_events_that_cannot_be_written_are_no_error(tmp_path: Path) -> None:
 
 def test_every_run_has_a_log_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "KEPT_LOGS", 2)
-    names = []
+    names, log = [], folder / "run" / LOG_FILE
     for n in range(4):
         run = job(folder, small_stages(), f"reconstruct.seed={n}")
         assert execute(run) == DONE
         names.append(run.name)
-        log = folder / "run" / LOG_FILE
         os.utime(log, (n + 1, n + 1))  # four runs in a second, or in four nights
     text = log.read_text()
     assert f"run {names[3]}" in text and "reconstruct.seed: 2 is now 3" in text

@@ -10,13 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import typer
 from tests.pipelines.config_reads import leaves, reads_of
 from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage
 
 from devrf.pipelines import code_version, digests, stamp
+from devrf.pipelines.cli import status
 from devrf.pipelines.digests import Digests
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE
 from devrf.pipelines.plan import Standing, standings
-from devrf.pipelines.runner import DONE, execute
+from devrf.pipelines.runner import execute
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stages import STAGES
 
@@ -434,6 +437,20 @@ def test_a_digest_is_remembered_only_of_a_file_at_rest(
     monkeypatch.setattr(digests.time, "time_ns", lambda: 1)  # the clock was set back
     look()
     assert len(read) == 4
+
+
+def test_a_file_that_cannot_be_read_is_named(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def denied(path: Path) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(digests, "file_digest", denied)
+    assert execute(job(folder, small_stages())) == BAD_INPUT
+    assert f"{folder}/static.mp4: cannot be read (Permission denied)" in capsys.readouterr().err
+    with pytest.raises(typer.Exit) as ended:
+        status(folder / "scene.yaml")
+    assert ended.value.exit_code == BAD_INPUT
 
 
 def test_a_folder_counts_by_names_and_contents(tmp_path: Path) -> None:
