@@ -22,12 +22,14 @@ from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
 from devrf.pipelines.batch.schedule import Job, work_through
 from devrf.pipelines.batch.scratch import Stored
 from devrf.pipelines.batch.store import Store
+from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.digests import Digests
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, UNHEALTHY
 
 CORES_PER_JOB = 2  # stages use more than one core about half of their time
+GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,8 @@ def _job(
     if scene.config is None or scene.run_dir is None:
         raise ValueError(f"{scene.path} has no configuration")
     arguments, stored = options.arguments(), None
+    if scene.config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
+        arguments += ["--set", f"budget.memory_gb={engine.memory_gb:.3f}"]
     if place.store is not None:
         inputs = inputs_of(scene.config, scene.path, Digests(place.seen_in(scene)))
         place.store.put_inputs(inputs.here)
@@ -177,8 +181,9 @@ def _local(machines: Machines) -> LocalPool:
         import torch
 
         gpus = torch.cuda.device_count()
-    jobs = machines.jobs or max(1, cores // CORES_PER_JOB)
-    return LocalPool(jobs, max(1, cores // (jobs + gpus)), gpus)
+    memory_gb = left_bytes() * (1 - RESERVE) / GB
+    jobs = machines.jobs or max(1, min(cores // CORES_PER_JOB, int(memory_gb / GB_PER_JOB) - gpus))
+    return LocalPool(jobs, max(1, cores // (jobs + gpus)), memory_gb / (jobs + gpus), gpus)
 
 
 @contextmanager

@@ -12,10 +12,12 @@ class Engine(Protocol):
 
     Attributes:
         threads: Cores that each task gets.
+        memory_gb: Main memory that each task may hold.
         gpus: GPUs there are.
     """
 
     threads: int
+    memory_gb: float
     gpus: int
 
     def submit(self, task: Task) -> None:

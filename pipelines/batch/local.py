@@ -16,11 +16,12 @@ class LocalPool:
     Args:
         jobs: Tasks without a GPU at once.
         threads: Cores that each task gets.
+        memory_gb: Main memory that each task may hold.
         gpus: GPUs, for tasks that need one.
     """
 
-    def __init__(self, jobs: int, threads: int, gpus: int) -> None:
-        self.threads, self.gpus = threads, gpus
+    def __init__(self, jobs: int, threads: int, memory_gb: float, gpus: int) -> None:
+        self.threads, self.memory_gb, self.gpus = threads, memory_gb, gpus
         self._stopped = threading.Event()
         self._events: queue.SimpleQueue[Started | Ended] = queue.SimpleQueue()
         self._free_gpus: queue.SimpleQueue[int] = queue.SimpleQueue()

@@ -15,6 +15,7 @@ import devrf
 from devrf.capture.cores import usable_cores
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch.task import Ended, Started, Task, node_name, run_task
+from devrf.pipelines.budget.memory import GB
 from devrf.pipelines.exit_codes import FAILED, STOPPED
 
 LOOPBACK_ONLY = {
@@ -53,6 +54,8 @@ class RayCluster:
             ray.shutdown()
             raise InputError("--device cuda: no node of the cluster has a GPU; use --device cpu, or auto")
         self.threads = max(1, min(cores if jobs is None else sum(cpus) // jobs, *cpus))
+        per_core = min(node["memory"] / node["CPU"] for node in nodes if node.get("CPU", 0) >= 1)
+        self.memory_gb = per_core * self.threads / GB
         self.gpus = gpus if device != "cpu" else 0
         self._most = jobs
         self._remote = ray.remote(num_returns="streaming", max_retries=0)(_carry_out)
@@ -129,7 +132,7 @@ def _connected(address: str | None) -> Any:
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
         if address is None:
-            ray.init(include_dashboard=False, num_cpus=usable_cores(), **quiet)
+            ray.init(address="local", include_dashboard=False, num_cpus=usable_cores(), **quiet)
         else:
             ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:

@@ -8,9 +8,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
+from tests.conftest import Figures
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.capture.errors import InputError
@@ -19,7 +20,7 @@ from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.exit_codes import DONE, STOPPED
 
 pytest.importorskip("ray")
-SCENES = 4
+SCENES = {"small": 4, "full": 16}
 ENVIRONMENT = {**os.environ, **ray_cluster.LOOPBACK_ONLY, **ray_cluster.SILENT}
 NODES = """
 import sys
@@ -105,8 +106,10 @@ def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path)
     assert not list(tmp_path.glob("*/run/.lock")) and not list(tmp_path.glob("*/run/.new-*"))
 
 
-def test_all_scenes_finish_though_a_node_is_killed(nodes: Nodes, tmp_path: Path) -> None:
-    names = [f"scene{n}" for n in range(SCENES)]
+def test_all_scenes_finish_though_a_node_is_killed(
+    nodes: Nodes, tmp_path: Path, faults: Literal["small", "full"], figures: Figures
+) -> None:
+    names = [f"scene{n}" for n in range(SCENES[faults])]
     batch = start_batch(tmp_path, nodes, names, 10)
 
     def lasting() -> list[str]:
@@ -117,7 +120,7 @@ def test_all_scenes_finish_though_a_node_is_killed(nodes: Nodes, tmp_path: Path)
     wait_for(lambda: bool(lasting()), batch)
     lost = lasting()
     nodes.kill_the_other()
-    said, _ = batch.communicate(timeout=300)
+    said, _ = batch.communicate(timeout=1800)
     assert batch.returncode == DONE, said
     found = {row["name"]: row for row in rows(tmp_path)}
     assert {row["state"] for row in found.values()} == {"done"}
@@ -125,6 +128,7 @@ def test_all_scenes_finish_though_a_node_is_killed(nodes: Nodes, tmp_path: Path)
     for name in names:
         assert (tmp_path / name / "run/report/stamp.json").is_file()
         assert not list((tmp_path / name / "run").glob(".new-*"))
+    figures(batch_scenes=len(names), done=sum(row["code"] == DONE for row in found.values()), lost=len(lost))
     assert "begun anew elsewhere" in said and "raylet" not in said
 
 
