@@ -113,7 +113,9 @@ def test_all_scenes_finish_though_a_node_is_killed(
     batch = start_batch(tmp_path, nodes, names, 10)
 
     def lasting() -> list[str]:
-        """Scenes in training on the node that will be lost."""
+        """Scenes in training on the node that will be lost, once a quarter of all is done."""
+        if sum(row["code"] == DONE for row in rows(tmp_path)) < len(names) // 4:
+            return []
         on_it = [r["name"] for r in rows(tmp_path) if nodes.other[:6] in "".join(r["nodes"][-1:])]
         return [name for name in on_it if list(tmp_path.glob(f"{name}/run/.new-canonical*"))]
 
