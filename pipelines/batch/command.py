@@ -5,10 +5,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from devrf.capture.cores import usable_cores
-from devrf.capture.errors import InputError
+from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.batch.board import HTML_FILE, Board
 from devrf.pipelines.batch.engine import Engine
@@ -26,9 +27,9 @@ from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.digests import Digests
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, UNHEALTHY
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY
 
-CORES_PER_JOB = 2  # stages use more than one core about half of their time
+CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
 GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
 
 
@@ -68,6 +69,8 @@ def batch(
     """
     if machines.engine not in ("local", "ray"):
         raise InputError(f"--engine {machines.engine}: expected local or ray")
+    if machines.device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"--device {machines.device}: expected auto, cpu or cuda")
     if machines.address is not None and machines.engine != "ray":
         raise InputError("--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
@@ -85,12 +88,7 @@ def batch(
                 board.ended(row)
         if engine is not None:
             stack.enter_context(_stopped_by_signals(engine))
-            pairs = enumerate(zip(scenes, rows, strict=True))
-            work_through(
-                [_job(n, s, r, options, engine, place) for n, (s, r) in pairs if r.code is None],
-                engine,
-                board,
-            )
+            work_through(_jobs(scenes, rows, options, engine, place, board), engine, board)
     done = sum(row.code == DONE for row in rows)
     talk.say(f"{done} of {len(rows)} scenes done; {out / HTML_FILE}")
     return exit_code(rows)
@@ -133,29 +131,38 @@ def _row(scene: BatchScene, options: Options, place: _Place) -> SceneRow:
     return row
 
 
-def _job(
-    number: int, scene: BatchScene, row: SceneRow, options: Options, engine: Engine, place: _Place
-) -> Job:
-    if scene.config is None or scene.run_dir is None:
-        raise ValueError(f"{scene.path} has no configuration")
-    arguments, stored = options.arguments(), None
-    if scene.config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
-        arguments += ["--set", f"budget.memory_gb={engine.memory_gb:.3f}"]
-    if place.store is not None:
-        inputs = inputs_of(scene.config, scene.path, Digests(place.seen_in(scene)))
-        place.store.put_inputs(inputs.here)
-        arguments += [word for text in inputs.overrides for word in ("--set", text)]
-        stored = Stored(place.store.url, scene.folder_name, scene.path.name, inputs.files, last=False)
-    return Job(
-        number,
-        scene.path,
-        scene.run_dir,
-        tuple(arguments),
-        row,
-        deque(groups(scene.config, scene.standing, engine.gpus > 0)),
-        lambda: row.look(place.seen_in(scene), scene.stages),
-        stored,
-    )
+def _jobs(
+    scenes: Sequence[BatchScene],
+    rows: Sequence[SceneRow],
+    options: Options,
+    engine: Engine,
+    place: _Place,
+    board: Board,
+) -> Iterator[Job]:
+    """What is to be run, one by one: the first runs while the raw files of the next are on their way to the store."""
+    for number, (scene, row) in enumerate(zip(scenes, rows, strict=True)):
+        if row.code is not None or scene.config is None or scene.run_dir is None:
+            continue
+        arguments, stored = options.arguments(), None
+        if scene.config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
+            arguments += ["--set", f"budget.memory_gb={engine.memory_gb:.3f}"]
+        if place.store is not None:
+            try:
+                inputs = inputs_of(scene.config, scene.path, Digests(place.seen_in(scene)))
+                place.store.put_inputs(inputs.here)
+            except DevrfError as error:
+                row.end(BAD_INPUT if isinstance(error, InputError) else FAILED, str(error))
+                board.ended(row)
+                continue
+            arguments += [word for text in inputs.overrides for word in ("--set", text)]
+            stored = Stored(place.store.url, scene.folder_name, scene.path.name, inputs.files, last=False)
+        todo = deque(groups(scene.config, scene.standing, engine.gpus > 0))
+        look = partial(_look, row, scene, place)
+        yield Job(number, scene.path, scene.run_dir, tuple(arguments), row, todo, look, stored)
+
+
+def _look(row: SceneRow, scene: BatchScene, place: _Place) -> None:
+    row.look(place.seen_in(scene), scene.stages)
 
 
 @contextmanager

@@ -66,6 +66,7 @@ class RayCluster:
     def submit(self, task: Task) -> None:
         """Take a task, to be begun as soon as there is room."""
         self._waiting.append(task)
+        self._begin_what_fits()
 
     def events(self, timeout_s: float) -> Sequence[Started | Ended]:
         """What has happened since the last call; waits at most `timeout_s` for something to happen."""
@@ -76,8 +77,7 @@ class RayCluster:
             self._waiting.clear()
             if never_begun:
                 return never_begun
-        while self._waiting and (self._most is None or len(self._running) < self._most):
-            self._begin(self._waiting.popleft())
+        self._begin_what_fits()
         if not self._running:
             time.sleep(timeout_s)
             return []
@@ -94,6 +94,11 @@ class RayCluster:
     def close(self) -> None:
         """Leave the cluster, or end the one that was started here."""
         self._ray.shutdown()
+
+    def _begin_what_fits(self) -> None:
+        """Give tasks to Ray, which begins them when a node has room."""
+        while self._waiting and not self._stopping and not len(self._running) == self._most:
+            self._begin(self._waiting.popleft())
 
     def _begin(self, task: Task) -> None:
         options = {"num_cpus": 1, "num_gpus": 1} if task.gpu else {"num_cpus": task.threads}

@@ -1,7 +1,7 @@
 """The work of a batch: each scene's groups of stages one after the other, all scenes side by side."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,10 +60,11 @@ class Job:
         )
 
 
-def work_through(jobs: Sequence[Job], engine: Engine, board: Board) -> None:
+def work_through(jobs: Iterable[Job], engine: Engine, board: Board) -> None:
     """Run all jobs to their ends; the rows say how each came out. One that fails stops no other."""
-    open_jobs = {job.scene: job for job in jobs}
+    open_jobs: dict[int, Job] = {}
     for job in jobs:
+        open_jobs[job.scene] = job
         engine.submit(job.task(engine.threads))
     while open_jobs:
         for event in engine.events(TICK_S):
