@@ -70,24 +70,42 @@ def read_runs(
         offset_s = origin_s(container)
         pictures: Iterator[av.VideoFrame] = iter(())
         last = -NEAR - 1  # number of the picture that was read last
+        came = 0  # pictures since the last seek
+
+        def taken(first: int) -> list[VideoFrame]:
+            """Of the pictures that come next, the run that begins at number `first`."""
+            nonlocal last, came
+            run: list[VideoFrame] = []
+            for n, picture in enumerate(pictures):
+                came += 1
+                if picture.pts is None:
+                    continue
+                time_s = float(picture.pts * stream.time_base) - offset_s
+                index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
+                if (index < first and n < MOST_AHEAD) or index <= last:
+                    continue
+                run.append(VideoFrame(index, time_s, picture, turns))
+                last = index
+                if len(run) == length:
+                    break
+            return run
+
         for start_s in starts_s:
             run: list[VideoFrame] = []
             first = int(np.searchsorted(times_s, start_s - SAME_TIME_S))
             try:
-                if not 0 <= first - last <= NEAR:
-                    container.seek(int((start_s + offset_s) / stream.time_base), stream=stream)
-                    pictures = container.decode(stream)
-                for n, picture in enumerate(pictures):
-                    if picture.pts is None:
-                        continue
-                    time_s = float(picture.pts * stream.time_base) - offset_s
-                    index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
-                    if (index < first and n < MOST_AHEAD) or index <= last:
-                        continue
-                    run.append(VideoFrame(index, time_s, picture, turns))
-                    last = index
-                    if len(run) == length:
-                        break
+                if 0 <= first - last <= NEAR:
+                    run = taken(first)
+                else:
+                    for at_s in (
+                        start_s + offset_s,
+                        0.0,
+                    ):  # streams without an index: a seek may miss the key picture
+                        container.seek(int(at_s / stream.time_base), stream=stream)
+                        pictures, came = container.decode(stream), 0
+                        run = taken(first)
+                        if came:
+                            break
             except FFmpegError:
                 pictures = iter(())  # the rest of a damaged file
             yield run

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.errors import CaptureError
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.pictures import UNREADABLE_SUFFIXES, list_pictures, probe_picture, read_picture
 from devrf.capture.raw import RAW_SUFFIXES
@@ -147,6 +148,10 @@ def look_at_clip(path: Path, count: int) -> Look:
     times = picture_times(path)
     runs = read_runs(path, times, spread_starts(times, count))
     pictures = [small(run[0].rgb) for run in runs if run]
+    if not pictures:
+        raise CaptureError(
+            f"{path}: none of its pictures decodes at {len(times)} times; record or copy it again"
+        )
     duration = float(times[-1] - times[0])
     return Look(
         path,

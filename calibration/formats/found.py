@@ -177,6 +177,8 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
     array = numbers(rotation, (3,) if _holds(rotation, 3) else (3, 3), f"{where}: rotation")
     if array.shape == (3,):
         R = Rotation.from_rotvec(array).as_matrix()
+        if not np.isfinite(R).all():
+            raise InputError(f"{where}: rotation is {array.tolist()}; expected a rotation vector, radians")
     else:
         R = array
         off = float(np.abs(R @ R.T - np.eye(3)).max())

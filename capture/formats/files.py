@@ -77,7 +77,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """
     try:
         check_bytes(path, TEXT_BYTES)
-        value = json.loads(path.read_text())
+        value = json.loads(path.read_text(), parse_int=_whole)
     except FileNotFoundError:
         raise CaptureError(f"{path}: file not found; check dataset.path and dataset.format") from None
     except (OSError, ValueError, RecursionError) as error:
@@ -117,6 +117,11 @@ def relative_to(path: Path, base: Path) -> str:
 def safe_name(name: object) -> str:
     """A name that can be a file's: letters, digits, `_` and `-`."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name))[:LONGEST_NAME].strip("_") or "camera"
+
+
+def _whole(digits: str) -> int | float:
+    """Of hundreds of digits no array can be made, nor are they asked whether they are finite."""
+    return int(digits) if len(digits) < 20 else float(digits)
 
 
 def _word(kind: type) -> str:

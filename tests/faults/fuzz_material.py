@@ -2,8 +2,10 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +39,10 @@ class Target:
         file: The file.
         mutations: What fits its kind.
         scene: Folder with the scene.yaml that names it; None for a reader.
-        arguments: Of `devrf-pipeline run`.
-        reader: Name of a reader, else.
+        arguments: After the command and the folder.
+        command: Of `devrf-pipeline`.
+        template: Run folder that lies there before each case, and holds the file.
+        reader: Name of a reader, where there is no scene.
         allowed: Exit codes.
         named: An error says one of these words: the file's name, or that of what it is.
     """
@@ -47,6 +51,8 @@ class Target:
     mutations: tuple[Mutation, ...]
     scene: Path | None = None
     arguments: tuple[str, ...] = ()
+    command: str = "run"
+    template: Path | None = None
     reader: str = ""
     allowed: tuple[int, ...] = RUN
     named: Sequence[str] = field(default_factory=tuple)
@@ -62,6 +68,7 @@ def targets(folder: Path, odd_scene: Scene, repository: Path, data: Path | None)
     _calibrations(folder / "rigs", data, out)
     _models(folder / "models", out)
     _small_files(folder / "small", repository, data, out)
+    _other_commands(folder / "other", out)
     return out
 
 
@@ -320,3 +327,33 @@ def _small_files(folder: Path, repository: Path, data: Path | None, out: dict[st
         file = folder / name
         mutations = JSON if file.suffix == ".json" else BINARY
         out[f"file {reader}"] = Target(file, mutations, reader=reader, named=(file.name, "LPIPS", "lpips"))
+
+
+def _other_commands(folder: Path, out: dict[str, Target]) -> None:
+    """The same files by way of `check` and `init`; a run folder's own, by `status`, `report` and the next run."""
+    for name in ("clip made.mp4", "clip made.ts", "clip example.mp4", "photo a.jpg"):
+        out[f"check {name}"] = replace(out[name], command="check", arguments=())
+    card = folder / "card"
+    card.mkdir(parents=True)
+    for source in ("made.mp4", "made.mkv"):
+        shutil.copy(folder.parent / "clips" / source, card)
+    out["init clip"] = Target(
+        card / "made.mkv", BINARY, card, ("--force",), "init", named=("made.mkv", "card")
+    )
+    capture = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}}
+    scene = scene_yaml(folder / "run", capture=capture, calibration={"sync": {"method": "none"}})
+    for name, source in (("static", "static.mp4"), ("cam0", "made.mp4")):
+        shutil.copy(folder.parent / "clips" / source, scene / f"{name}.mp4")
+    line = [sys.executable, "-m", "devrf.pipelines.cli", "run", str(scene), "--until", "sync", "--quiet"]
+    subprocess.run(line, check=True, timeout=120)
+    template = (scene / "run").rename(folder / "template")
+    again = ("--until", "sync")
+    for file, command, arguments in (
+        ("ingest/stamp.json", "status", ()), ("ingest/stamp.json", "run", again), ("ingest/ingest.json", "run", again),
+        ("ingest/health.json", "report", ()), ("ingest/ingest.json", "report", ()), ("sync/sync.json", "report", ()),
+        ("events.jsonl", "run", again), (".digests.json", "run", again),
+    ):  # fmt: skip
+        if (template / file).is_file():
+            path = template / file
+            out[f"{command} {file}"] = Target(path, JSON if path.suffix == ".json" else TEXT, scene, arguments, command,
+                                              template, named=(path.name, "ingest", "sync"))  # fmt: skip

@@ -1,8 +1,8 @@
 """Runs one case after another for `fuzzing.py`, each in a fork of its own with all libraries imported.
 
 A line of JSON comes in: `limit_s`, and either `arguments` of devrf-pipeline or `reader` and `path`. A line goes out:
-`code` (below 0: the signal that ended it; None: over the limit), `seconds`, `peak_mb`. What a case says goes to the
-file `said`.
+`code` (below 0: the signal that ended it; None: over the limit), `seconds`, `worked_s`, `peak_mb`. What a case says goes
+to the file `said`.
 """
 
 import json
@@ -87,7 +87,8 @@ def ended(pid: int, start: float, limit_s: float) -> dict:
     except ProcessLookupError:
         pass
     code = None if late else os.waitstatus_to_exitcode(status)
-    return {"code": code, "seconds": time.monotonic() - start, "peak_mb": usage.ru_maxrss / 1000}
+    return {"code": code, "seconds": time.monotonic() - start, "peak_mb": usage.ru_maxrss / 1000,
+            "worked_s": usage.ru_utime + usage.ru_stime}  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -311,4 +311,5 @@ def test_configurations(
 
     check()
     figures(fuzzed_configurations=codes.total(), kind=kind, faults=0, exit_codes=dict(codes),
-            slowest_s=round(run.slowest_s, 1), most_mb=round(run.most_mb))  # fmt: skip
+            slowest_s=round(run.slowest_s, 1), most_worked_s=round(run.most_worked_s, 1),
+            most_mb=round(run.most_mb))  # fmt: skip
