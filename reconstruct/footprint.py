@@ -18,8 +18,9 @@ from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.sizing import fewer_voxels
 
 # Measured on a CPU as differences of peaks between trainings that differ in one size (Linux, torch 2.13, warp 1.17).
-LIBRARIES = 530e6  # once the first iterations are done
-FIRST_ITERATIONS = 220e6  # of them; the others are there when all is imported
+IMPORTED = 310e6  # of libraries, when all is imported
+AT_WORK = 160e6  # more of them after the first iterations
+OPTIMISER = 60e6  # and PyTorch's own, where an MLP is trained
 TRAINED = 16  # per value: itself, gradient, two moments
 VERTEX = 37  # per vertex beside: 9 that stay, the rest while occupancy is rebuilt
 SHELL_VERTEX = 120  # of the surroundings: four values, two gradients, and positions while it grows
@@ -30,7 +31,7 @@ MOVING_SAMPLE = 750  # with its way to rest and back
 PIXEL = 3
 MATTE = 1  # per pixel of pictures before a plain background
 LENS_PIXEL = 36  # of a lens: a viewing direction; the rest while lens distortion is undone
-VIEW_PIXEL = 56  # of a camera that stands still: what is outside the box; half of it while it is put together
+VIEW_PIXEL = 28  # of a camera that stands still: what is outside the box; twice that while it is put together
 FLOW_PIXEL_READ, FLOW_PIXEL = 6, 5  # vectors and confidence as they are read, and in training's order
 
 CHANNELS = 13  # density and features
@@ -40,6 +41,9 @@ FIELD_VERTEX = 2 * 3 * 4  # of both motion fields, per key time
 SAMPLES_PER_RAY = 16  # in motion; of solid things fewer count, of things still translucent these (measured)
 SAMPLES_PER_RAY_AT_REST = 40  # in fine-tuning, whose steps are half as long
 KEYS_IN_WINDOW = 5  # of a field too large for a GPU: around a key all that its pictures touch
+
+Parts = dict[str, int | float]
+"""Bytes by what they are for."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,10 @@ def footprint(
         kept, trained = {}, _at_rest(size, adapted)
     else:
         kept, trained = _in_motion(size, options, on_gpu=device != "cpu")
-    main = {"libraries": max(LIBRARIES, held + FIRST_ITERATIONS)} | kept
+    libraries = max(IMPORTED, held) + AT_WORK
+    if isinstance(options, CanonicalOptions) or options.fine_tuning:
+        libraries += OPTIMISER
+    main = {"libraries": libraries} | kept
     if device == "cpu":
         return Footprint(_whole(main | trained), {})
     brought = {
@@ -142,7 +149,7 @@ def footprint(
     return Footprint(_whole(main | brought), _whole(trained))
 
 
-def _at_rest(size: SceneSize, o: CanonicalOptions) -> dict[str, float]:
+def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     """What is trained, or trained on."""
     grids = o.resolution**3 * (TRAINED * (1 + o.channels) + VERTEX)
     shell = 0.0 if size.plain else o.shell_resolution**3 * SHELL_VERTEX
@@ -157,7 +164,7 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> dict[str, float]:
     }
 
 
-def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[dict[str, float], dict[str, float]]:
+def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, Parts]:
     """What stays in main memory in any case, and what is trained, or trained on."""
     vertices, finest = o.resolution**3, o.levels[-1] ** 3
     before = o.levels[-2] ** 3 if len(o.levels) > 1 else 0  # a field that is refined is there twice
@@ -168,11 +175,12 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[dict[st
     rest = vertices * REST_VERTEX
     common = {
         "pictures": _picture_bytes(size, size.moving_pixels, size.moving_lenses) + PIXEL * size.largest_clip,
-        "surroundings": float(VIEW_PIXEL * size.views),
+        "surroundings": VIEW_PIXEL * size.views,
     }
+    beginning = common | {"surroundings": 2 * VIEW_PIXEL * size.views, "models": rest}
     moving = o.rays * SAMPLES_PER_RAY * MOVING_SAMPLE
     motion = common | {
-        "flow": float(FLOW_PIXEL * size.moving_pixels * (o.flow > 0)),
+        "flow": FLOW_PIXEL * size.moving_pixels * (o.flow > 0),
         "models": rest + on_device + 6 * 12 * finest,  # gradient and moments of one key of both fields
         "samples": moving + o.rays * _steps_bytes(o),
     }
@@ -181,15 +189,15 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[dict[st
         "models": rest + on_device + vertices * (TRAINED * CHANNELS + VERTEX),
         "samples": moving + o.rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o)),
     }
-    phases = [motion, tuning] if o.fine_tuning else [motion]
+    phases = [beginning, motion, tuning] if o.fine_tuning else [beginning, motion]
     kept = {
-        "flow as read": float(FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0)),
-        "motion field": float(fields * apart),
+        "flow as read": FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0),
+        "motion field": fields * apart,
     }
     return kept, max(phases, key=lambda parts: sum(parts.values()))
 
 
-def _picture_bytes(size: SceneSize, pixels: int, lenses: int) -> float:
+def _picture_bytes(size: SceneSize, pixels: int, lenses: int) -> int:
     return pixels * (PIXEL + MATTE * size.plain) + LENS_PIXEL * lenses
 
 
@@ -207,5 +215,5 @@ def _adapted(scene: Scene, options: CanonicalOptions) -> CanonicalOptions:
     return fewer_voxels(options, cameras, aabb, ndc)[0] if cameras else options
 
 
-def _whole(parts: dict[str, float]) -> dict[str, int]:
+def _whole(parts: Parts) -> dict[str, int]:
     return {name: round(value) for name, value in parts.items() if value}
