@@ -269,7 +269,8 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
         else:
             _keep(run, stage)
             why = "; ".join(now.why) or "forced"
-            late = budget.late(stage.name, _to_come(run, stage))
+            from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
+            late = None if from_cache else budget.late(stage.name, _to_come(run, stage))
             if late is not None and stage.name == OPTIONAL:
                 run.talk.say(f"{stage.name}: left for later: {late}", style="yellow")
                 left.append(stage.name)
@@ -277,7 +278,6 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             if late is not None:
                 run.talk.error(late)
                 return FAILED
-            from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
             does = "taken from the cache" if from_cache else "runs"
             run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
             run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
@@ -347,8 +347,6 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
     folder: Path | None = None
     context: StageContext | None = None
     try:
-        say = partial(run.talk.decision, stage.name)
-        allowance = budget.allowance(stage.name, say)
         if is_forced(stage.name, run.choice):
             remember_forced(run.run_dir, stage.name)
         folder = workspace.fresh_folder(stage.name)
@@ -358,6 +356,8 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
                 run.taken.append(stage.name)
                 return None
             run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
+        say = partial(run.talk.decision, stage.name)
+        allowance = budget.allowance(stage.name, say)
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
             context = StageContext(

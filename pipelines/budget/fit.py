@@ -1,12 +1,14 @@
 """How a stage is done within the memory that is allowed: fewer pictures at once, then smaller ones, else not at all."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from devrf.calibration.sweep.static_poses import MAX_IMAGE_SIZE
 from devrf.pipelines.budget.estimate import static_poses_need
 from devrf.pipelines.budget.material import Material
 from devrf.pipelines.budget.memory import memory_bound
 from devrf.pipelines.budget.need import BudgetError, Need, size_text
+from devrf.pipelines.budget.training import STAGES as TRAINED
+from devrf.pipelines.budget.training import fitted_training
 from devrf.pipelines.config.scene import SceneConfig
 
 SIDES_PX = (
@@ -25,11 +27,18 @@ class Fit:
         need: What it needs then.
         at_once: Pictures, pairs or threads at once.
         side_px: Of the sweep's pictures; None: as it is without a budget.
+        decided: What training does otherwise, one line each.
     """
 
     need: Need
     at_once: int
     side_px: int | None = None
+    decided: tuple[str, ...] = ()
+
+    @property
+    def memory(self) -> int:
+        """Main memory, bytes."""
+        return self.need.base + self.need.each * self.at_once
 
     @property
     def said(self) -> str | None:
@@ -39,17 +48,19 @@ class Fit:
             changes.append(f"{self.at_once} instead of {self.need.at_once} at once")
         if self.side_px is not None:
             changes.append(f"features at {self.side_px} instead of {MAX_IMAGE_SIZE} pixels")
-        if not changes:
-            return None
-        return f"{', '.join(changes)}, to keep within the memory that is allowed"
+        reason = [f"{', '.join(changes)}, to keep within the memory that is allowed"] if changes else []
+        return "; ".join([*self.decided, *reason]) or None
 
 
-def fit(need: Need, config: SceneConfig, material: Material, allowed: int) -> Fit:
+def fit(need: Need, config: SceneConfig, material: Material, allowed: int, device: str = "cpu") -> Fit:
     """The quickest way to do a stage within `allowed` bytes that changes its result least.
 
     Raises:
         BudgetError: There is none.
     """
+    if need.stage in TRAINED:
+        base, decided = fitted_training(need.stage, config, material, device, allowed)
+        return Fit(replace(need, base=base), 1, decided=decided)
     at_once = need.fitted(allowed)
     if at_once:
         return Fit(need, at_once)
@@ -70,14 +81,12 @@ def no_memory(need: Need, config: SceneConfig, allowed: int) -> str:
     )
 
 
-TRAINING = "--preset tiny, or lower reconstruct.resolution or reconstruct.image_scale"
+SMALLER_MODEL = "--preset tiny, or lower reconstruct.resolution or reconstruct.image_scale"
 REMEDIES = {
     "ingest": "smaller pictures or shorter clips (capture.range_s)",
     "static_poses": "fewer pictures in the sweep",
     "sync": "shorter clips, or calibration.sync.method: timestamps",
     "flow": "flow.method: dis, or smaller pictures",
-    "canonical": TRAINING,
-    "deformation": TRAINING,
-    "evaluate": TRAINING,
-    "render": TRAINING,
+    "evaluate": SMALLER_MODEL,
+    "render": SMALLER_MODEL,
 }

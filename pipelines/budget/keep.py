@@ -21,6 +21,7 @@ from devrf.pipelines.console import duration
 if TYPE_CHECKING:
     from devrf.pipelines.budget.material import Material
 
+TRAINING = ("canonical", "deformation")
 OPTIONAL = "render"  # nothing but the report reads it
 LAST = "report"  # takes seconds, and is wanted most where a run ends early
 
@@ -51,6 +52,8 @@ class Budget:
         room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache)
         if need.disk > room.count:
             raise BudgetError(no_room(need.disk, "it", room))
+        if stage in TRAINING:  # fits itself to the scene as it is then
+            return Allowance(allowed, gpu, until=self._until)
         from devrf.pipelines.budget.fit import fit
 
         found = fit(need, self.config, material, allowed)

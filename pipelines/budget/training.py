@@ -1,16 +1,21 @@
-"""What training needs, before the scene is known."""
+"""What training needs, as the reconstruction predicts it; before the scene is known, of what is planned."""
 
+from typing import TYPE_CHECKING
+
+from devrf.capture.errors import ReconstructError
+from devrf.capture.scene import Scene
 from devrf.pipelines.budget.material import Material
-from devrf.pipelines.budget.need import Need
+from devrf.pipelines.budget.need import BudgetError, Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.training_options import planned_options
-from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 
+if TYPE_CHECKING:
+    from devrf.reconstruct.footprint import SceneSize
+
+STAGES = ("canonical", "deformation")
 FLOAT = 4  # bytes
 SHELL_NUMBERS = 4  # of each of its vertices: density and colour
-TRAINED = 8  # copies of a grid while it is trained: values, gradients, two moments, and of each meanwhile
-WORK = 300_000_000  # bytes for samples of rays, and compiled kernels
-REST_PIXEL, MOVING_PIXEL = 3, 11  # bytes of a training picture's pixel; with flow and confidence
 CHECKPOINT = 3  # copies of a grid in a checkpoint: values and two moments
 PACKED = 0.35  # bytes on disk of each number of a model; the example's 0.32
 
@@ -21,9 +26,47 @@ SECONDS: dict[str, dict[str, float]] = {
 }
 
 
+def training_need(stage: str, config: SceneConfig, material: Material, device: str) -> Need:
+    """Of stage canonical or deformation, with the options that scene.yaml asks for."""
+    from devrf.reconstruct.footprint import footprint
+
+    held = footprint(_size(material), _options(stage, config, material), device)
+    numbers = model_numbers(config) if stage == "canonical" else motion_numbers(config, material)
+    return Need(
+        stage,
+        held.main_bytes,
+        gpu=held.gpu_bytes,
+        left=int(PACKED * numbers),
+        passing=FLOAT * CHECKPOINT * numbers,
+        seconds=None if device == "cuda" else SECONDS[stage].get(config.preset),
+    )
+
+
+def fitted_training(
+    stage: str, config: SceneConfig, material: Material, device: str, allowed: int
+) -> tuple[int, tuple[str, ...]]:
+    """Main memory, bytes, with options that keep within `allowed`, and what is changed for it, one line each.
+
+    Raises:
+        BudgetError: Even the smallest training takes more.
+    """
+    from devrf.reconstruct.footprint import footprint
+    from devrf.reconstruct.memory_fit import Limits, fitted
+
+    size, options = _size(material), _options(stage, config, material)
+    try:
+        if isinstance(options, CanonicalOptions):
+            options, decisions = fitted(size, options, Limits(allowed), device)
+        else:
+            options, decisions = fitted(size, options, Limits(allowed), device)
+    except ReconstructError as error:
+        raise BudgetError(f"{stage}: {error}") from None
+    return footprint(size, options, device).main_bytes, tuple(map(str, decisions))
+
+
 def model_numbers(config: SceneConfig) -> int:
     """Numbers in the grids of the scene at rest and of its surroundings."""
-    rest: CanonicalOptions = planned_options(config).canonical
+    rest = planned_options(config).canonical
     return rest.resolution**3 * (1 + rest.channels) + rest.shell_resolution**3 * SHELL_NUMBERS
 
 
@@ -32,7 +75,7 @@ def motion_numbers(config: SceneConfig, material: Material) -> int:
     motion = planned_options(config).motion
     if not material.in_motion:
         return 0
-    keys = motion.keys or min(motion.most_keys, max(2, material.in_motion // max(1, material.cameras)))
+    keys = motion.keys or min(motion.most_keys, max(2, _times(material)))
     return 2 * 3 * keys * motion.levels[-1] ** 3
 
 
@@ -42,30 +85,32 @@ def model_bytes(config: SceneConfig, material: Material) -> int:
     return FLOAT * (copies * model_numbers(config) + motion_numbers(config, material))
 
 
-def training_need(stage: str, config: SceneConfig, material: Material, device: str, base: int) -> Need:
-    """Of stage canonical or deformation.
+def _options(stage: str, config: SceneConfig, material: Material) -> CanonicalOptions | MotionOptions:
+    forward = material.scene is not None and material.scene.ndc is not None
+    options = planned_options(config, forward=forward)
+    return options.canonical if stage == "canonical" else options.motion
 
-    Args:
-        stage: Which.
-        config, material: The scene.
-        device: cpu or cuda.
-        base: Bytes of the process without it.
-    """
-    rest, motion = model_numbers(config), motion_numbers(config, material)
-    if stage == "canonical":
-        held = FLOAT * TRAINED * rest + REST_PIXEL * material.pixels * material.at_rest
-        trained = rest
-    else:
-        held = model_bytes(config, material) + FLOAT * TRAINED * motion
-        held += MOVING_PIXEL * material.pixels * material.in_motion
-        trained = motion
-    held += WORK
-    there = device == "cuda"
-    return Need(
-        stage,
-        2 * base if there else base + held,
-        gpu=held if there else 0,
-        left=int(PACKED * trained),
-        passing=FLOAT * CHECKPOINT * trained,
-        seconds=None if there else SECONDS[stage].get(config.preset),
+
+def _size(material: Material) -> "Scene | SceneSize":
+    """The scene, or what is planned of it: cameras that stand still, each with one lens, and surroundings."""
+    from devrf.reconstruct.footprint import SceneSize
+
+    if material.scene is not None:
+        return material.scene
+    clip = material.pixels * _times(material)
+    seen = material.pixels * material.cameras
+    return SceneSize(
+        still_pixels=material.pixels * material.at_rest,
+        moving_pixels=material.pixels * material.in_motion,
+        still_lenses=material.pixels,
+        moving_lenses=seen,
+        views=seen,
+        largest_clip=clip,
+        times=_times(material),
+        plain=False,
     )
+
+
+def _times(material: Material) -> int:
+    """Pictures of one camera."""
+    return material.in_motion // max(1, material.cameras)

@@ -178,7 +178,8 @@ def test_a_run_says_what_it_needs_before_it_starts(clips: Path, devrf: Command) 
             "memory_gb=0.2",
             "ingest needs about .* of main memory at the least, and budget.memory_gb is 0.2; raise it",
         ),
-        ("memory_gb=1", "canonical needs about .* budget.memory_gb is 1; raise it, or use --preset tiny"),
+        ("memory_gb=0.8", "evaluate needs about .* budget.memory_gb is 0.8; raise it, or use --preset tiny"),
+        ("memory_gb=0.5", "canonical: budget.memory_gb: the smallest training does not fit"),
         (
             "disk_gb=0.001",
             "the run needs about .* on the disk, .* more than there is: budget.disk_gb is 0.001",
@@ -191,9 +192,21 @@ def test_what_cannot_fit_is_named(clips: Path, budget: str, expected: str) -> No
     assert found is not None and any(re.search(expected, text) for text in found.refused)
 
 
+def test_what_training_will_do_with_less_memory_is_said_before(clips: Path) -> None:
+    config = load_scene(clips / "scene.yaml", ["budget.memory_gb=1.3"])
+    found = forecast.forecast(config, clips, clips / "run", "cpu", MEASURED)
+    assert found is not None and not found.refused
+    assert all(fit.memory <= 1.3e9 for fit in found.fits)
+    assert [
+        line
+        for line in found.details()
+        if re.search("canonical: .*resolution at rest: .* instead of 112", line)
+    ]
+
+
 def test_what_cannot_fit_is_refused_before_anything_starts(clips: Path, devrf: Command) -> None:
-    refused = devrf("run", clips, "--set", "budget.memory_gb=1")
-    assert refused.code == 2 and "canonical needs about" in refused.err, refused.said
+    refused = devrf("run", clips, "--set", "budget.memory_gb=0.5")
+    assert refused.code == 2 and "canonical: budget.memory_gb" in refused.err, refused.said
     assert not (clips / "run").exists() or not [p for p in (clips / "run").iterdir() if p.name[0] != "."]
 
 
@@ -311,12 +324,16 @@ def test_the_film_is_left_for_later_and_the_report_is_not(
     monkeypatch.setattr(Budget, "_material", lambda self: material)
     monkeypatch.setattr(Budget, "_needs", lambda self, material: {"render": Need("render", 0, seconds=100.0)})
     first, second, *_ = small_stages()
-    made = (first, replace(second, name="render", reads=()), replace(second, name="report", reads=()))
+    made = (
+        first,
+        replace(second, name="render", reads=()),
+        replace(second, name="report", reads=("render",)),
+    )
     run = job(folder, made, "budget.time_minutes=1")
     assert execute(run) == FAILED and run.executed == ["first", "report"]
     assert "render is left; run again" in capsys.readouterr().err
     run = job(folder, made, "budget.time_minutes=2")
-    assert execute(run) == DONE and run.executed == ["render"]
+    assert execute(run) == DONE and run.executed == ["render", "report"]
 
 
 def test_structure_from_motion_takes_no_more_time_than_is_left() -> None:
