@@ -1,6 +1,5 @@
 """Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens."""
 
-import _thread
 import errno
 import json
 import logging
@@ -60,6 +59,7 @@ NO_MEMORY = (
     "bad allocation",
     "insufficient memory",
 )  # messages
+AGAIN_S = 0.01  # after which a signal that was lost is raised again
 NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
 
 logger = logging.getLogger(__name__)
@@ -522,15 +522,17 @@ def _stopped_by_signals() -> Iterator[None]:
         """Where nothing can be raised (a callback of the garbage collector) Python would only print it."""
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             return hook(unraisable)
-        _thread.interrupt_main(signal.SIGTERM)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous, hook = signal.signal(signal.SIGTERM, stop), sys.unraisablehook
-    sys.unraisablehook = again
+    hook, sys.unraisablehook = sys.unraisablehook, again
+    previous = {sign: signal.signal(sign, stop) for sign in (signal.SIGTERM, signal.SIGALRM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for sign, handler in previous.items():
+            signal.signal(sign, handler)
         sys.unraisablehook = hook
