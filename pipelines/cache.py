@@ -17,7 +17,7 @@ from pathlib import Path
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.digests import file_digest
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import STAMP, identity_key, read_stamp
+from devrf.pipelines.stamp import STAMP, identity_key, read_stamp, size_in
 
 USERS = "DEVRF_CACHE"  # environment variable: folder of scenes that name none
 NEW, OLD = ".new-", ".old-"
@@ -40,7 +40,8 @@ class Cache:
     def has(self, stage: Stage, made_from: dict) -> str | None:
         """Content of the entry made from this; None where there is none."""
         stamp = None if stage.quotes_stamps else read_stamp(self._entry(stage.name, made_from))
-        return None if stamp is None else stamp["content"]
+        whole = stamp is not None and stamp["identity"] == made_from and size_in(stamp) is not None
+        return stamp.get("content") if stamp is not None and whole else None
 
     def take(self, stage: Stage, made_from: dict, out: Path) -> bool:
         """Put the stage made from this into the empty folder `out`, if it is here and whole."""
@@ -66,14 +67,15 @@ class Cache:
             OSError: The cache cannot be written.
         """
         stamp = read_stamp(folder)
-        if stamp is None or stage.quotes_stamps or "content" not in stamp:
+        size = None if stamp is None or stage.quotes_stamps else size_in(stamp)
+        if stamp is None or size is None or "content" not in stamp:
             return
         entry = self._entry(stage.name, stamp["identity"])
-        if read_stamp(entry) is not None:
+        if self.has(stage, stamp["identity"]) is not None:
             os.utime(entry)
             return
         self._remove(entry)  # a damaged one, if there is one
-        if _bytes_of(stamp) > self.max_gb * GB:
+        if size > self.max_gb * GB:
             return
         new = entry.with_name(f"{NEW}{secrets.token_hex(6)}")
         new.mkdir(parents=True)
@@ -98,8 +100,9 @@ class Cache:
             except OSError:
                 continue  # another run removed it
             stamp = None if path.name.startswith((NEW, OLD)) else read_stamp(path)
-            if stamp is not None:
-                entries.append((used, _bytes_of(stamp), path))
+            size = None if stamp is None else size_in(stamp)
+            if size is not None:
+                entries.append((used, size, path))
             elif used < time.time() - ABANDONED_S:
                 shutil.rmtree(path, ignore_errors=True)
         too_much = sum(size for _, size, _ in entries) - self.max_gb * GB
@@ -145,11 +148,9 @@ def _is_whole(folder: Path) -> bool:
     stamp = read_stamp(folder)
     if stamp is None:
         return False
-    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    return there == {*stamp["files"], STAMP} and all(
-        file_digest(folder / name) == digest for name, (_, digest) in stamp["files"].items()
+    return (
+        size_in(stamp) is not None
+        and {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+        == {*stamp["files"], STAMP}
+        and all(file_digest(folder / name) == digest for name, (_, digest) in stamp["files"].items())
     )
-
-
-def _bytes_of(stamp: dict) -> int:
-    return sum(size for size, _ in stamp["files"].values())

@@ -104,7 +104,8 @@ def standing(
     if stamp is None:
         state, why = "missing", ["not made yet"]
     else:
-        then = stamp["identity"].get("reads", {})
+        then = stamp["identity"].get("reads")
+        then = then if isinstance(then, dict) else {}
         known = {
             name: then.get(name) if name in unknown else made for name, made in made_from["reads"].items()
         }

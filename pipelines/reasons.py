@@ -23,7 +23,7 @@ def why_stale(stage: Stage, folder: Path, now: dict, digests: Digests) -> list[s
     if stamp is None:
         return ["never finished"]
     then = stamp["identity"]
-    if then.keys() != now.keys():
+    if then.keys() != now.keys() or not all(isinstance(part, dict) for part in then.values()):
         return ["made by a version of the program that knew less of what it was made from"]
     reasons = [f"{key}: {_change(old, new)}" for key, old, new in _differences(then, now, "config")]
     reasons += [f"{name}: {_file_change(old, new)}" for name, old, new in _differences(then, now, "inputs")]

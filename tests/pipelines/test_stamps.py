@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -526,3 +527,29 @@ def test_a_stamp_of_an_earlier_version_is_told_from_this(folder: Path) -> None:
     assert stand(folder)["first"].why == (
         "made by a version of the program that knew less of what it was made from",
     )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda stamp: {"identity": 5},
+        lambda stamp: {"identity": {}},
+        lambda stamp: stamp | {"identity": dict.fromkeys(stamp["identity"], [])},
+        lambda stamp: stamp | {"files": {"sub/result.txt": 5}},
+        lambda stamp: stamp | {"files": 5},
+        lambda stamp: {key: value for key, value in stamp.items() if key != "files"},
+        lambda stamp: [stamp],
+    ],
+)
+@pytest.mark.parametrize("cached", [(), ("cache.folder=kept",)])
+def test_an_odd_stamp_only_makes_the_stage_again(
+    folder: Path, change: Callable[[dict], object], cached: tuple[str, ...]
+) -> None:
+    executed(folder, *cached)
+    path = folder / "run/second/stamp.json"
+    odd = change(json.loads(path.read_text()))
+    for entry in (path, *folder.glob("kept/second/*/stamp.json")):
+        entry.unlink()
+        entry.write_text(json.dumps(odd))
+    assert executed(folder, *cached) == ["second"]
+    assert executed(folder, *cached) == []
