@@ -62,8 +62,10 @@ class BatchScene:
 
     @property
     def name(self) -> str:
-        """As its scene.yaml says, else the folder's."""
-        return self.scene_dir.name if self.config is None else self.config.name
+        """As its scene.yaml says, else as the file or its folder is called."""
+        if self.config is not None:
+            return self.config.name
+        return self.scene_dir.name if self.path.stem == "scene" else self.path.stem
 
     @property
     def run_dir(self) -> Path | None:
