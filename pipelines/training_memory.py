@@ -3,8 +3,7 @@
 from typing import TypeVar
 
 from devrf.capture.scene import Scene
-from devrf.pipelines.budget.memory import allowed_bytes, resident_bytes
-from devrf.pipelines.device import GB
+from devrf.pipelines.budget.memory import resident_bytes
 from devrf.pipelines.stage import StageContext
 from devrf.reconstruct.memory_fit import Limits, fitted
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
@@ -18,7 +17,7 @@ def fit_to_memory(context: StageContext, scene: Scene, options: Options) -> tupl
     Raises:
         ReconstructError: Even the smallest training takes more.
     """
-    limits = Limits(allowed_bytes(context.config), _gpu_bytes(context))
+    limits = Limits(context.allowance.memory, _gpu_bytes(context))
     options, decisions = fitted(scene, options, limits, context.device, resident_bytes())
     lines = [str(decision) for decision in decisions]
     for line in lines:
@@ -33,5 +32,4 @@ def _gpu_bytes(context: StageContext) -> int | None:
     import torch
 
     free, _ = torch.cuda.mem_get_info()
-    budget = context.config.budget.gpu_memory_gb
-    return free if budget is None else min(free, int(budget * GB))
+    return free if context.allowance.gpu is None else min(free, context.allowance.gpu)

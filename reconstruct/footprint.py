@@ -36,6 +36,7 @@ FLOW_PIXEL_READ, FLOW_PIXEL = 6, 5  # vectors and confidence as they are read, a
 
 CHANNELS = 13  # density and features
 REST_VERTEX = 4 * CHANNELS + 1  # of a scene at rest that is looked at
+AROUND = 5 * (4 * 4 + 1)  # and of its surroundings, which have (192 / 112)^3 = 5 vertices for each of its own
 FIELD_VERTEX = 2 * 3 * 4  # of both motion fields, per key time
 
 SAMPLES_PER_RAY = 16  # in motion; of solid things fewer count, of things still translucent these (measured)
@@ -172,7 +173,7 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     apart = on_gpu and FIELD_VERTEX * keys * finest > MOST_ON_GPU
     fields = FIELD_VERTEX * keys * (finest + before)
     on_device = FIELD_VERTEX * min(keys, KEYS_IN_WINDOW) * finest if apart else fields
-    rest = vertices * REST_VERTEX
+    rest = vertices * (REST_VERTEX + AROUND * (not size.plain))
     common = {
         "pictures": _picture_bytes(size, size.moving_pixels, size.moving_lenses) + PIXEL * size.largest_clip,
         "surroundings": VIEW_PIXEL * size.views,
@@ -190,7 +191,7 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         "samples": moving + o.rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o)),
     }
     phases = [beginning, motion, tuning] if o.fine_tuning else [beginning, motion]
-    kept = {
+    kept: Parts = {
         "flow as read": FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0),
         "motion field": fields * apart,
     }

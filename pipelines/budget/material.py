@@ -143,7 +143,7 @@ def _of_scene(config: SceneConfig, scene: Scene, sources: Mapping[str, Source]) 
         int(max(f.camera.width * f.camera.height for f in scene.frames) * scale**2),
         max((f.camera.width * f.camera.height for f in scene.dynamic), default=0),
         len({f.camera_name for f in moving}),
-        scene,
+        replace(scene, image_scale=scale),
     )
 
 
