@@ -17,6 +17,7 @@ from devrf.pipelines.budget.need import GB, BudgetError, Need
 from devrf.pipelines.cache import cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
+from devrf.pipelines.stages import stage_names
 
 if TYPE_CHECKING:
     from devrf.pipelines.budget.material import Material
@@ -45,7 +46,7 @@ class Budget:
         gpu_gb = self.config.budget.gpu_memory_gb
         gpu = None if gpu_gb is None else int(gpu_gb * GB)
         allowed = allowed_bytes(self.config)
-        material = self._material()
+        material = self._material() if stage in stage_names() else None
         need = None if material is None else self._needs(material).get(stage)
         if material is None or need is None:
             return Allowance(allowed, gpu, until=self._until)
@@ -74,11 +75,12 @@ class Budget:
         """
         if self._until is None or stage == LAST:
             return None
+        left_s = self._until - time.monotonic()
+        if left_s > 0 and stage != OPTIONAL:
+            return None
         material = self._material()
         needs = {} if material is None else self._needs(material)
-        left_s = self._until - time.monotonic()
-        expected_s = needs[stage].seconds or 0.0 if stage in needs else 0.0
-        if left_s > (expected_s if stage == OPTIONAL else 0.0):
+        if left_s > 0 and (stage not in needs or left_s > (needs[stage].seconds or 0.0)):
             return None
         known = [needs[name].seconds for name in rest if name in needs]
         total_s = sum(seconds for seconds in known if seconds is not None)

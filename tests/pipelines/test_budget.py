@@ -290,15 +290,14 @@ def test_no_room_is_said_before_a_stage_begins(
 ) -> None:
     material = planned(config, static=source(role="sweep"))
     monkeypatch.setattr(Budget, "_material", lambda self: material)
-    monkeypatch.setattr(Budget, "_needs", lambda self, material: {"second": Need("second", 0, left=5 * GB)})
+    monkeypatch.setattr(Budget, "_needs", lambda self, material: {"flow": Need("flow", 0, left=5 * GB)})
     monkeypatch.setattr(keep, "room_for", lambda *_: Room(2 * GB, "2 GB are free", "free some"))
     began: list[str] = []
-    run = job(folder, small_stages(second=lambda context: began.append("second")))
+    first, second, *_ = small_stages(second=lambda context: began.append("flow"))
+    run = job(folder, (first, replace(second, name="flow")))
     assert execute(run) == FAILED and run.executed == ["first"] and not began
     said = capsys.readouterr().err
-    assert (
-        "second: it needs about 5 GB on the disk, 3 GB more than there is: 2 GB are free; free some" in said
-    )
+    assert "flow: it needs about 5 GB on the disk, 3 GB more than there is: 2 GB are free; free some" in said
 
 
 def test_a_run_without_time_ends_between_stages_and_goes_on(
