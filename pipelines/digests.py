@@ -5,6 +5,7 @@ gigabytes again to learn that nothing changed would make a run that does nothing
 the same although the content is not (below), the file is read again; only content counts.
 """
 
+import errno
 import hashlib
 import json
 import os
@@ -105,12 +106,24 @@ class Digests:
 
 
 def file_digest(path: Path) -> str:
-    """Digest of a file's content, 32 hexadecimal digits."""
+    """Digest of a file's content, 32 hexadecimal digits.
+
+    Raises:
+        InputError: The disk or card that it lies on cannot give it.
+        OSError: It cannot be read for another reason.
+    """
     digest = hashlib.blake2b(digest_size=16)
-    with path.open("rb", buffering=0) as file:
-        block = memoryview(bytearray(min(BLOCK, os.fstat(file.fileno()).st_size + 1)))
-        while count := file.readinto(block):
-            digest.update(block[:count])
+    try:
+        with path.open("rb", buffering=0) as file:
+            block = memoryview(bytearray(min(BLOCK, os.fstat(file.fileno()).st_size + 1)))
+            while count := file.readinto(block):
+                digest.update(block[:count])
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
+        raise InputError(
+            f"{path}: cannot be read to its end ({error.strerror}); copy it from another disk"
+        ) from None
     return digest.hexdigest()
 
 

@@ -63,11 +63,14 @@ def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
     for key, text in input_paths(config).items():
         path = config.path(scene_dir, text)
         try:
+            if path.is_file():
+                with path.open("rb") as file:
+                    file.read(1)
             path.stat()
         except (FileNotFoundError, NotADirectoryError):
             pass
-        except OSError as error:  # no permission, a loop of links
-            say(key, f"{text!r}: cannot be looked at ({error.strerror}); make it readable, or name another")
+        except OSError as error:  # no permission, a loop of links, a bad card
+            say(key, f"{text!r}: cannot be read ({error.strerror}); make it readable, or name another")
             continue
         if not text.strip():
             say(key, "is empty; expected a path")

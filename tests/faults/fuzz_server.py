@@ -1,8 +1,8 @@
 """Runs one case after another for `fuzzing.py`, each in a fork of its own with all libraries imported.
 
 A line of JSON comes in: `limit_s`, and either `arguments` of devrf-pipeline or `reader` and `path`. A line goes out:
-`code` (below 0: the signal that ended it; None: over the limit), `seconds`, `worked_s`, `peak_mb`. What a case says goes
-to the file `said`.
+`code` (below 0: the signal that ended it; None: over the limit), `seconds`, `worked_s`, `peak_mb`. What a case says
+goes to the file `said`.
 """
 
 import json
