@@ -14,7 +14,7 @@ from devrf.calibration.sweep.static_poses import FINE_OCTAVE_BELOW, MAX_IMAGE_SI
 from devrf.capture.cores import usable_cores
 from devrf.pipelines.budget.material import Material, Source
 from devrf.pipelines.budget.need import Need
-from devrf.pipelines.budget.training import model_bytes, training_need
+from devrf.pipelines.budget.training import BASE, model_bytes, training_need
 from devrf.pipelines.clock_check import MOST_FRAMES
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stages.render import SIZES
@@ -23,7 +23,6 @@ from devrf.reconstruct.options import CHUNK
 
 UNSURE = 3
 
-BASE = 420_000_000  # bytes: Python with NumPy, SciPy, OpenCV and PyTorch; 0.36 to 0.41 GB
 SFM_WORKER = 160_000_000  # bytes: the process of pycolmap with nothing to do
 
 # Bytes for each pixel of a picture
