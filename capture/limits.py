@@ -10,13 +10,9 @@ from devrf.capture.errors import CaptureError
 
 PICTURE_PX = 250_000_000  # photos: medium format has 150 million pixels, sensor shift of full frame 240
 CLIP_PX = 100_000_000  # of one picture of a clip: 12K cameras have 80 million
-CLIP_S = (
-    4 * 3600
-)  # from a clip's first picture or sample to its last; its sound, 48 kHz, is held in memory: 2.8 GB
+CLIP_S = 4 * 3600  # from a clip's first picture or sample to its last; its sound is held in memory: 2.8 GB
 TEXT_BYTES = 100_000_000  # JSON, CSV: 100 000 pictures of a data set, or of timestamps, are a tenth of it
-MODEL_BYTES = (
-    1_000_000_000  # one file of a COLMAP model: a picture with 10 000 keypoints takes a quarter of a megabyte
-)
+MODEL_BYTES = 1_000_000_000  # one file of a COLMAP model: 10 000 keypoints of a picture are 0.24 MB
 ARRAY_BYTES = 1_000_000_000  # in one npy or npz, unpacked: flow of a picture of 8K takes 0.3 GB
 WEIGHT_BYTES = 2_000_000_000  # in one file of weights, unpacked: VGG-16 has 0.55 GB
 

@@ -43,7 +43,7 @@ def check_output(config: SceneConfig, scene_dir: Path, say: Say) -> None:
     run_dir = config.run_dir(scene_dir)
     if run_dir == Path(run_dir.anchor):
         say("output", f"{config.output!r} is the root of a disk; name a folder of its own")
-    elif run_dir == Path(os.path.realpath(Path.home())):
+    elif run_dir == Path(os.path.realpath(os.path.expanduser("~"))):
         say("output", f"{config.output!r} is your home folder; name a folder of its own")
     for key, text in input_paths(config).items():
         if config.path(scene_dir, text) == run_dir:

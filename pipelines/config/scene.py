@@ -29,13 +29,8 @@ Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 LONGEST_PATH, LONGEST_NAME = 1000, 255  # characters, bytes: every system takes these
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
-DEVICES = (
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
-)  # of Windows
+PORTS = tuple(f"{port}{n}" for port in ("com", "lpt") for n in range(10))
+DEVICES = ("con", "prn", "aux", "nul", *PORTS)  # names that Windows keeps for itself
 RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
 BackgroundWord = Literal["auto", "white", "black", "shell"]
 
@@ -408,7 +403,7 @@ class BudgetConfig(_Section):
 class CacheConfig(_Section):
     """Finished stages of earlier configurations, and of other scenes with the same inputs, kept and used again."""
 
-    folder: str | None = Field(default=None, min_length=1)
+    folder: PathText | None = Field(default=None, min_length=1)
     """Where they are kept; default: the folder that the environment variable DEVRF_CACHE names, else nowhere."""
     max_gb: float = Field(default=50.0, ge=0)
     """Most the folder may hold; what was used longest ago goes first. 0: keep and take nothing."""

@@ -1,5 +1,7 @@
 """scene.yaml: every mistake at once, each with its key, its value and what was expected."""
 
+import json
+import os
 from pathlib import Path
 
 import pytest
@@ -307,3 +309,32 @@ def test_a_background_that_is_none(tmp_path: Path, written: str) -> None:
         load_scene(path)
     assert "scene.yaml: dataset.background: " in str(error.value)
     assert "auto, white, black, shell or [r, g, b]" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "key", ["output", "capture.static", "cache.folder", "evaluate.truth", "flow.weights"]
+)
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a\0b", "holds a zero byte"),
+        ("x" * 300, "longer than 1000 characters, or a name in it than 255 bytes"),
+        ("x/" * 600, "longer than 1000 characters"),
+        ("~nobody-of-this-name/x", "no such user"),
+        ("\ud800", "holds half a character"),
+    ],
+)
+def test_what_no_system_takes_as_a_path(folder: Path, key: str, text: str, says: str) -> None:
+    lines = mistakes(folder, GOOD, (f"{key}={json.dumps(text)}",))
+    assert any(key in line and says in line and len(line) < 300 for line in lines), lines
+
+
+def test_devices_pipes_and_loops_are_no_files(folder: Path) -> None:
+    os.mkfifo(folder / "pipe")
+    (folder / "loop").symlink_to("loop")
+    for name, says in (
+        ("pipe", "is a device or a pipe"),
+        ("/dev/zero", "is a device"),
+        ("loop", "cannot be read"),
+    ):
+        assert says in mistakes(folder, GOOD, (f"capture.static={name}",))[0]
