@@ -5,6 +5,7 @@ import zipfile
 from collections.abc import Iterable
 from io import BufferedIOBase
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -76,7 +77,7 @@ def _entry(entries: dict[str, zipfile.ZipInfo], name: str) -> zipfile.ZipInfo:
     return entries[name]
 
 
-def _header(file: BufferedIOBase) -> tuple[tuple[int, ...], np.dtype]:
+def _header(file: IO[bytes] | BufferedIOBase) -> tuple[tuple[int, ...], np.dtype]:
     version = npy.read_magic(file)
     if version not in HEADERS:
         raise ValueError(f"version {version} of the format")

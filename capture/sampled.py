@@ -65,7 +65,8 @@ def read_runs(
         turns = reader.info.rotation_deg // 90
     with open_media(path) as container:
         stream = video_stream(container, path)
-        assert stream.time_base is not None
+        time_base = stream.time_base
+        assert time_base is not None
         stream.thread_type = "AUTO"
         offset_s = origin_s(container)
         pictures: Iterator[av.VideoFrame] = iter(())
@@ -80,7 +81,7 @@ def read_runs(
                 came += 1
                 if picture.pts is None:
                     continue
-                time_s = float(picture.pts * stream.time_base) - offset_s
+                time_s = float(picture.pts * time_base) - offset_s
                 index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
                 if (index < first and n < MOST_AHEAD) or index <= last:
                     continue
@@ -101,7 +102,7 @@ def read_runs(
                         start_s + offset_s,
                         0.0,
                     ):  # streams without an index: a seek may miss the key picture
-                        container.seek(int(at_s / stream.time_base), stream=stream)
+                        container.seek(int(at_s / time_base), stream=stream)
                         pictures, came = container.decode(stream), 0
                         run = taken(first)
                         if came:

@@ -35,7 +35,7 @@ def read_flow_file(path: Path) -> Flow:
     """
     try:
         data = read_npz(path, ("flow", "mask"))
-        flow, mask = data["flow"].astype(np.float32), data["mask"] > 0
+        flow, mask = data["flow"].astype(np.float32), np.asarray(data["mask"] > 0)
         if flow.shape != (*mask.shape, 2):
             raise ValueError(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
     except (ArrayError, ValueError, TypeError) as error:

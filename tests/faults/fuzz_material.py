@@ -125,11 +125,8 @@ def _encode(path: Path, video_codec: str, audio_codec: str) -> None:
             size = audio.codec_context.frame_size or resampled.samples
             values = resampled.to_ndarray()
             for at in range(0, values.shape[1] - size + 1, size):
-                piece = av.AudioFrame.from_ndarray(
-                    np.ascontiguousarray(values[:, at : at + size]),
-                    format=resampled.format.name,
-                    layout="mono",
-                )
+                values_of_piece: Any = np.ascontiguousarray(values[:, at : at + size])
+                piece = av.AudioFrame.from_ndarray(values_of_piece, resampled.format.name, "mono")
                 piece.sample_rate, piece.pts = rate, at
                 container.mux(audio.encode(piece))
         container.mux(audio.encode(None))

@@ -271,6 +271,7 @@ def run() -> Iterator[Fuzzer]:
         yield one
 
 
+SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example]
 KINDS = {"mutated": mutated(), "broken": broken_text(), "harmless": harmless(), "wrong": surely_wrong()}
 SHARES = {"mutated": 0.5, "broken": 0.3, "harmless": 0.1, "wrong": 0.1}
 CASES = {"small": 80, "full": 1000}
@@ -292,7 +293,7 @@ def test_configurations(
     every = count // max(1, round(THROUGH_A_PROCESS[faults] * SHARES[kind]))
 
     @settings(
-        max_examples=count, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck),
+        max_examples=count, derandomize=True, database=None, deadline=None, suppress_health_check=SLOW,
         phases=(Phase.generate, Phase.shrink),
     )  # fmt: skip
     @given(KINDS[kind])
