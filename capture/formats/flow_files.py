@@ -40,7 +40,7 @@ def read_flow_file(path: Path) -> Flow:
             raise ValueError(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
     except (ArrayError, ValueError, TypeError) as error:
         raise _damaged(error) from None
-    finite = np.isfinite(flow).all(axis=-1)
+    finite = np.asarray(np.isfinite(flow).all(axis=-1))
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
 
 
