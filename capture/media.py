@@ -34,7 +34,9 @@ def open_media(path: Path) -> InputContainer:
     """
     check_file(path)
     try:
-        container = av.open(str(path))
+        container = av.open(
+            str(path), metadata_errors="replace"
+        )  # of cameras in other alphabets, and damaged
     except FFmpegError as error:
         raise InputError(f"{path}: not a video ({_what_is_it(path, error)})") from None
     except OSError as error:
