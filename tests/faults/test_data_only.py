@@ -21,7 +21,7 @@ NEVER = {
     "pickle", "shelve", "marshal", "dill", "cloudpickle", "joblib", "np.load", "numpy.load", "eval", "exec", "compile",
     "os.system", "os.popen", "yaml.unsafe_load", "yaml.full_load", "yaml.load_all", "tarfile", "shutil.unpack_archive",
     "torch.jit.load", "torch.hub.load", "http", "socketserver", "asyncio", "ftplib", "flask", "aiohttp", "uvicorn",
-    "socket.socket", "socket.create_server", "socket.create_connection",
+    "socket.socket", "socket.create_server",
 }  # fmt: skip
 EXTRACTS = ("extract", "extractall")  # of an archive: names in it would decide where files go
 
