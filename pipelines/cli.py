@@ -403,7 +403,9 @@ def _check(job: Run, device: str, *, in_full: bool = False) -> int:
         to_do = {
             now.stage.name
             for now in job.standings()
-            if now.state in ("stale", "missing") and now.cached is None
+            if now.state in ("stale", "missing")
+            and now.cached is None
+            and is_chosen(now.stage.name, STAGES, job.choice)
         }
         check_reads(job)
         if to_do:
@@ -412,8 +414,7 @@ def _check(job: Run, device: str, *, in_full: bool = False) -> int:
             from devrf.pipelines.preflight import check_inputs
 
             check_inputs(job.config, job.scene_dir, to_do)
-        if chosen := [name for name in to_do if is_chosen(name, STAGES, job.choice)]:
-            _check_budget(job, chosen, in_full)
+            _check_budget(job, to_do, in_full)
     except InputError as error:
         job.talk.error(str(error))
         return BAD_INPUT

@@ -13,7 +13,7 @@ from devrf.capture.errors import DevrfError
 from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import no_room, room_for, watched
 from devrf.pipelines.budget.memory import allowed_bytes
-from devrf.pipelines.budget.need import BudgetError, Need
+from devrf.pipelines.budget.need import GB, BudgetError, Need
 from devrf.pipelines.cache import cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
@@ -50,14 +50,17 @@ class Budget:
         room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache)
         if need.disk > room.count:
             raise BudgetError(no_room(need.disk, "it", room))
+        allowed = allowed_bytes(self.config)
         if stage in TRAINING:  # fits itself to the scene as it is then
-            return Allowance(until=self._until)
+            gpu_gb = self.config.budget.gpu_memory_gb
+            gpu = None if gpu_gb is None else int(gpu_gb * GB)
+            return Allowance(memory=allowed, gpu=gpu, until=self._until)
         from devrf.pipelines.budget.fit import fit
 
-        found = fit(need, self.config, material, allowed_bytes(self.config))
+        found = fit(need, self.config, material, allowed)
         if found.said is not None:
             say(f"  {found.said}")
-        return Allowance(found.at_once, found.side_px, self._until)
+        return Allowance(at_once=found.at_once, side_px=found.side_px, until=self._until)
 
     def watched(self) -> AbstractContextManager[None]:
         """Stops what is done in this block before the disk is full."""
