@@ -25,12 +25,13 @@ from devrf.pipelines.cli_options import (
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
-from devrf.pipelines.own_folder import check_run_folder
-from devrf.pipelines.plan import Choice, is_chosen
-from devrf.pipelines.runner import Run, check_choice, check_reads, dry_run, execute
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.runner.plan import Choice, is_chosen
+from devrf.pipelines.runner.run import Run, check_choice, check_reads, dry_run
+from devrf.pipelines.runner.supervise import supervised
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
-from devrf.pipelines.supervise import supervised
 
 app = typer.Typer(
     help="From a field capture of a moving scene to novel views of it.",

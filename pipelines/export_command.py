@@ -14,7 +14,7 @@ from devrf.capture.formats.flow_files import Flow
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import read_flows
 from devrf.pipelines.console import Talk
-from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.stamps.stamp import STAMP
 
 RIG_README = """Cameras of a devrf rig.
 

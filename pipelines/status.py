@@ -8,7 +8,7 @@ from rich.table import Table
 
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import COLOUR, describe, duration
-from devrf.pipelines.plan import Standing
+from devrf.pipelines.runner.plan import Standing
 
 STYLE = {"fresh": "green", "stale": "yellow", "missing": "red", "not applicable": "dim"}
 

@@ -26,8 +26,8 @@ from devrf.pipelines.batch.store import Store
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
-from devrf.pipelines.digests import Digests
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY
+from devrf.pipelines.stamps.digests import Digests
 
 CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
 GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.plan import Standing
+from devrf.pipelines.runner.plan import Standing
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.batch.store import SizeAndDigest
 from devrf.pipelines.config.files import input_paths
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.digests import Digests, raw_files
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stamps.digests import Digests, raw_files
 
 OUTSIDE = "outside"  # folder, in the copy of a scene, of files that lie outside of the scene's own folder
 

@@ -9,7 +9,7 @@ from devrf.pipelines.batch.scenes import BatchScene
 from devrf.pipelines.batch.store import Store
 from devrf.pipelines.durable import write_json
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamp import HEALTH, STAMP, read_stamp
+from devrf.pipelines.stamps.stamp import HEALTH, STAMP, read_stamp
 
 ALWAYS = (HEALTH, "metrics.json")
 WHOLE = ("report",)  # what people open first

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
-from devrf.pipelines.plan import read_health
-from devrf.pipelines.stamp import read_stamp
+from devrf.pipelines.runner.plan import read_health
+from devrf.pipelines.stamps.stamp import read_stamp
 
 State = Literal["waiting", "running", "done", "failed", "unhealthy", "refused", "stopped"]
 STATE_OF: dict[int, State] = {

@@ -10,9 +10,9 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.cli_options import configured
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.plan import Choice, Standing, is_chosen, standings
 from devrf.pipelines.preflight import check_inputs
-from devrf.pipelines.runner import check_choice
+from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standings
+from devrf.pipelines.runner.run import check_choice
 from devrf.pipelines.stages import STAGES
 
 

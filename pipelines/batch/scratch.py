@@ -15,7 +15,7 @@ from pathlib import Path
 
 from devrf.pipelines.batch.store import SizeAndDigest, Store
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamp import read_stamp
+from devrf.pipelines.stamps.stamp import read_stamp
 
 SCRATCH = "DEVRF_SCRATCH"  # environment variable: folder on a fast disk of this machine
 

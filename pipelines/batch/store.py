@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.digests import file_digest
 from devrf.pipelines.durable import write_json
-from devrf.pipelines.stamp import STAMP
-from devrf.pipelines.workspace import NEW
+from devrf.pipelines.runner.workspace import NEW
+from devrf.pipelines.stamps.digests import file_digest
+from devrf.pipelines.stamps.stamp import STAMP
 
 SizeAndDigest = tuple[int, str]
 

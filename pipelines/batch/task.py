@@ -16,8 +16,8 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.batch.scratch import Scratch, Stored
 from devrf.pipelines.batch.store import StoreError
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
-from devrf.pipelines.lock import Lock
-from devrf.pipelines.plan import error_path, last_error
+from devrf.pipelines.runner.lock import Lock
+from devrf.pipelines.runner.plan import error_path, last_error
 
 POLL_S = 0.1  # between two looks at whether to stop
 MEANWHILE_S = 5.0  # between two looks for stages to store: a lost machine costs the stage in work only

@@ -20,8 +20,8 @@ from devrf.pipelines.cli_options import (
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import BAD_INPUT, FAILED
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import Run
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.ablation import VARIANTS
 from devrf.reconstruct.options import PresetName

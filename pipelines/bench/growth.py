@@ -10,7 +10,7 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.bench.charts import Curve, frontier_chart
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, device_name
-from devrf.pipelines.runner import Run
+from devrf.pipelines.runner.run import Run
 from devrf.reconstruct.options import PRESETS
 
 AXES = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from devrf.pipelines.bench.ablation import PAPER_INWARD, SOURCE_INWARD, ablation_rows, train_variants
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows
-from devrf.pipelines.runner import Run
+from devrf.pipelines.runner.run import Run
 from devrf.reconstruct.ablation import VARIANTS
 from devrf.reconstruct.options import PRESETS
 

@@ -21,12 +21,14 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row
-from devrf.pipelines.code_version import code_version
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import DONE, Run, execute
+from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import lpips_nets, versions
-from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.stamps.code_version import code_version
+from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate

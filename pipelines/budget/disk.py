@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 
 from devrf.pipelines.budget.need import GB, BudgetError, size_text
-from devrf.pipelines.workspace import size_of
+from devrf.pipelines.runner.workspace import size_of
 
 MARGIN, MARGIN_SHARE = 200_000_000, 0.01  # bytes, and share of a small disk, that other programs are left
 WATCH_S = 1.0  # a stage writes less than the margin meanwhile, but for the fastest disks

@@ -11,9 +11,9 @@ from devrf.pipelines.budget.fit import Fit, fit
 from devrf.pipelines.budget.material import find_material
 from devrf.pipelines.budget.memory import allowed_bytes, bound_by_budget
 from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk, size_text
-from devrf.pipelines.cache import cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
+from devrf.pipelines.stamps.cache import cache_of
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import no_room, room_for, watched
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.budget.need import GB, BudgetError, Need
-from devrf.pipelines.cache import cache_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
 from devrf.pipelines.stages import stage_names
+from devrf.pipelines.stamps.cache import cache_of
 
 if TYPE_CHECKING:
     from devrf.pipelines.budget.material import Material

@@ -25,7 +25,7 @@ from devrf.flow.pair import estimated
 from devrf.pipelines.health.flow import health
 from devrf.pipelines.health.rows import note
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stamp import identity_key
+from devrf.pipelines.stamps.stamp import identity_key
 
 UNFINISHED = ".flow"  # in the run folder
 MADE_OF = "made_of"  # in it: what its pairs belong to

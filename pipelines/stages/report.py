@@ -4,9 +4,9 @@ from pathlib import Path
 
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import note
-from devrf.pipelines.plan import last_error
 from devrf.pipelines.report.page import build_report
 from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.runner.plan import last_error
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 

@@ -19,7 +19,7 @@ from tests.conftest import REPOSITORY
 from tests.faults.tiny_stages import NAMES, stages
 
 from devrf.pipelines.exit_codes import DONE
-from devrf.pipelines.stamp import stamp_id
+from devrf.pipelines.stamps.stamp import stamp_id
 
 BESIDE = (
     "devrf.log",

@@ -16,7 +16,7 @@ from tests.faults.harness import Count, finished, go_on
 from tests.faults.test_killed import start_from
 from tests.faults.tracing import lose_what_was_not_on_disk
 
-from devrf.pipelines.lock import LEASE_S
+from devrf.pipelines.runner.lock import LEASE_S
 
 CHANGES = 210  # of files in a run, about
 BOOT_S = LEASE_S + 1  # between a power cut and the next run

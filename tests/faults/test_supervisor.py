@@ -139,7 +139,7 @@ def test_the_parent_is_small(tiny: Tiny) -> None:
     code = (
         "import devrf.pipelines.cli, os, sys;"
         "print(sorted({'torch', 'cv2', 'av', 'scipy', 'warp', 'pycolmap'} & sys.modules.keys()));"
-        "from devrf.pipelines.supervise import supervised;"
+        "from devrf.pipelines.runner.supervise import supervised;"
         "supervised(lambda: print(open(f'/proc/{os.getppid()}/status').read()))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

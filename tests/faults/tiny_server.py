@@ -13,7 +13,7 @@ import sys
 
 from tests.faults.tiny_stages import program
 
-from devrf.pipelines.supervise import supervised
+from devrf.pipelines.runner.supervise import supervised
 
 
 def serve(requests: socket.socket) -> None:

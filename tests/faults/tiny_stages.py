@@ -29,10 +29,11 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.durable import sync
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.health.rows import row
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import Run, execute
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage, StageContext
-from devrf.pipelines.stamp import stamp_content
+from devrf.pipelines.stamps.stamp import stamp_content
 
 SCENE = """
 name: tiny

@@ -6,9 +6,11 @@ from pathlib import Path
 
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
+from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.health.rows import row
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import DONE, Run, execute
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage, StageContext
 
 MADE_OF = "made_of.txt"

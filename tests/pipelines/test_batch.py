@@ -18,9 +18,9 @@ from devrf.pipelines.batch.groups import groups
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Task, run_task
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
-from devrf.pipelines.plan import Standing
+from devrf.pipelines.runner.plan import Standing
+from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.workspace import Workspace
 
 LONG = 100_000  # iterations: it will not come to its end
 

@@ -16,8 +16,8 @@ from devrf.pipelines.batch.scratch import SCRATCH, scratch_dir
 from devrf.pipelines.batch.store import Store, StoreError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.digests import Digests, file_digest
 from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.pipelines.stamps.digests import Digests, file_digest
 
 STAMP = {"id": "1", "identity": {}, "content": "x"}
 

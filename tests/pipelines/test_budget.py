@@ -27,7 +27,7 @@ from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk, size_te
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.exit_codes import DONE, FAILED
-from devrf.pipelines.runner import execute
+from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import _options, coarser_rows
 from devrf.reconstruct import model as models

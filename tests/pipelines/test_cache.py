@@ -13,13 +13,15 @@ from pathlib import Path
 import pytest
 from tests.pipelines.small_stages import ALL, SCENE, job, small_stages, write
 
-from devrf.pipelines import cache as cache_module
-from devrf.pipelines.cache import Cache, cache_of
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import DONE, Run, dry_run, execute
+from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run, dry_run
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stamps import cache as cache_module
+from devrf.pipelines.stamps.cache import Cache, cache_of
 
 CACHE = "cache.folder=kept"
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines import lock
-from devrf.pipelines.lock import LOCK, Lock
+from devrf.pipelines.runner import lock
+from devrf.pipelines.runner.lock import LOCK, Lock
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from devrf.pipelines.lock import Lock
+from devrf.pipelines.runner.lock import Lock
 Lock(Path(sys.argv[1])).take()
 print("held", flush=True)
 time.sleep(60)

@@ -19,8 +19,9 @@ from tests.pipelines.small_stages import ALL, job, small_stages, write
 from devrf.capture.errors import CaptureError
 from devrf.pipelines import console, logs
 from devrf.pipelines.console import Talk
+from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, Events
-from devrf.pipelines.runner import DONE, FAILED, execute
+from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
 
 

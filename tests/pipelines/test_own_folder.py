@@ -13,7 +13,7 @@ from devrf.capture.scene import Scene
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import CAMERA_NAME
-from devrf.pipelines.own_folder import check_run_folder
+from devrf.pipelines.runner.own_folder import check_run_folder
 from devrf.pipelines.stages import stage_names
 
 

@@ -17,15 +17,16 @@ import typer
 from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage, write
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
-from devrf.pipelines import plan
 from devrf.pipelines.cli import render, say_where
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import row
-from devrf.pipelines.plan import Choice, standings
-from devrf.pipelines.runner import check_choice, dry_run, execute
+from devrf.pipelines.runner import plan
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice, standings
+from devrf.pipelines.runner.run import check_choice, dry_run
 from devrf.pipelines.stage import Stage, StageContext
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.code_version import code_version, sources
 from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
+from devrf.pipelines.stamps.code_version import code_version, sources
 from devrf.pipelines.training_options import training_options
 
 CONTRACT = (
@@ -133,7 +133,7 @@ def test_code_version_follows_imports() -> None:
 
 
 def test_code_version_changes_with_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from devrf.pipelines import code_version as module
+    from devrf.pipelines.stamps import code_version as module
 
     for room in ("flow", "capture"):
         (tmp_path / room).mkdir()

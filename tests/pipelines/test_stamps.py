@@ -15,14 +15,14 @@ import typer
 from tests.pipelines.config_reads import leaves, reads_of
 from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage
 
-from devrf.pipelines import code_version, digests, stamp
 from devrf.pipelines.cli import status
-from devrf.pipelines.digests import Digests
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE
-from devrf.pipelines.plan import Standing, standings
-from devrf.pipelines.runner import execute
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Standing, standings
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stamps import code_version, digests, stamp
+from devrf.pipelines.stamps.digests import Digests
 
 CHAIN = ["first", "second", "third"]
 
@@ -110,7 +110,7 @@ def test_every_file_of_code_runs_what_depends_on_it(folder: Path, monkeypatch: p
         "capture/named.py": "",
         "capture/unused.py": "",
         "flow/worker.py": "import devrf.capture.pictures as shared",
-        "pipelines/runner.py": "",
+        "pipelines/runner/execute.py": "",
     }
     for name, text in sources.items():
         (rooms / name).parent.mkdir(parents=True, exist_ok=True)
@@ -127,7 +127,7 @@ def test_every_file_of_code_runs_what_depends_on_it(folder: Path, monkeypatch: p
         "capture/named.py": ["other"],
         "capture/unused.py": [],
         "flow/worker.py": ["second", "third"],
-        "pipelines/runner.py": [],
+        "pipelines/runner/execute.py": [],
     }
     for name in sources:
         with (rooms / name).open("a") as file:

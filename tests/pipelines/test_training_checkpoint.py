@@ -9,8 +9,10 @@ import torch
 
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import DONE, STOPPED, Run, execute
+from devrf.pipelines.exit_codes import DONE, STOPPED
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.reconstruct.options import CanonicalOptions

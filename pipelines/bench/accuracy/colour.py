@@ -13,8 +13,10 @@ from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.accuracy.rigs import write_times
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.cli_options import configured
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import DONE, Run, execute
+from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
 
 CAPTURE = "caliscope_post_optimization"

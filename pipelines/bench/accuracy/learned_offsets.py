@@ -17,8 +17,8 @@ from devrf.pipelines.bench.accuracy.cases import Cases
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.bench.trainings import Bench
 from devrf.pipelines.cli_options import configured
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import Run
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.clocks import LearnedClock, with_clocks
 

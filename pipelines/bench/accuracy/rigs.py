@@ -28,9 +28,11 @@ from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.board_clips import BoardClips
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.cli_options import configured
+from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.joint_clips import JointViews, read_joint_views
-from devrf.pipelines.plan import Choice
-from devrf.pipelines.runner import DONE, Run, execute
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
 
 SESSIONS = {"caliscope_charuco_calibration": (54.08, 0.44), "caliscope_post_optimization": (53.58, 0.47)}

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from devrf.pipelines.cache import Cache
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.digests import Digests
 from devrf.pipelines.durable import sync, write_json
 from devrf.pipelines.health.rows import HealthRow
-from devrf.pipelines.reasons import why_stale
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import HEALTH, identity, read_stamp, stamp_id
+from devrf.pipelines.stamps.cache import Cache
+from devrf.pipelines.stamps.digests import Digests
+from devrf.pipelines.stamps.reasons import why_stale
+from devrf.pipelines.stamps.stamp import HEALTH, identity, read_stamp, stamp_id
 
 State = Literal["fresh", "stale", "missing", "not applicable"]
 ALL = "all"  # --force all

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.durable import sync, sync_tree
-from devrf.pipelines.lock import Lock
-from devrf.pipelines.stamp import STAMP
+from devrf.pipelines.runner.lock import Lock
+from devrf.pipelines.stamps.stamp import STAMP
 
 NEW, OLD = ".new-", ".old-"
 LOGS = "logs"  # what native programs said in stages that did not succeed

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.digests import file_digest
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import STAMP, identity_key, read_stamp, size_in
+from devrf.pipelines.stamps.digests import file_digest
+from devrf.pipelines.stamps.stamp import STAMP, identity_key, read_stamp, size_in
 
 USERS = "DEVRF_CACHE"  # environment variable: folder of scenes that name none
 NEW, OLD = ".new-", ".old-"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, OLD_LOGS
-from devrf.pipelines.stamp import HEALTH, STAMP
+from devrf.pipelines.stamps.stamp import HEALTH, STAMP
 
 PAGE = "index.html"  # a report about an unfinished run carries no stamp
 OTHERS = (

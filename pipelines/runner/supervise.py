@@ -23,8 +23,8 @@ from devrf.pipelines.budget.memory import left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import FAILED, STOPPED
 from devrf.pipelines.logs import LOG_FILE, Events, log_file
-from devrf.pipelines.plan import remember_error
-from devrf.pipelines.workspace import Workspace
+from devrf.pipelines.runner.plan import remember_error
+from devrf.pipelines.runner.workspace import Workspace
 
 GRACE_S = (
     15.0  # between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s

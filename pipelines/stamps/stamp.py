@@ -14,11 +14,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from devrf.pipelines.code_version import Code, code_of, series
 from devrf.pipelines.config.files import input_paths
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.digests import Digests
 from devrf.pipelines.stage import Stage
+from devrf.pipelines.stamps.code_version import Code, code_of, series
+from devrf.pipelines.stamps.digests import Digests
 
 STAMP = "stamp.json"
 HEALTH = "health.json"

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from devrf.pipelines.digests import Digests
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamp import damage, read_stamp
+from devrf.pipelines.stamps.digests import Digests
+from devrf.pipelines.stamps.stamp import damage, read_stamp
 
 MOST_FILES = 3  # files of code that are named; an update of the program changes them all
 

@@ -17,15 +17,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 ROOMS = ("capture", "calibration", "flow", "reconstruct")
-RUNNER = (
+RUNNER = ("config", "runner", "stamps")  # folders of `pipelines`
+RUNNER_FILES = (
     "stage",
     "health.rows",
-    "runner",
-    "plan",
-    "digests",
     "durable",
-    "code_version",
-    "stamp",
     "logs",
     "console",
     "status",
@@ -133,7 +129,7 @@ def _counts(name: str) -> bool:
     if len(parts) < 3 or parts[0] != "devrf":
         return False
     if parts[1] == "pipelines":
-        return parts[2] != "config" and ".".join(parts[2:]) not in RUNNER
+        return parts[2] not in RUNNER and ".".join(parts[2:]) not in RUNNER_FILES
     return parts[1] in ROOMS
 
 
@@ -174,7 +170,7 @@ def _file(module: str) -> Path | None:
 
 @cache
 def _room(room: str) -> Path | None:
-    beside = Path(__file__).resolve().parent.parent / room  # rooms lie beside one another in both layouts
+    beside = Path(__file__).resolve().parents[2] / room  # rooms lie beside one another in both layouts
     return beside if beside.is_dir() else None
 
 

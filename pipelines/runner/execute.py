@@ -1,0 +1,270 @@
+"""Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens."""
+
+import logging
+import math
+import os
+import socket
+import time
+import traceback
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import devrf
+from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.progress import Progress
+from devrf.pipelines.budget.keep import OPTIONAL, Budget
+from devrf.pipelines.console import duration
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.logs import Events, log_file
+from devrf.pipelines.runner.failure import explain, first_line, is_no_memory, unexpected
+from devrf.pipelines.runner.finish import finish
+from devrf.pipelines.runner.plan import (
+    Standing,
+    error_path,
+    forced_path,
+    is_chosen,
+    is_forced,
+    remember_error,
+    remember_forced,
+)
+from devrf.pipelines.runner.run import Run, check_reads, skip_line
+from devrf.pipelines.runner.signals import stopped_by_signals
+from devrf.pipelines.runner.supervise import crash_log, tell
+from devrf.pipelines.runner.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
+from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.stamps.stamp import read_stamp
+
+logger = logging.getLogger(__name__)
+
+
+def execute(run: Run) -> int:
+    """Run what has to be run.
+
+    Returns:
+        The exit code; the reason has been printed.
+    """
+    with stopped_by_signals():
+        return _answered(run, lambda: _execute(run))
+
+
+def _execute(run: Run) -> int:
+    check_reads(run)
+    with (
+        Workspace(run.run_dir, run.talk.say) as workspace,
+        log_file(run.run_dir, run.name),
+        crash_log(run.run_dir),
+    ):
+        start = time.monotonic()
+        budget_gb = run.config.budget.memory_gb
+        memory_budget = None if budget_gb is None else int(budget_gb * 1e9)
+        tell(run_dir=str(run.run_dir), run=run.name, memory_budget=memory_budget)
+        logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
+        run.talk.events = Events(run.run_dir, run.name)
+        run.talk.event(
+            "run_started",
+            scene=run.config.name,
+            preset=run.config.preset,
+            device=run.device,
+            version=devrf.__version__,
+            host=socket.gethostname(),
+            pid=os.getpid(),
+        )
+        code = _answered(run, lambda: _run_stages(run, workspace))
+        run.digests.save()
+        run.talk.event(
+            "run_finished",
+            code=code,
+            seconds=round(time.monotonic() - start, 3),
+            executed=run.executed,
+            taken=run.taken,
+        )
+        return code
+
+
+def _answered(run: Run, work: Callable[[], int]) -> int:
+    """The exit code of some work; why it did not succeed is said."""
+    try:
+        return work()
+    except InputError as error:
+        run.talk.error(str(error))
+        return BAD_INPUT
+    except DevrfError as error:
+        run.talk.error(str(error))
+        return FAILED
+    except KeyboardInterrupt:
+        run.talk.error("stopped; finished stages are kept, the next run goes on from there")
+        return STOPPED
+    except Exception as error:
+        logger.debug("%s", "".join(traceback.format_exception(error)))
+        if is_disk_full(error):
+            run.talk.error(disk_full_message(run.run_dir, "the run", 0))
+        elif is_no_memory(error):
+            run.talk.error(
+                f"not enough memory to go on ({first_line(error)}); close other programs, then run again"
+            )
+        else:
+            run.talk.error(unexpected(run, error))
+        return FAILED
+
+
+def _run_stages(run: Run, workspace: Workspace) -> int:
+    start = time.monotonic()
+    budget = Budget(run.config, run.scene_dir, run.run_dir, run.device)
+    left: list[str] = []  # optional stages for which there is no time
+    for number, stage in enumerate(run.stages, 1):
+        if not is_chosen(stage.name, run.stages, run.choice):
+            run.talk.detail(f"{stage.name}: left alone (outside --from and --until)")
+            continue
+        now = run.standing(stage)
+        run.digests.save()
+        if now.state == "not applicable" or (now.state == "fresh" and not is_forced(stage.name, run.choice)):
+            run.talk.event("stage_skipped", stage=stage.name, state=now.state, why=list(now.why))
+            run.talk.say(skip_line(now), style="dim")
+        else:
+            _keep(run, stage)
+            why = "; ".join(now.why) or "forced"
+            from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
+            late = None if from_cache else budget.late(stage.name, _to_come(run, stage))
+            if late is not None and stage.name == OPTIONAL:
+                run.talk.say(f"{stage.name}: left for later: {late}", style="yellow")
+                left.append(stage.name)
+                continue
+            if late is not None:
+                run.talk.error(late)
+                return FAILED
+            does = "taken from the cache" if from_cache else "runs"
+            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
+            run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
+            tell(stage=stage.name)
+            code = _run_stage(run, workspace, now, from_cache, budget)
+            tell(stage=None)
+            if code is not None:
+                return code
+            now = run.standing(stage)
+            stamp = read_stamp(run.run_dir / stage.name) or {}
+            run.talk.event(
+                "stage_finished",
+                stage=stage.name,
+                from_cache=stage.name in run.taken,
+                id=stamp.get("id"),
+                seconds=now.seconds,
+                peak_rss_gb=stamp.get("peak_rss_gb"),
+            )
+            if stage.name in run.executed:
+                run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
+                _keep(run, stage)
+        if now.state == "fresh":
+            run.fresh.append(stage.name)
+            for of_earlier_tries in (error_path, forced_path):
+                of_earlier_tries(run.run_dir, stage.name).unlink(missing_ok=True)
+        code = _judge(run, now)
+        if code is not None:
+            return code
+    made = [(len(run.executed), "executed"), (len(run.taken), "taken from the cache")]
+    counts = [f"{count} stage{'s' if count != 1 else ''} {how}" for count, how in made if count]
+    what = ", ".join(counts) or "nothing changed, no stage executed"
+    run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
+    if left:
+        run.talk.error(f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes")
+        return FAILED
+    return DONE
+
+
+def _to_come(run: Run, stage: Stage) -> list[str]:
+    """Names of a stage and of those that follow it in this run."""
+    rest = run.stages[list(run.stages).index(stage) :]
+    return [
+        s.name for s in rest if s.applies(run.config) is None and is_chosen(s.name, run.stages, run.choice)
+    ]
+
+
+def _judge(run: Run, now: Standing) -> int | None:
+    """Say a stage's health; the exit code where it stops the run."""
+    run.talk.health(now.stage.name, list(now.health))
+    if now.verdict != "fail":
+        return None
+    if run.choice.allow_unhealthy:
+        run.talk.say(f"  {now.stage.name}: unhealthy, going on (--allow-unhealthy)", style="yellow")
+        return None
+    failed = "\n".join(f"{row.check}: {row.remedy}" for row in now.health if row.verdict == "fail")
+    run.talk.error(
+        f"{now.stage.name}: its own check refused the result:\n{failed}\n"
+        "The result is kept; mend the cause, or go on with --allow-unhealthy"
+    )
+    return UNHEALTHY
+
+
+def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, budget: Budget) -> int | None:
+    """Make one stage, or take it from the cache. None where it is finished, else the exit code."""
+    stage, made_from = now.stage, now.made_from
+    assert made_from is not None  # all that it reads has been made
+    folder: Path | None = None
+    context: StageContext | None = None
+    try:
+        if is_forced(stage.name, run.choice):
+            remember_forced(run.run_dir, stage.name)
+        folder = workspace.fresh_folder(stage.name)
+        if from_cache and run.cache is not None:
+            if run.cache.take(stage, made_from, folder):
+                workspace.commit(stage.name, folder)
+                run.taken.append(stage.name)
+                return None
+            run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
+        say = partial(run.talk.decision, stage.name)
+        allowance = budget.allowance(stage.name, say)
+        start = time.monotonic()
+        with run.talk.progress(stage.name) as progress:
+            context = StageContext(
+                config=run.config,
+                scene_dir=run.scene_dir,
+                run_dir=run.run_dir,
+                out=folder,
+                progress=_sane(progress),
+                device=run.device,
+                say=say,
+                made_from=made_from,
+                allowance=allowance,
+            )
+            with budget.watched():
+                stage.run(context)
+        finish(run, folder, stage, context.health, made_from, time.monotonic() - start)
+        workspace.commit(stage.name, folder)
+        run.digests.renamed(folder, run.run_dir / stage.name)
+        for act in context.afterwards:
+            act()
+        run.executed.append(stage.name)
+        return None
+    except BaseException as error:
+        written = size_of(folder) if folder is not None else 0
+        free = free_bytes(run.run_dir)
+        logs = [] if folder is None else workspace.discard(folder)
+        rows = context.health if context is not None else []
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        code, message = explain(run, stage, error, written, free)
+        if logs:
+            message += f"\nlog: {', '.join(map(str, logs))}"
+        run.talk.health(stage.name, rows)
+        run.talk.event("stage_failed", stage=stage.name, code=code, logs=[str(log) for log in logs])
+        run.talk.error(message)
+        remember_error(run.run_dir, stage.name, message, code)
+        return code
+
+
+def _keep(run: Run, stage: Stage) -> None:
+    """Keep a finished stage in the cache, if there is one; without room there the run goes on."""
+    if run.cache is not None:
+        try:
+            run.cache.keep(stage, run.run_dir / stage.name)
+        except OSError as error:
+            run.talk.say(f"  {stage.name}: not kept in the cache {run.cache.folder}: {error}", style="yellow")
+
+
+def _sane(progress: Progress) -> Progress:
+    """Keep fractions in [0, 1]: a bar must not be what breaks a stage."""
+
+    def clamped(fraction: float, message: str) -> None:
+        progress(min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0, message)
+
+    return clamped

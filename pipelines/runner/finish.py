@@ -1,0 +1,60 @@
+"""What the runner adds to a stage's folder: its health, and the stamp that makes it complete."""
+
+import json
+import math
+import platform
+import resource
+import secrets
+import sys
+import time
+from pathlib import Path
+
+import devrf
+from devrf.pipelines.durable import write_json
+from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.runner.run import Run
+from devrf.pipelines.stage import Stage
+from devrf.pipelines.stamps.stamp import HEALTH, STAMP, code_of_stage, content_of, files_of
+
+
+def finish(
+    run: Run, folder: Path, stage: Stage, health: list[HealthRow], made_from: dict, seconds: float
+) -> None:
+    """Write health and, last of all, the stamp that makes the folder complete."""
+    rows = [_finite(row.as_dict()) for row in health]
+    write_json(folder / HEALTH, {"stage": stage.name, "rows": rows})
+    files = files_of(folder, run.digests)
+    stamp = {
+        "id": secrets.token_hex(8),
+        "stage": stage.name,
+        "content": content_of(stage, folder, files, made_from),
+        "identity": json.loads(json.dumps(made_from)),
+        "version": devrf.__version__,
+        "made_with": {
+            "python": platform.python_version(),
+            "device": run.device,
+            **code_of_stage(stage, run.config).libraries,
+        },
+        "run": run.name,
+        "finished": time.strftime("%Y-%m-%d %H:%M:%S"),
+        "seconds": round(seconds, 3),
+        "peak_rss_gb": round(_peak_rss_gb(), 3),
+        "files": files,
+    }
+    write_json(folder / STAMP, stamp)
+
+
+def _finite(row: dict) -> dict:
+    """JSON knows no infinity: say it in words."""
+    return {
+        key: str(value) if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in row.items()
+    }
+
+
+def _peak_rss_gb() -> float:
+    """Largest resident memory of this process or of one of its children so far, GB."""
+    kilobytes = max(
+        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return kilobytes * (1024 if sys.platform != "darwin" else 1) / 1e9
