@@ -424,8 +424,11 @@ def _check(job: Run, device: str, *, in_full: bool = False) -> int:
 
 def _check_budget(job: Run, stages: Collection[str], in_full: bool) -> None:
     """Say what the stages will need, and refuse what cannot be had."""
-    from devrf.pipelines.budget.forecast import forecast
-
+    try:
+        from devrf.pipelines.budget.forecast import forecast
+    except ModuleNotFoundError as error:  # training needs fewer libraries than estimates of all stages
+        job.talk.detail(f"memory, disk and time are not estimated: {error.name} is not installed")
+        return
     found = forecast(job.config, job.scene_dir, job.run_dir, job.device, stages)
     if found is None:
         return

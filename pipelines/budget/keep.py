@@ -43,17 +43,17 @@ class Budget:
         Raises:
             BudgetError: It cannot be done within the budget.
         """
-        material = self._material() if stage in stage_names() else None
-        need = None if material is None else self._needs(material).get(stage)
+        allowed = allowed_bytes(self.config)
+        gpu_gb = self.config.budget.gpu_memory_gb
+        gpu = None if gpu_gb is None else int(gpu_gb * GB)
+        material, needs = self._known() if stage in stage_names() else (None, {})
+        need = needs.get(stage)
         if material is None or need is None:
-            return Allowance(until=self._until)
+            return Allowance(memory=allowed, gpu=gpu, until=self._until)
         room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache)
         if need.disk > room.count:
             raise BudgetError(no_room(need.disk, "it", room))
-        allowed = allowed_bytes(self.config)
         if stage in TRAINING:  # fits itself to the scene as it is then
-            gpu_gb = self.config.budget.gpu_memory_gb
-            gpu = None if gpu_gb is None else int(gpu_gb * GB)
             return Allowance(memory=allowed, gpu=gpu, until=self._until)
         from devrf.pipelines.budget.fit import fit
 
@@ -78,8 +78,7 @@ class Budget:
         left_s = self._until - time.monotonic()
         if left_s > 0 and stage != OPTIONAL:
             return None
-        material = self._material()
-        needs = {} if material is None else self._needs(material)
+        _, needs = self._known()
         if left_s > 0 and (stage not in needs or left_s > (needs[stage].seconds or 0.0)):
             return None
         known = [needs[name].seconds for name in rest if name in needs]
@@ -90,16 +89,17 @@ class Budget:
             "what is done is kept: run again to go on, or give it more time"
         )
 
-    def _material(self) -> "Material | None":
-        """None where raw files cannot be read, which the stages report."""
-        from devrf.pipelines.budget.material import find_material
+    def _known(self) -> "tuple[Material | None, dict[str, Need]]":
+        """What the run works on, and what each stage needs of it.
 
+        Nothing where raw files cannot be read, which the stages report, or where only the libraries are installed
+        that training a data set needs.
+        """
         try:
-            return find_material(self.config, self.scene_dir, self.run_dir)
-        except DevrfError:
-            return None
+            from devrf.pipelines.budget.estimate import stage_needs
+            from devrf.pipelines.budget.material import find_material
 
-    def _needs(self, material: "Material") -> dict[str, Need]:
-        from devrf.pipelines.budget.estimate import stage_needs
-
-        return stage_needs(self.config, material, self.device)
+            material = find_material(self.config, self.scene_dir, self.run_dir)
+        except (DevrfError, ModuleNotFoundError):
+            return None, {}
+        return material, stage_needs(self.config, material, self.device)

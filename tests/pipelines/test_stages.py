@@ -1,6 +1,5 @@
 """The list of stages agrees with the contract, with the configuration and with what each stage does."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -70,29 +69,6 @@ def test_config_keys_exist(stage: Stage) -> None:
             )
 
 
-def text_of(stage: Stage) -> str:
-    """The stage's own file and the other files of pipelines that it uses, other stages' files left out."""
-    own = f"devrf.pipelines.stages.{stage.name}"
-    return "\n".join(
-        path.read_text()
-        for name, path in sources(own).items()
-        if name.startswith("devrf.pipelines.") and ":" not in name
-        if name == own or not name.startswith("devrf.pipelines.stages.")
-        if not name.endswith("capture_session")  # makes a session of all of capture; tested below
-    )
-
-
-@pytest.mark.parametrize("stage", STAGES, ids=stage_names())
-def test_a_stage_uses_only_the_keys_it_declares(stage: Stage) -> None:
-    """A key that is used but not declared could change without the stage being run again."""
-    used = set(re.findall(r"\bconfig\.([a-z_]+(?:\.[a-z_]+)*)", text_of(stage)))
-    used = {u for u in used if u.split(".")[0] in SceneConfig.model_fields and u != "capture"}
-    used -= {"reconstruct"} if stage.name == "canonical" else set()  # tested below
-    for key in used:
-        covered = any(key == own or key.startswith(own + ".") for own in stage.config_keys)
-        assert covered, f"{stage.name} uses {key}, which is not in its config_keys"
-
-
 @pytest.mark.parametrize("forward", [False, True])
 @pytest.mark.parametrize("key", sorted(ReconstructConfig.model_fields))
 def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bool) -> None:
@@ -108,20 +84,6 @@ def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bo
 
     changes = rest(**{key: values.get(key, 77)}) != rest()
     assert changes == (f"reconstruct.{key}" in BY_NAME["canonical"].config_keys)
-
-
-@pytest.mark.parametrize("stage", STAGES, ids=stage_names())
-def test_a_stage_reads_only_the_stages_it_declares(stage: Stage) -> None:
-    read = set(re.findall(r"""run_dir\s*/\s*["']([a-z_]+)""", text_of(stage)))
-    assert read & set(CONTRACT) <= {*stage.reads, stage.name}, stage.name
-
-
-def test_what_goes_into_a_session_or_a_board_is_declared() -> None:
-    """These are made of `capture` as a whole, which the test above cannot follow."""
-    names = {"static", "cameras", "test_cameras", "timestamps", "range_s", "board.clips", "board.joint_clips"}
-    assert {f"capture.{name}" for name in names} <= set(BY_NAME["ingest"].config_keys)
-    for name in ("static_poses", "rig"):
-        assert "capture.board" in BY_NAME[name].config_keys
 
 
 def test_code_version_follows_imports() -> None:
