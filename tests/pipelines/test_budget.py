@@ -289,8 +289,7 @@ def test_no_room_is_said_before_a_stage_begins(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, config: SceneConfig
 ) -> None:
     material = planned(config, static=source(role="sweep"))
-    monkeypatch.setattr(Budget, "_material", lambda self: material)
-    monkeypatch.setattr(Budget, "_needs", lambda self, material: {"flow": Need("flow", 0, left=5 * GB)})
+    monkeypatch.setattr(Budget, "_known", lambda self: (material, {"flow": Need("flow", 0, left=5 * GB)}))
     monkeypatch.setattr(keep, "room_for", lambda *_: Room(2 * GB, "2 GB are free", "free some"))
     began: list[str] = []
     first, second, *_ = small_stages(second=lambda context: began.append("flow"))
@@ -320,8 +319,9 @@ def test_the_film_is_left_for_later_and_the_report_is_not(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, config: SceneConfig
 ) -> None:
     material = planned(config, static=source(role="sweep"))
-    monkeypatch.setattr(Budget, "_material", lambda self: material)
-    monkeypatch.setattr(Budget, "_needs", lambda self, material: {"render": Need("render", 0, seconds=100.0)})
+    monkeypatch.setattr(
+        Budget, "_known", lambda self: (material, {"render": Need("render", 0, seconds=100.0)})
+    )
     first, second, *_ = small_stages()
     made = (
         first,
