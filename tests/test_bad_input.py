@@ -6,6 +6,8 @@ The inputs are made here: a corner of a room whose three walls are textured plan
 import os
 import shutil
 import subprocess
+import threading
+import time
 import wave
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -309,11 +311,11 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 2 MB."""
+    """A disk of 60 MB."""
     folder = tmp_path / "disk"
     folder.mkdir()
     mount = shutil.which("mount")
-    command = [str(mount), "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
+    command = [str(mount), "-t", "tmpfs", "-o", "size=60m", "tmpfs", str(folder)]
     if mount is None or subprocess.run(command, capture_output=True).returncode != 0:
         pytest.skip("a small disk can be mounted only by the administrator")
     try:
@@ -322,27 +324,41 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(folder)], capture_output=True)
 
 
+def fill(folder: Path) -> None:
+    """Leave no room on a disk."""
+    with (folder / "filler").open("wb") as file:
+        try:
+            while file.write(b"0" * 65536):
+                file.flush()
+        except OSError:
+            pass
+
+
 def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk: Path) -> None:
-    """The message names folder and remedy; what was made is kept; with room again the run goes on."""
-    path = scene(tmp_path, material)
-    output = f"output={small_disk / 'run'}"
-    filler = small_disk / "filler"
-    first = devrf("run", path, "--set", output, "--until", "ingest")
-    if first.code == 0:  # it fitted: leave no room for the next stage
-        with filler.open("wb") as file:
-            try:
-                while file.write(b"0" * 4096):
-                    file.flush()
-            except OSError:
-                pass
-        result = devrf("run", path, "--set", output, "--until", "static_poses")
-        assert (small_disk / "run/ingest/stamp.json").exists()
-    else:
-        result = first
-    assert result.code == 1, result.said
-    assert "the disk is full" in result.err and str(small_disk) in result.err and "free" in result.err
-    assert "Traceback" not in result.said
-    assert not list((small_disk / "run").glob(".new-*"))
+    """Found before the start, or while a stage writes: folder and remedy are named, what was made is kept."""
+    path, run_dir = scene(tmp_path, material), small_disk / "run"
+    run = ("run", path, "--set", f"output={run_dir}", "--until")
+    assert devrf(*run, "ingest").code == 0
+
+    def fill_while_it_writes() -> None:
+        while not list(run_dir.glob(".new-static_poses-*")):
+            time.sleep(0.01)
+        fill(small_disk)
+
+    filler = threading.Thread(target=fill_while_it_writes, daemon=True)
+    filler.start()
+    writing = devrf(*run, "static_poses")
+    filler.join()
+    before = devrf(*run, "static_poses")
+    assert (writing.code, before.code) == (1, 2), writing.said + before.said
+    assert "disk is full" in writing.err and "on the disk" in before.err
+    for result in (writing, before):
+        assert str(small_disk) in result.err and "free some space" in result.err
+        assert "Traceback" not in result.said
+    assert (run_dir / "ingest/stamp.json").exists() and not list(run_dir.glob(".new-*"))
+    (small_disk / "filler").unlink()
+    again = devrf(*run, "static_poses")
+    assert again.code == 0 and "ingest: skipped" in again.out, again.said
 
 
 def test_wave_files_are_not_videos(devrf: Callable, tmp_path: Path, material: Path) -> None:

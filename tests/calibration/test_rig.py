@@ -141,7 +141,7 @@ def test_rig_from_sweep(sweep, tmp_path, monkeypatch, board):
     model, look = sweep
     truth = fixed_cameras()
     features = {f"{n}_clip": features_of(c, model, look, 10 + i) for i, (n, c) in enumerate(truth.items())}
-    monkeypatch.setattr(sweep_route, "_features", lambda inputs, out: features)
+    monkeypatch.setattr(sweep_route, "_features", lambda *_: features)
     std = np.array([1.0, 1.0, 0.5, 0.5, 2e-3, 0, 0, 0, 0])
     rng = np.random.default_rng(1)
     known = from_vector(*SIZE, VECTOR + std * rng.standard_normal(9), std)
@@ -166,7 +166,7 @@ def test_a_camera_that_shares_no_view_is_named(sweep, tmp_path, monkeypatch):
     rng = np.random.default_rng(3)
     noise = rng.integers(0, 160, (400, 128)).astype(np.uint8)
     features["cam1_clip"] = (rng.uniform(0, SIZE, (400, 2)).astype(np.float32), noise)
-    monkeypatch.setattr(sweep_route, "_features", lambda inputs, out: features)
+    monkeypatch.setattr(sweep_route, "_features", lambda *_: features)
     inputs = [
         FixedCameraInput(n, [tmp_path / f"{n}_clip.png"], *SIZE, from_vector(*SIZE, VECTOR)) for n in truth
     ]
@@ -267,7 +267,7 @@ def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
     model, look = sweep
     truth = above(3)
     features = {f"{n}_clip": features_of(c, model, look, 20 + i) for i, (n, c) in enumerate(truth.items())}
-    monkeypatch.setattr(sweep_route, "_features", lambda inputs, out: features)
+    monkeypatch.setattr(sweep_route, "_features", lambda *_: features)
     std = np.array([3.0, 3.0, 1.0, 1.0, 5e-3, 0, 0, 0, 0])
     rng = np.random.default_rng(2)
     known = {n: from_vector(*SIZE, VECTOR + std * rng.standard_normal(9), std) for n in truth}

@@ -1,7 +1,6 @@
 """RAW: one recipe for a set, nothing adapted to the single picture."""
 
 import json
-import os
 import threading
 import time
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from jaxtyping import Float
 
 from devrf.capture import raw_set
+from devrf.capture.cores import usable_cores
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import probe_picture, read_picture
@@ -159,7 +159,7 @@ def test_set_on_disk(tmp_path):
 def test_side_by_side_and_no_more(tmp_path, monkeypatch):
     """As many photos at once as there are cores, however many there are."""
     write_dng(tmp_path / "a.dng", mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     at_once, most, guard = 0, 0, threading.Lock()
 
     def slow(path: Path, recipe: Recipe) -> Development:
