@@ -8,6 +8,7 @@ import sys
 import time
 from datetime import datetime
 
+import pytest
 from tests.conftest import ExampleRun
 from tests.faults.harness import Tiny
 
@@ -17,6 +18,13 @@ MOST_SHARE = 0.02  # of a stage's time
 MOST_S = 0.25  # where that is more: putting a stage on the disk takes a while however short it was
 NOTHING_STALE_S = 1.0  # processor time; wall-clock time is the same where no one else works
 PARENTS_SHARE = 0.02  # of the run's time that the parent may take of a core, watching
+
+
+@pytest.fixture(scope="session", autouse=True)
+def by_hand(request: pytest.FixtureRequest) -> None:
+    """Machines that others use too measure nothing. Of the session's scope, to come before the example's run."""
+    if request.config.getoption("--faults") != "full":
+        pytest.skip("a measurement, made by hand: --faults full")
 
 
 def test_a_run_in_which_nothing_is_stale(example_run: ExampleRun, figures) -> None:
