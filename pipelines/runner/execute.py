@@ -137,11 +137,13 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
             run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
             tell(stage=stage.name)
-            code = _run_stage(run, workspace, now, from_cache, budget)
-            tell(stage=None)
+            try:
+                code = _run_stage(run, workspace, now, from_cache, budget)
+            finally:
+                tell(stage=None)
             if code is not None:
                 return code
-            now = run.standing(stage)
+            now = run.standing(stage, whole=True)
             stamp = read_stamp(run.run_dir / stage.name) or {}
             run.talk.event(
                 "stage_finished",

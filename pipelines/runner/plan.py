@@ -78,6 +78,8 @@ def standing(
     cache: Cache | None = None,
     will_run: Collection[str] = (),
     expected: Mapping[str, str] | None = None,
+    *,
+    whole: bool = False,
 ) -> Standing:
     """Compare one stage with what would make it now.
 
@@ -91,6 +93,7 @@ def standing(
         cache: Where it may be found instead of made.
         will_run: Stages known to run before it; what reads them is stale, unless they come out the same.
         expected: Content of stages that will be there before it, by name.
+        whole: Whether its files are known to be as they were left: it has only just been made.
     """
     reason = stage.applies(config)
     if reason is not None:
@@ -109,9 +112,9 @@ def standing(
         known = {
             name: then.get(name) if name in unknown else made for name, made in made_from["reads"].items()
         }
-        why = why_stale(stage, folder, made_from | {"reads": known}, digests) + [
-            f"{name} runs" for name in unknown
-        ]
+        now = made_from | {"reads": known}
+        why = why_stale(stage, folder, stamp, now, None if whole else digests)
+        why += [f"{name} runs" for name in unknown]
         again = _is_to_be_forced(run_dir, stage.name, stamp)
         why += ["forced before, and not finished"] if again else []
         state = "stale" if why else "fresh"

@@ -66,10 +66,17 @@ class Run:
             self.stages, self.config, self.scene_dir, self.run_dir, self.choice, self.digests, self.cache
         )
 
-    def standing(self, stage: Stage) -> Standing:
-        """Where one stage stands, those before it as they are."""
+    def standing(self, stage: Stage, *, whole: bool = False) -> Standing:
+        """Where one stage stands, those before it as they are, its files unread where they are known to be `whole`."""
         return standing(
-            stage, self.stages, self.config, self.scene_dir, self.run_dir, self.digests, self.cache
+            stage,
+            self.stages,
+            self.config,
+            self.scene_dir,
+            self.run_dir,
+            self.digests,
+            self.cache,
+            whole=whole,
         )
 
 

@@ -3,7 +3,7 @@
 `devrf-pipeline` forks before anything heavy is imported; the child does all the work, in a process group of its own.
 The parent stays small and has one thread: whatever a native library does to the child (a crash, a signal handler that
 dead-locks, all the memory), someone is left to end what the child started, to put the run folder right and to say
-what happened. If the parent is killed, the kernel kills the child. Where a system cannot do this (Windows, macOS) the
+what happened. If the parent is killed, the kernel kills the child. Where a system cannot do this (macOS) the
 work is done without a parent.
 """
 
@@ -43,7 +43,7 @@ _link: int | None = None  # in the child: where it tells the parent what it does
 
 def supervised(work: Callable[[], None]) -> None:
     """Do a command's work in a child process. Returns in the child only; the parent ends with the exit code."""
-    if not hasattr(signal, "sigtimedwait") or sys.platform != "linux":
+    if sys.platform != "linux":
         return work()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, a child's exit code would be lost
     asked = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP)
@@ -81,8 +81,7 @@ def tell(**facts: str | int | None) -> None:
     """Let the parent, if there is one, know what it needs when this process dies.
 
     Args:
-        facts: `run_dir`, and `run`, its name; `stage`, or None between two; `memory`, bytes to keep below, and
-            `memory_why`.
+        facts: `run_dir`, and `run`, its name; `memory_budget`, bytes, or None; `stage`, or None between two.
     """
     if _link is not None:
         os.write(_link, json.dumps(facts).encode() + b"\n")
@@ -142,10 +141,10 @@ class _Supervisor:
                 self._watch_memory()
         _, status = os.waitpid(self._child, 0)
         self._listen()
-        if os.WIFEXITED(status):
+        if os.WIFEXITED(status) and not self._facts.get("stage"):
             return os.WEXITSTATUS(status)
         self._kill_what_is_left()
-        return self._say_how_it_died(signal.Signals(os.WTERMSIG(status)))
+        return self._say_how_it_died(status)
 
     def _listen(self) -> None:
         try:
@@ -210,7 +209,7 @@ class _Supervisor:
             except ChildProcessError:
                 break
 
-    def _say_how_it_died(self, sign: signal.Signals) -> int:
+    def _say_how_it_died(self, status: int) -> int:
         stage, run_dir = self._facts.get("stage"), self._facts.get("run_dir")
         log = f"; log: {run_dir}/{LOG_FILE}" if run_dir else ""
         code = FAILED
@@ -218,7 +217,13 @@ class _Supervisor:
             message = f"{self._too_much}; finished stages are kept"
         elif self._kill_at is not None:
             code, message = STOPPED, "stopped; finished stages are kept, the next run goes on from there"
+        elif os.WIFEXITED(status):  # not by Python, which would have left the stage first
+            code_of_library = os.WEXITSTATUS(status)
+            message = (
+                f"a library ended the program (exit code {code_of_library}); finished stages are kept{log}"
+            )
         else:
+            sign = signal.Signals(os.WTERMSIG(status))
             why = "a native library crashed" if sign in CRASHES else "someone ended it"
             if sign == signal.SIGKILL:
                 why = f"out of memory, or someone killed it; it had taken {self._peak / 1e9:.1f} GB"

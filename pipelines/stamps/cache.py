@@ -11,6 +11,7 @@ import os
 import secrets
 import shutil
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,17 +45,22 @@ class Cache:
         return stamp.get("content") if stamp is not None and whole else None
 
     def take(self, stage: Stage, made_from: dict, out: Path) -> bool:
-        """Put the stage made from this into the empty folder `out`, if it is here and whole."""
+        """Put the stage made from this into the empty folder `out`, if it is here and whole.
+
+        Raises:
+            OSError: It cannot be read, or `out` not be written: a full disk, say.
+        """
         entry = self._entry(stage.name, made_from)
         if self.has(stage, made_from) is None:
             return False
         try:
             _link(entry, out)
             whole = _is_whole(out)
-            os.utime(entry)
-        except OSError:
+        except FileNotFoundError:  # another run removed it
             whole = False
-        if not whole:
+        if whole:
+            _used(entry)
+        else:
             self._remove(entry)
             shutil.rmtree(out, ignore_errors=True)
             out.mkdir(exist_ok=True)
@@ -72,7 +78,7 @@ class Cache:
             return
         entry = self._entry(stage.name, stamp["identity"])
         if self.has(stage, stamp["identity"]) is not None:
-            os.utime(entry)
+            _used(entry)
             return
         self._remove(entry)  # a damaged one, if there is one
         if size > self.max_gb * GB:
@@ -126,6 +132,12 @@ def cache_of(config: SceneConfig, scene_dir: Path) -> Cache | None:
     wish = config.cache
     folder = wish.folder or os.environ.get(USERS)
     return Cache(config.path(scene_dir, folder), wish.max_gb) if folder and wish.max_gb > 0 else None
+
+
+def _used(entry: Path) -> None:
+    """Note that an entry was used now, where the cache can be written."""
+    with suppress(OSError):
+        os.utime(entry)
 
 
 def _link(source: Path, target: Path) -> None:

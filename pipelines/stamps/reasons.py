@@ -5,23 +5,21 @@ from typing import Any
 
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.digests import Digests
-from devrf.pipelines.stamps.stamp import damage, read_stamp
+from devrf.pipelines.stamps.stamp import damage
 
 MOST_FILES = 3  # files of code that are named; an update of the program changes them all
 
 
-def why_stale(stage: Stage, folder: Path, now: dict, digests: Digests) -> list[str]:
+def why_stale(stage: Stage, folder: Path, stamp: dict, now: dict, digests: Digests | None) -> list[str]:
     """Reasons why a stage's folder does not fit; empty where it does.
 
     Args:
         stage: The stage.
         folder: The stage's folder.
+        stamp: What lies in it.
         now: What it would be made from now (`identity`).
-        digests: Source of content digests.
+        digests: Source of content digests; None where its files are known to be whole.
     """
-    stamp = read_stamp(folder)
-    if stamp is None:
-        return ["never finished"]
     then = stamp["identity"]
     if then.keys() != now.keys() or not all(isinstance(part, dict) for part in then.values()):
         return ["made by a version of the program that knew less of what it was made from"]
@@ -45,7 +43,7 @@ def why_stale(stage: Stage, folder: Path, now: dict, digests: Digests) -> list[s
             if old is None
             else f"{name} {old} is now {new}"
         )
-    return reasons + damage(folder, stamp, digests)
+    return reasons if digests is None else reasons + damage(folder, stamp, digests)
 
 
 def _differences(then: dict, now: dict, part: str) -> list[tuple[str, Any, Any]]:

@@ -112,19 +112,8 @@ def read_stamp(folder: Path) -> dict | None:
         stamp = json.loads((folder / STAMP).read_text())
     except (OSError, ValueError):
         return None
-    return stamp if _is_one(stamp) else None
-
-
-def _is_one(stamp: object) -> bool:
-    """Whether it is what `json` reads of a whole stamp; a damaged one is none."""
-    if not isinstance(stamp, dict):
-        return False
-    identity, files = stamp.get("identity"), stamp.get("files", {})
-    parts = identity.values() if isinstance(identity, dict) else [None]
-    entries = files.values() if isinstance(files, dict) else [None]
-    return all(isinstance(part, dict) for part in parts) and all(
-        isinstance(entry, list) and [type(value) for value in entry] == [int, str] for entry in entries
-    )
+    made_from = stamp.get("identity") if isinstance(stamp, dict) else None
+    return stamp if isinstance(made_from, dict) else None
 
 
 def stamp_id(folder: Path) -> str | None:

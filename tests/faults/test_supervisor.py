@@ -20,6 +20,7 @@ from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
             "segfault",
             "parts: the program was ended by SIGSEGV (a native library crashed); finished stages are kept",
         ),
+        ("exit", "parts: a library ended the program (exit code 0); finished stages are kept; log: "),
         ("abort", "parts: the program was ended by SIGABRT (a native library crashed)"),
         (
             "killed",
@@ -27,7 +28,7 @@ from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
         ),
     ],
 )
-def test_a_death_by_a_signal_is_explained(tiny: Tiny, fault: str, said: str) -> None:
+def test_a_death_is_explained(tiny: Tiny, fault: str, said: str) -> None:
     result = tiny.run(f"fault={fault}")
     assert result.returncode == FAILED
     assert said in result.stderr and "Traceback" not in result.stderr
@@ -36,7 +37,7 @@ def test_a_death_by_a_signal_is_explained(tiny: Tiny, fault: str, said: str) -> 
     assert not [p.name for p in tiny.run_dir.iterdir() if p.name.startswith((".new", ".lock"))]
     log = (tiny.run_dir / "devrf.log").read_text()
     assert said in log
-    if fault != "killed":
+    if fault not in ("killed", "exit"):
         assert "Fatal Python error" in log and "tiny_stages.py" in log  # where it crashed
     again = tiny.run()
     assert again.returncode == DONE

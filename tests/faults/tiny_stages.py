@@ -174,6 +174,7 @@ FAULTS: dict[str, Callable[[], None]] = {
     "segfault": segfault,
     "abort": os.abort,
     "killed": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "exit": lambda: os._exit(0),  # as C's exit() does
     "deaf": deaf,
     "eat": eat,
 }

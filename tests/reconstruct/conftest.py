@@ -57,7 +57,7 @@ def look_at(eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT) -> Camera
     return Camera(width, height, K, np.column_stack([R, -R @ eye]))
 
 
-def _around(n: int, phase: float, height: float) -> list[np.ndarray]:
+def around(n: int, phase: float, height: float) -> list[np.ndarray]:
     angles = phase + 2 * np.pi * np.arange(n) / n
     return [2.6 * np.array([np.cos(a), np.sin(a), height * np.cos(3 * a)]) for a in angles]
 
@@ -75,11 +75,11 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Ball:
 
     static = [
         frame("static", n, eye, None, "test" if n % 12 == 5 else "train")
-        for n, eye in enumerate(_around(12, 0.0, 0.3) + _around(12, 0.2, 0.8))
+        for n, eye in enumerate(around(12, 0.0, 0.3) + around(12, 0.2, 0.8))
     ]
     dynamic = [
         frame(f"cam{c}", n, eye, n / 4, "test" if c == 3 else "train")
-        for c, eye in enumerate(_around(4, 0.5, 0.5))
+        for c, eye in enumerate(around(4, 0.5, 0.5))
         for n in range(5)
     ]
     scene = Scene(
