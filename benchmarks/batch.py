@@ -1,4 +1,4 @@
-"""Scenes a batch gets through on a Ray cluster of two nodes on this machine against the local pool, and tasks Ray begins.
+"""Throughput of a batch on a Ray cluster of two nodes on this machine against the local pool; tasks Ray begins.
 
     python -m benchmarks.batch [--scenes 16]     # from the repository's root; needs the extra `ray`
 
