@@ -30,8 +30,8 @@ def capture_section(run: RunFolder) -> str:
     if cameras:
         boards = {n: c for n, c in cameras.items() if c.get("role") in ("board", "joint")}
         filmed = {n: c for n, c in cameras.items() if n not in boards}
-        body = _cameras_table(cameras) + _strip(_ingest_pictures(run.path, filmed))
-        strip = _strip(_ingest_pictures(run.path, boards))
+        body = _cameras_table(cameras) + _strip(_ingest_pictures(run.folder("ingest"), filmed))
+        strip = _strip(_ingest_pictures(run.folder("ingest"), boards))
         body += f"<details><summary>Board clips</summary>{strip}</details>" if strip else ""
         return section("capture", "Capture", lead, body + mattes(run.scene))
     pictures = _dataset_pictures(run.scene)
@@ -75,7 +75,7 @@ def _notes(camera: dict[str, Any]) -> list[str]:
     return notes
 
 
-def _ingest_pictures(run_dir: Path, cameras: dict[str, Any]) -> list[tuple[str, list[tuple[Path, str]]]]:
+def _ingest_pictures(folder: Path, cameras: dict[str, Any]) -> list[tuple[str, list[tuple[Path, str]]]]:
     """Per camera its name and (file, caption) of a few frames."""
     rows = []
     for name, camera in list(cameras.items())[:MAX_THUMBNAIL_CAMERAS]:
@@ -85,7 +85,7 @@ def _ingest_pictures(run_dir: Path, cameras: dict[str, Any]) -> list[tuple[str, 
             (
                 name,
                 [
-                    (run_dir / "ingest" / _below_ingest(f["file"]), _caption(f.get("index"), f.get("time_s")))
+                    (folder / _below_ingest(f["file"]), _caption(f.get("index"), f.get("time_s")))
                     for f in evenly(frames, count)
                 ],
             )

@@ -52,7 +52,7 @@ def _checks_table(run: RunFolder) -> str:
 
 def _pictures(run: RunFolder) -> str:
     try:
-        flows = list(read_flows(run.path / "flow").values())[:MAX_CAMERAS]
+        flows = list(read_flows(run.folder("flow")).values())[:MAX_CAMERAS]
     except (DevrfError, OSError) as error:
         return absent(f"No flow pictures: {error}")
     files = {(f.camera_name, f.index): f.path for f in run.scene.dynamic} if run.scene is not None else {}

@@ -29,20 +29,18 @@ logger = logging.getLogger(__name__)
 METRICS = "evaluate/metrics.json"
 POSTER_WIDTH = 800
 MAX_FILM_BYTES = 8_000_000  # base64 makes it a third larger; a bigger film is linked instead
-SECTIONS = (  # key, title, what makes it, the stages that its numbers and pictures come from
-    ("capture", "Capture", capture_section, ("ingest", "scene")),
-    ("space", "Cameras in space", space_section, ("scene",)),
-    ("rig", "Rig", rig_section, ("static_poses", "rig", "evaluate")),
-    ("evidence", "Evidence", evidence_section, ("static_poses", "rig", "scene", "evaluate")),
-    ("colour", "Colours", colour_section, ("colour", "scene")),
-    ("sync", "Clocks", sync_section, ("sync", "scene")),
-    ("flow", "Flow", flow_section, ("flow", "scene")),
-    ("training", "Training", training_section, ("canonical", "deformation", "evaluate")),
-    ("views", "Views", views_section, ("evaluate",)),
+SECTIONS = (  # key, title, what makes it
+    ("capture", "Capture", capture_section),
+    ("space", "Cameras in space", space_section),
+    ("rig", "Rig", rig_section),
+    ("evidence", "Evidence", evidence_section),
+    ("colour", "Colours", colour_section),
+    ("sync", "Clocks", sync_section),
+    ("flow", "Flow", flow_section),
+    ("training", "Training", training_section),
+    ("views", "Views", views_section),
 )
-OPTIONAL = (
-    ("speed", "Speed", speed_section, ()),
-)  # only where it has been measured; by `bench`, not a stage
+OPTIONAL = (("speed", "Speed", speed_section),)  # only where it has been measured; by `bench`, not a stage
 
 
 def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
@@ -53,10 +51,7 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
         name: Name of the scene, as the user wrote it.
         facts: A few words for the line under the title (preset, device, ...).
     """
-    made = [
-        (key, title, _traced(run, _made(run, key, title, make), stages))
-        for key, title, make, stages in (*SECTIONS, *OPTIONAL)
-    ]
+    made = [(key, title, _made(run, key, title, make)) for key, title, make in (*SECTIONS, *OPTIONAL)]
     made = [(key, title, html) for key, title, html in made if html]
     sections = "".join(html for _, _, html in made)
     facts_line = f'<p class="sub">{text(" · ".join(facts))}</p>'
@@ -77,16 +72,18 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
 
 def _made(run: RunFolder, key: str, title: str, make: Callable[[RunFolder], str]) -> str:
     """A section; where a damaged file breaks it, that is said and the rest of the page stands."""
+    run.drawn_on.clear()
     try:
-        return make(run)
+        return _traced(run, make(run))
     except Exception as error:
         logger.exception("report: section %s", key)
         reason = f"This section cannot be made: {type(error).__name__}: {error}"
         return section(key, title, "", absent(reason))
 
 
-def _traced(run: RunFolder, html: str, stages: Sequence[str]) -> str:
-    """A section and, below it, when and in which run the stages were made that it draws on."""
+def _traced(run: RunFolder, html: str) -> str:
+    """A section and, below it, when and in which run the stages were made that it drew on."""
+    stages = [stage for stage in run.stages if stage in run.drawn_on]
     made = [text for stage in stages if (text := _making(run, stage))]
     if not html or not made:
         return html

@@ -20,6 +20,7 @@ class RunFolder:
         reasons: Why a stage does not apply, by its name.
         errors: Why a stage failed when it was last tried, by its name.
         unreadable: Files that are there but could not be read, with the reason.
+        drawn_on: Stages whose files were asked for since it was last emptied.
     """
 
     def __init__(
@@ -34,14 +35,21 @@ class RunFolder:
         self.reasons = dict(reasons)
         self.errors = dict(errors or {})
         self.unreadable: dict[str, str] = {}
+        self.drawn_on: set[str] = set()
         self._json: dict[str, Any] = {}
 
     def has(self, stage: str) -> bool:
         """Whether the stage's folder is there."""
         return (self.path / stage).is_dir()
 
+    def folder(self, stage: str) -> Path:
+        """The folder of a stage that is to be read."""
+        self.drawn_on.add(stage)
+        return self.path / stage
+
     def json(self, file: str) -> Any:
         """Content of a JSON file, None where it is missing or damaged."""
+        self.drawn_on.add(file.partition("/")[0])
         if file not in self._json:
             self._json[file] = self._read(file)
         return self._json[file]
@@ -62,9 +70,14 @@ class RunFolder:
         value = at(self.object(file), key)
         return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
-    @cached_property
+    @property
     def scene(self) -> Scene | None:
         """The scene, None where it is missing or damaged."""
+        self.drawn_on.add("scene")
+        return self._scene
+
+    @cached_property
+    def _scene(self) -> Scene | None:
         if not self.has("scene"):
             return None
         try:

@@ -5,7 +5,6 @@ Everything is in the world frame of `scene/`. The drawing itself is `drawSpace` 
 
 import json
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +14,7 @@ from devrf.capture.colmap_points import read_colmap_points
 from devrf.capture.errors import DevrfError
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.report.html import absent, link, section, text
-from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.report.run import RunFolder, at
 
 MAX_POINTS = 5000  # more makes dragging slow on a phone and the page heavy
 MAX_LABELS = 12  # names of more cameras than this cover the drawing
@@ -32,7 +31,7 @@ def space_section(run: RunFolder) -> str:
     scene = run.scene
     if scene is None:
         return section("space", "Cameras in space", lead, absent(run.why_absent("scene")))
-    points, colours, note = _points(run.path, scene)
+    points, colours, note = _points(run, scene)
     data = space_data(scene, points, colours)
     switches = "".join(_switch(g["id"], g["label"], g["colour"]) for g in data["groups"])
     switches += _switch("points", "points", "--muted") if len(points) else ""
@@ -83,28 +82,25 @@ def space_data(scene: Scene, points: Float[np.ndarray, "n 3"], colours: Float[np
     }
 
 
-def _points(run_dir: Path, scene: Scene) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], str]:
+def _points(run: RunFolder, scene: Scene) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], str]:
     """A subset of the sweep's points, in the scene's world frame."""
     none = np.zeros((0, 3))
-    folder = run_dir / "static_poses" / "colmap"
+    folder = run.folder("static_poses") / "colmap"
     if not folder.is_dir():
         return none, none, ""
     try:
         xyz, rgb = read_colmap_points(folder)
     except DevrfError as error:
         return none, none, f"Points left out: {error}."
-    xyz = xyz * _scale(run_dir)
+    xyz = xyz * _scale(run)
     keep = np.random.default_rng(0).permutation(len(xyz))[:MAX_POINTS]
     return xyz[keep], rgb[keep].astype(float), f"{len(keep)} of {len(xyz)} points of the sweep are drawn."
 
 
-def _scale(run_dir: Path) -> float:
+def _scale(run: RunFolder) -> float:
     """From the sweep's unit to the rig's, in which the scene is (rig.json)."""
-    path = run_dir / "rig" / "rig.json"
-    try:
-        return float(json.loads(path.read_text())["scale"]["factor"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return 1.0
+    factor = at(run.object("rig/rig.json"), "scale.factor")
+    return float(factor) if isinstance(factor, int | float) else 1.0
 
 
 def _group(

@@ -33,7 +33,7 @@ def views_section(run: RunFolder) -> str:
     if not metrics:
         return section("views", "Views", LEAD, absent(run.why_absent("evaluate")))
     moving, static = collect_views(metrics)
-    folder = run.path / "evaluate"
+    folder = run.folder("evaluate")
     body = ""
     if moving:
         body += f"<h3>Test views over time</h3>{_over_time(moving)}"

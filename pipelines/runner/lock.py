@@ -7,6 +7,7 @@ the file. A lock of another machine that was not touched for `LEASE_S`, by the f
 """
 
 import errno
+import fcntl
 import json
 import os
 import socket
@@ -151,10 +152,6 @@ class Lock:
 
 def _lock(handle: int) -> bool | None:
     """Have the kernel lock a file. False where another process has it; None where this cannot be done."""
-    try:
-        import fcntl
-    except ImportError:
-        return None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -153,8 +153,8 @@ class Count:
     used_again: int = 0
 
     def figures(self) -> dict[str, int]:
-        """For `--figures`."""
-        return asdict(self) | {"lost_or_corrupt": 0, "needless_runs": 0}  # or the test would have failed
+        """For `--figures`; a test that comes to this has found nothing lost and nothing made twice."""
+        return asdict(self)
 
 
 def go_on(tiny: Tiny, reference: Path, count: Count, *settings: str) -> None:

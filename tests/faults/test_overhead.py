@@ -7,11 +7,13 @@ import subprocess
 import sys
 import time
 from datetime import datetime
+from pathlib import Path
 
 import pytest
 from tests.conftest import ExampleRun
 from tests.faults.harness import Tiny
 
+from devrf.pipelines.durable import sync, sync_tree
 from devrf.pipelines.exit_codes import DONE
 
 MOST_SHARE = 0.02  # of a stage's time
@@ -56,6 +58,26 @@ def test_the_runners_share_of_a_stage(example_run: ExampleRun, figures) -> None:
     assert len(shares) == 12
     for stage, (overhead_s, stage_s) in shares.items():
         assert overhead_s <= max(MOST_SHARE * stage_s, MOST_S), (stage, overhead_s, stage_s)
+
+
+def test_a_stage_of_many_files_is_put_on_the_disk(tmp_path: Path, figures) -> None:
+    """All files at once against one after the other."""
+    files, took = 1000, {}
+    for way, put in (("at_once_s", sync_tree), ("one_by_one_s", _sync_each)):
+        folder = tmp_path / way
+        folder.mkdir()
+        for number in range(files):
+            (folder / f"{number:04d}.bin").write_bytes(bytes([number % 256]) * 20_000)
+        start = time.monotonic()
+        put(folder)
+        took[way] = round(time.monotonic() - start, 3)
+    figures(files=files, **took)
+    assert took["at_once_s"] < took["one_by_one_s"]
+
+
+def _sync_each(folder: Path) -> None:
+    for path in [*folder.iterdir(), folder]:
+        sync(path)
 
 
 def test_the_parent_costs_next_to_nothing(tiny: Tiny, figures) -> None:

@@ -16,6 +16,7 @@ from tests.faults.harness import Count, finished, go_on
 from tests.faults.test_killed import start_from
 from tests.faults.tracing import lose_what_was_not_on_disk
 
+from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.lock import LEASE_S
 
 CHANGES = 210  # of files in a run, about
@@ -26,7 +27,7 @@ def test_what_counts_as_finished_was_on_the_disk(
     new_tiny: TinyMaker, reference: Path, faults: str, figures
 ) -> None:
     rng, count, lost = random.Random(3), Count(), 0
-    while count.faults < (50 if faults == "full" else 10):
+    while count.took_effect < (50 if faults == "full" else 10):
         tiny = new_tiny()
         on_disk = tiny.folder / "on_disk.txt"
         settings = start_from(tiny, reference, made=rng.random() < 0.5)
@@ -34,7 +35,8 @@ def test_what_counts_as_finished_was_on_the_disk(
             stat = path.stat()
             with on_disk.open("a") as file:
                 file.write(f"{stat.st_ino} {stat.st_size} {stat.st_mtime_ns}\n")
-        tiny.run(*settings, f"at={rng.randint(1, CHANGES)}", "victims=both", f"on_disk={on_disk}")
+        cut = tiny.run(*settings, f"at={rng.randint(1, CHANGES)}", "victims=both", f"on_disk={on_disk}")
+        count.took_effect += cut.returncode != DONE
         before = finished(tiny.run_dir)
         lost += lose_what_was_not_on_disk(tiny.run_dir, on_disk, rng)
         assert finished(tiny.run_dir) == before

@@ -25,6 +25,7 @@ def test_of_several_runs_one_works(new_tiny: TinyMaker, reference: Path, faults:
                 refused += 1
                 assert "another run (" in err and "wait for it, stop it, or use another output" in err
             made += [line.split()[1].rstrip(":") for line in out.splitlines() if ": runs:" in line]
+        count.took_effect += any(code == BAD_INPUT for _, code in ended)
         assert made == list(NAMES)  # each stage once, by whichever run
         go_on(tiny, reference, count)
         shutil.rmtree(tiny.folder)
