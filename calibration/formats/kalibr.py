@@ -48,7 +48,14 @@ def parse(text: str) -> dict[str, dict[str, Any]] | None:
         return None
     try:
         data = yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError):  # by the kind of value
+    except (
+        yaml.YAMLError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+    ):  # by the value
         return None
     if not isinstance(data, dict):
         return None
@@ -66,7 +73,7 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             raise InputError(
                 f"{where}: camera_model is {camera['camera_model']!r}; expected pinhole; calibrate with pinhole-radtan"
             )
-        lens = camera.get("distortion_model", "none")
+        lens = str(camera.get("distortion_model", "none"))
         if lens not in LENSES:
             raise InputError(f"{where}: distortion_model is {lens!r}; expected {', '.join(LENSES)}")
         if n > 0:

@@ -66,7 +66,7 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
     """One camera's file."""
     key = _first(data, MATRIX_KEYS)
     name = data.get("distortion_model")
-    if name is not None and name not in ROS_MODELS:
+    if name is not None and str(name) not in ROS_MODELS:
         raise InputError(f"{path}: distortion_model is {name!r}; expected {', '.join(ROS_MODELS)}")
     fisheye = ROS_MODELS.get(str(name), False) or bool(data.get("fisheye_model", 0))
     coefficients = _first(data, DISTORTION_KEYS)
@@ -89,8 +89,8 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
 def read_singles(files: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> Found:
     """Several cameras, one file each; camera name -> (path, content)."""
     cameras = {name: read_single(path, data) for name, (path, data) in files.items()}
-    units = {data.get("length_unit") for _, data in files.values()}
-    return Found(SINGLE, cameras, "m" if units == {"metre"} else "arbitrary")
+    metric = all(data.get("length_unit") == "metre" for _, data in files.values())
+    return Found(SINGLE, cameras, "m" if metric else "arbitrary")
 
 
 def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
@@ -136,7 +136,10 @@ def _value(node: Any) -> Any:
         found = {key: _value(node.getNode(key)) for key in node.keys()}
         rows, cols, data = (found.get(key) for key in ("rows", "cols", "data"))
         if isinstance(rows, int) and isinstance(cols, int) and isinstance(data, list):
-            return np.array(data, dtype=object).reshape(rows, cols) if len(data) == rows * cols else data
+            values = np.array(data, dtype=object)
+            return (
+                values.reshape(rows, cols) if min(rows, cols) > 0 and values.shape == (rows * cols,) else data
+            )
         return found
     if node.isSeq():
         return [_value(node.at(n)) for n in range(node.size())]

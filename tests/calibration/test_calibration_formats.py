@@ -330,6 +330,11 @@ def test_ros_camera_info_has_no_yaml_line(tmp_path: Path) -> None:
     assert storage(ROS) is not None
 
 
+def test_a_unit_that_is_no_word_is_no_unit(tmp_path: Path) -> None:
+    (tmp_path / "head.yaml").write_text(ROS + "length_unit: [metre]\n")
+    assert find_calibration(tmp_path / "head.yaml").unit == "arbitrary"
+
+
 def test_kalibr_as_it_writes_it(tmp_path: Path) -> None:
     (tmp_path / "camchain.yaml").write_text(KALIBR)
     rig = read_four(tmp_path / "camchain.yaml", ["cam0", "cam1"], (752, 480))
@@ -357,6 +362,9 @@ K_a: !!opencv-matrix
    dt: d
    data: [ {K} ]
 """
+
+
+OPENCV_FILE = "%YAML:1.0\n---\ncamera_matrix: {rows: ROWS, cols: COLS, data: [1., 2., 3., 4.]}\n"
 
 
 @pytest.mark.parametrize(
@@ -400,7 +408,16 @@ K_a: !!opencv-matrix
             "cam1: T_cn_cnm1 is missing; expected 4x4 numbers",
         ),
         ("c.yaml", KALIBR.replace("  resolution: [752, 480]\n", ""), "resolution is missing"),
+        ("c.yaml", KALIBR.replace("[752, 480]", "1" + ":00" * 200 + ".0"), "not a calibration that can"),
+        ("c.yaml", KALIBR.replace("radtan", "[radtan]"), r"distortion_model is \"\['radtan'\]"),
         ("c.yaml", ROS.replace("plumb_bob", "ds"), "distortion_model is 'ds'"),
+        ("c.yaml", ROS.replace("plumb_bob", "[plumb_bob]"), r"distortion_model is \['plumb_bob'\]"),
+        ("c.yml", OPENCV_FILE.replace("ROWS", "-1").replace("COLS", "-4"), "expected 3x3 numbers"),
+        (
+            "c.yml",
+            OPENCV_FILE.replace("ROWS", "2").replace("COLS", "2").replace("4.", "[4., 5.]"),
+            "expected 3x3",
+        ),
         ("c.yaml", ROS.replace("[538.63, 0,", "["), "camera_matrix has 7 number"),
         ("c.qca.txt", QUALISYS, "camera a: transform.x is None"),
         ("c.yml", EASYMOCAP.replace("{K}", "1., 0., 0., 0., 1., 0., 0., 1."), "K_a"),
