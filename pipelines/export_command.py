@@ -14,6 +14,7 @@ from devrf.capture.formats.flow_files import Flow
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import read_flows
 from devrf.pipelines.console import Talk
+from devrf.pipelines.runner.own_folder import check_run_folder
 from devrf.pipelines.stamps.stamp import STAMP
 
 RIG_README = """Cameras of a devrf rig.
@@ -32,10 +33,13 @@ def export(talk: Talk, run_dir: Path, dataset_format: str, out: Path | None) -> 
         dataset_format: One of `DATASET_FORMATS` (the scene) or of `RIG_WRITERS` (the rig).
         out: Folder to write; None: `export/<format>` in the run folder.
     Raises:
-        InputError: An unknown format, a folder in use, no scene or rig yet, or a lens that the format lacks.
+        InputError: An unknown format, a folder in use, no scene or rig yet, a lens that the format lacks, or a link in
+            the run folder.
         CaptureError: The format cannot hold this scene, a picture is missing, or nothing can be written.
     """
     name = _known(dataset_format)
+    if out is None:
+        check_run_folder(run_dir, ())
     folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
     for scene_format in DATASET_FORMATS:
         if name == scene_format:

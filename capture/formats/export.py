@@ -106,7 +106,7 @@ def check_target(folder: Path, dataset_format: str) -> None:
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     marker = folder / MARKER
-    earlier = marker.read_text().strip() if marker.is_file() else None
+    earlier = marker.read_text(errors="replace").strip() if marker.is_file() else None
     if earlier != dataset_format:
         what = f"an export to {earlier}" if earlier else "files that are no export"
         raise InputError(f"--out {folder}: holds {what}; name another folder, or empty it")

@@ -11,6 +11,7 @@ import pytest
 from devrf.capture.camera import Camera, undistort
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
+from devrf.capture.formats.export import MARKER
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import PosedFrame, Scene
@@ -200,6 +201,9 @@ def test_an_export_replaces_only_an_export_of_the_same_format(odd_scene: Scene, 
     with pytest.raises(InputError, match="holds files that are no export"):
         write_dataset("colmap", odd_scene, tmp_path / "own")
     assert (tmp_path / "own" / "notes.txt").read_text() == "mine"
+    (tmp_path / "own" / MARKER).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="holds an export to"):
+        write_dataset("colmap", odd_scene, tmp_path / "own")
 
 
 def test_a_failed_export_leaves_nothing(odd_scene: Scene, tmp_path: Path):

@@ -62,6 +62,18 @@ def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Sc
     assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "dis"
 
 
+def test_an_export_is_not_written_through_a_link(devrf: Callable, tmp_path: Path) -> None:
+    """A run folder that came from elsewhere: only a folder that --out names may lie outside."""
+    scene, outside = written(tmp_path, "nerfstudio", tmp_path, "run"), tmp_path / "outside"
+    outside.mkdir()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "export").symlink_to(outside)
+    result = devrf("export", scene, "--format", "nerfstudio")
+    assert result.code == 2 and "export is a link to" in result.err, result.said
+    named = devrf("export", scene, "--format", "nerfstudio", "--out", tmp_path / "named")
+    assert "the scene has not been made yet" in named.err, named.said
+
+
 def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
     result = devrf("export", scene_yaml, "--format", "nerfstudo")
     assert result.code == 2 and "did you mean nerfstudio?" in result.err
