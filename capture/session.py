@@ -131,6 +131,7 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
         Camera name -> times, sorted by frame index.
     Raises:
         InputError: Naming the row or the camera, and what was expected.
+        CaptureError: The file is larger than any table.
     """
     check_file(path)
     check_bytes(path, TEXT_BYTES)
@@ -223,7 +224,7 @@ def _check_folder(path: Path) -> list[Path]:
         try:
             check_file(picture)
             probe_picture(picture)
-        except InputError as error:
+        except DevrfError as error:
             broken.append(str(error))
     if broken:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""

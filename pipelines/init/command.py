@@ -129,7 +129,7 @@ def _timestamps(folder: Path, material: Material, roles: Roles) -> str | None:
         relative = table.relative_to(folder).as_posix()
         try:
             read_timestamps(table, cameras)
-        except InputError as error:
+        except DevrfError as error:
             if "time" in table.stem.lower():
                 roles.unused[relative] = f"no table of times: {str(error).removeprefix(f'{table}: ')}"
             continue

@@ -25,6 +25,15 @@ def test_good_session_has_no_problems(make_clip, pictures, tmp_path):
     assert [p.name for p in session.files()] == ["p0.jpg", "p1.jpg", "p2.jpg", "cam0.mp4", "t.csv"]
 
 
+def test_every_photo_that_cannot_be_read_is_counted(pictures, tmp_path):
+    for i in range(2):
+        write_picture(tmp_path / f"good{i}.jpg", pictures[i])
+    (tmp_path / "a.jpg").write_text("no picture")
+    (tmp_path / "b.jpg").touch()
+    (problem,) = preflight(CaptureSession(static=tmp_path))
+    assert "a.jpg" in problem and problem.endswith("(and 1 more)")
+
+
 def test_all_problems_at_once(make_clip, pictures, tmp_path):
     good = make_clip("good.mp4", pictures)
     (tmp_path / "text.mp4").write_text("hello " * 100)

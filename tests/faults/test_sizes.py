@@ -27,6 +27,7 @@ from devrf.capture.picture_files import read_pixels
 from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.session import read_timestamps
 from devrf.capture.video import VideoReader
+from devrf.capture.video_writer import write_video
 from devrf.flow import weights_file
 from devrf.flow.weights_file import read_weights
 from devrf.reconstruct.model_io import load_rest
@@ -234,6 +235,14 @@ def test_texts_that_are_too_long_or_too_deep(tmp_path: Path) -> None:
         read_json(path)
     with pytest.raises(CaptureError, match="100 MB, at most 100 MB"):
         read_timestamps(path, ["cam0"])
+
+
+def test_a_table_beside_clips_that_is_too_long_is_not_used(tmp_path: Path, run: Fuzzer) -> None:
+    write_video(tmp_path / "sweep.mp4", pictures(), 10.0)
+    write_video(tmp_path / "cam0.mp4", pictures(1) * 12, 10.0)
+    with (tmp_path / "times.csv").open("wb") as file:
+        file.truncate(limits.TEXT_BYTES + 1)
+    refused(run, 0, "times.csv", "no table of times", "at most 100 MB", arguments=("init", tmp_path))
 
 
 LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
