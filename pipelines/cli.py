@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -20,11 +20,12 @@ from devrf.pipelines.cli_options import (
     SetOption,
     VerboseOption,
     configured,
+    errors_told,
     talk_of,
 )
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.exit_codes import DONE, STOPPED, UNHEALTHY
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.own_folder import check_run_folder
 from devrf.pipelines.runner.plan import Choice, is_chosen
@@ -57,16 +58,13 @@ def init(
     talk = talk_of(quiet)
     from devrf.pipelines.init import command as init_command
 
-    try:
-        init_command.init(talk, folder, name, force)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except OSError as error:
-        talk.error(
-            f"{folder}: cannot be written ({error.strerror or error}); make room, or copy it to another disk"
-        )
-        raise typer.Exit(FAILED) from None
+    with errors_told(talk):
+        try:
+            init_command.init(talk, folder, name, force)
+        except OSError as error:
+            raise DevrfError(
+                f"{folder}: cannot be written ({error.strerror or error}); make room, or copy it to another disk"
+            ) from None
 
 
 @app.command()
@@ -81,7 +79,7 @@ def check(
     """Look at a few pictures of every clip before the crew goes home: go or no-go."""
     talk = talk_of(quiet, verbose)
     job = _prepare(talk, scene, preset, overrides, None)
-    try:
+    with errors_told(talk):
         check_folder(job.run_dir, "output:")
         if as_json is not None:
             check_file(as_json, "--json")
@@ -91,12 +89,6 @@ def check(
         check_inputs(job.config, job.scene_dir, {"ingest", "scene"})
 
         go = check_command.check(talk, job.config, job.scene_dir, job.run_dir, as_json)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except DevrfError as error:
-        talk.error(str(error))
-        raise typer.Exit(FAILED) from None
     raise typer.Exit(DONE if go else UNHEALTHY)
 
 
@@ -123,13 +115,13 @@ def run(
     choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
     job = _prepare(talk, scene, preset, overrides, choice)
     if dry:
-        try:
+        with errors_told(talk):
             dry_run(job)
-        except InputError as error:
-            talk.error(str(error))
-            raise typer.Exit(BAD_INPUT) from None
-        raise typer.Exit(_check(job, device, in_full=True))
-    raise typer.Exit(_start(job, device))
+            _check(job, device, in_full=True)
+        return
+    with errors_told(talk):
+        _check(job, device)
+    _execute(job)
 
 
 @app.command()
@@ -167,15 +159,9 @@ def batch(
     from devrf.pipelines.batch import command
 
     options = command.Options(preset, tuple(overrides or ()), until, allow_unhealthy)
-    try:
+    with errors_told(talk):
         machines = command.Machines(engine, address, jobs, device)
         code = command.batch(talk, scenes, options, machines, out, store)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except DevrfError as error:
-        talk.error(str(error))
-        raise typer.Exit(FAILED) from None
     raise typer.Exit(code)
 
 
@@ -189,11 +175,8 @@ def status(
     """Show each stage: fresh, stale (and why) or missing, its time, its health."""
     talk = Talk()
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
-    try:
+    with errors_told(talk):
         found = job.standings()
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
     job.digests.save()
     if as_json:
         typer.echo(json.dumps(status_dict(job.config, job.run_dir, found), indent=1))
@@ -215,22 +198,20 @@ def report(
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
     if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
         _only("report", scene, preset, overrides, talk)
-    if not done:
-        talk.error(
-            f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
-        )
-        raise typer.Exit(BAD_INPUT)
     from devrf.pipelines.stages.report import report_so_far
 
-    try:
+    with errors_told(talk):
+        if not done:
+            raise InputError(
+                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
+            )
         check_run_folder(job.run_dir, ("report",))
-        report_so_far(job.config, job.run_dir)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except OSError as error:
-        talk.error(f"{job.run_dir}: the report cannot be written ({error.strerror or error})")
-        raise typer.Exit(FAILED) from None
+        try:
+            report_so_far(job.config, job.run_dir)
+        except OSError as error:
+            raise DevrfError(
+                f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
+            ) from None
     job.fresh.append("report")
     say_where(job)
 
@@ -271,14 +252,8 @@ def export(
     job = _prepare(talk, scene, preset, overrides, None, check_files=False)
     from devrf.pipelines import export_command
 
-    try:
+    with errors_told(talk):
         export_command.export(talk, job.run_dir, dataset_format, out)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except DevrfError as error:
-        talk.error(str(error))
-        raise typer.Exit(FAILED) from None
 
 
 @app.command()
@@ -324,14 +299,8 @@ def simulate(
     from devrf.pipelines import simulate_command
 
     talk = talk_of(quiet)
-    try:
+    with errors_told(talk):
         simulate_command.simulate(talk, out, scene, protocol, cameras, seed, size, settings or [])
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except DevrfError as error:
-        talk.error(str(error))
-        raise typer.Exit(FAILED) from None
 
 
 def _version(show: bool) -> None:
@@ -377,49 +346,43 @@ def _prepare(
 
     Without a choice nothing is going to run, and what could not be run is no mistake.
     """
-    try:
+    with errors_told(talk):
         config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
         if choice is not None:
             check_choice(config, STAGES, choice)
             check_run_folder(config.run_dir(scene_dir), stage_names())
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
     return Run(config, scene_dir, STAGES, choice or Choice(), talk)
 
 
-def _start(job: Run, device: str) -> int:
-    """Check what can be checked before anything starts, then run."""
-    code = _check(job, device)
-    if code == DONE:
-        code = execute(job)
+def _execute(job: Run) -> NoReturn:
+    """Run what has been checked, say where to look, and end with the exit code."""
+    code = execute(job)
     if code == DONE:
         say_where(job)
-    return code
+    raise typer.Exit(code)
 
 
-def _check(job: Run, device: str, *, in_full: bool = False) -> int:
-    """Look at the device, the run folder, the raw files and the budget, where a stage is to run; the exit code."""
-    try:
-        to_do = {
-            now.stage.name
-            for now in job.standings()
-            if now.state in ("stale", "missing")
-            and now.cached is None
-            and is_chosen(now.stage.name, STAGES, job.choice)
-        }
-        check_reads(job)
-        if to_do:
-            job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
-            check_folder(job.run_dir, "output:")
-            from devrf.pipelines.preflight import check_inputs
+def _check(job: Run, device: str, *, in_full: bool = False) -> None:
+    """Look at the device, the run folder, the raw files and the budget, where a stage is to run.
 
-            check_inputs(job.config, job.scene_dir, to_do)
-            _check_budget(job, to_do, in_full)
-    except InputError as error:
-        job.talk.error(str(error))
-        return BAD_INPUT
-    return DONE
+    Raises:
+        DevrfError: Something stands against a run.
+    """
+    to_do = {
+        now.stage.name
+        for now in job.standings()
+        if now.state in ("stale", "missing")
+        and now.cached is None
+        and is_chosen(now.stage.name, STAGES, job.choice)
+    }
+    check_reads(job)
+    if to_do:
+        job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
+        check_folder(job.run_dir, "output:")
+        from devrf.pipelines.preflight import check_inputs
+
+        check_inputs(job.config, job.scene_dir, to_do)
+        _check_budget(job, to_do, in_full)
 
 
 def _check_budget(job: Run, stages: Collection[str], in_full: bool) -> None:
@@ -451,16 +414,10 @@ def _only(
     """Run one stage of a run that has been made before."""
     choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
     job = _prepare(talk, scene, preset, overrides, choice)
-    try:
+    with errors_told(talk):
         check_reads(job, f"run the scene first (devrf-pipeline run {scene})")
         job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    code = execute(job)
-    if code == DONE:
-        say_where(job)
-    raise typer.Exit(code)
+    _execute(job)
 
 
 def say_where(job: Run) -> None:

@@ -1,14 +1,17 @@
 """Arguments and options that several commands share, and the configuration they name."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Loudness, Talk
+from devrf.pipelines.exit_codes import BAD_INPUT, FAILED
 
 SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
 PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
@@ -37,3 +40,13 @@ def talk_of(quiet: bool, verbose: bool = False) -> Talk:
     """Where a command speaks."""
     loudness: Loudness = "quiet" if quiet else "verbose" if verbose else "normal"
     return Talk(loudness)
+
+
+@contextmanager
+def errors_told(talk: Talk) -> Iterator[None]:
+    """An error that is the data's or the configuration's is said and ends the command with its exit code."""
+    try:
+        yield
+    except DevrfError as error:
+        talk.error(str(error))
+        raise typer.Exit(BAD_INPUT if isinstance(error, InputError) else FAILED) from None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import InputError
 from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines.cli_options import (
     DeviceOption,
@@ -15,11 +15,11 @@ from devrf.pipelines.cli_options import (
     SceneArgument,
     SetOption,
     configured,
+    errors_told,
     talk_of,
 )
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
-from devrf.pipelines.exit_codes import BAD_INPUT, FAILED
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
@@ -266,7 +266,8 @@ def _accuracy(
 ) -> None:
     from devrf.pipelines.bench.accuracy.cases import Cases, run_parts
 
-    def measure(talk: Talk) -> None:
+    talk = talk_of(quiet)
+    with errors_told(talk):
         if data is not None and not data.is_dir():
             raise InputError(
                 f"--data {data}: no such folder; name the folder that holds the captures' folders"
@@ -276,8 +277,6 @@ def _accuracy(
         _check_places(folder, json)
         folder.mkdir(parents=True, exist_ok=True)
         run_parts(title, parts, chosen, Cases(data, folder, talk), json or folder / f"{title}.json")
-
-    _coded(measure, quiet)
 
 
 def _names(option: str, text: str, known: Sequence[str]) -> list[str]:
@@ -312,14 +311,12 @@ def _measure(
     quiet: bool,
 ) -> None:
     """Read the configuration and run a benchmark of one scene."""
-
-    def with_run(talk: Talk) -> None:
+    talk = talk_of(quiet)
+    with errors_told(talk):
         run = _run(name, scene, preset, overrides, device, talk)
         folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
         _check_places(folder, json)
         measure(run, folder)
-
-    _coded(with_run, quiet)
 
 
 def _check_places(out: Path, json: Path | None) -> None:
@@ -327,19 +324,6 @@ def _check_places(out: Path, json: Path | None) -> None:
     check_folder(out, "--out")
     if json is not None:
         check_file(json, "--json")
-
-
-def _coded(measure: Callable[[Talk], None], quiet: bool) -> None:
-    """Run a benchmark; errors become exit codes."""
-    talk = talk_of(quiet)
-    try:
-        measure(talk)
-    except InputError as error:
-        talk.error(str(error))
-        raise typer.Exit(BAD_INPUT) from None
-    except DevrfError as error:
-        talk.error(str(error))
-        raise typer.Exit(FAILED) from None
 
 
 def _run(
