@@ -28,7 +28,7 @@ from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import DONE, STOPPED, UNHEALTHY
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.own_folder import check_run_folder
-from devrf.pipelines.runner.plan import Choice, is_chosen
+from devrf.pipelines.runner.plan import Choice, Standing, is_chosen
 from devrf.pipelines.runner.run import Run, check_choice, check_reads, dry_run
 from devrf.pipelines.runner.supervise import supervised
 from devrf.pipelines.stages import STAGES, stage_names
@@ -114,14 +114,13 @@ def run(
     talk = talk_of(quiet, verbose)
     choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
     job = _prepare(talk, scene, preset, overrides, choice)
-    if dry:
-        with errors_told(talk):
-            dry_run(job)
-            _check(job, device, in_full=True)
-        return
     with errors_told(talk):
-        _check(job, device)
-    _execute(job)
+        found = job.standings()
+        if dry:
+            dry_run(job, found)
+        _check(job, found, device, in_full=dry)
+    if not dry:
+        _execute(job)
 
 
 @app.command()
@@ -362,7 +361,7 @@ def _execute(job: Run) -> NoReturn:
     raise typer.Exit(code)
 
 
-def _check(job: Run, device: str, *, in_full: bool = False) -> None:
+def _check(job: Run, found: Sequence[Standing], device: str, *, in_full: bool) -> None:
     """Look at the device, the run folder, the raw files and the budget, where a stage is to run.
 
     Raises:
@@ -370,7 +369,7 @@ def _check(job: Run, device: str, *, in_full: bool = False) -> None:
     """
     to_do = {
         now.stage.name
-        for now in job.standings()
+        for now in found
         if now.state in ("stale", "missing")
         and now.cached is None
         and is_chosen(now.stage.name, STAGES, job.choice)

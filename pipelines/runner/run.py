@@ -129,9 +129,9 @@ def check_reads(run: Run, remedy: str | None = None) -> None:
             )
 
 
-def dry_run(run: Run) -> None:
-    """Say what `execute` would do, and touch nothing."""
-    for now in run.standings():
+def dry_run(run: Run, found: Sequence[Standing]) -> None:
+    """Say what `execute` would do with stages that stand so, and touch nothing."""
+    for now in found:
         name = now.stage.name
         if not is_chosen(name, run.stages, run.choice):
             run.talk.say(f"{name}: left alone (outside --from and --until)")

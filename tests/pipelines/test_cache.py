@@ -77,7 +77,7 @@ def test_status_and_dry_run_know(folder: Path, capsys: pytest.CaptureFixture) ->
     ran(folder, "reconstruct.rays=200")
     run = job(folder, small_stages(), CACHE, "reconstruct.seed=5")
     run.talk = Talk("normal")
-    dry_run(run)
+    dry_run(run, run.standings())
     said = capsys.readouterr().out
     assert "second: would be taken from the cache: reconstruct.rays: 200 is now 100" in said
     assert (

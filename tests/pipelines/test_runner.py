@@ -104,13 +104,13 @@ def test_choice_is_checked(folder: Path, choice: Choice, expected: str) -> None:
 def test_dry_run_touches_nothing(folder: Path, capsys: pytest.CaptureFixture) -> None:
     run = job(folder, small_stages())
     run.talk = Talk("normal")
-    dry_run(run)
+    dry_run(run, run.standings())
     assert "first: would run: not made yet" in capsys.readouterr().out
     assert not (folder / "run").exists()
     executed(folder)
     run = job(folder, small_stages(), "reconstruct.rays=500")
     run.talk = Talk("normal")
-    dry_run(run)
+    dry_run(run, run.standings())
     out = capsys.readouterr().out
     assert "first: skipped" in out
     assert "second: would run: reconstruct.rays: 100 is now 500" in out
