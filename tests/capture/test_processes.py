@@ -89,7 +89,7 @@ def test_memory_is_what_processes_hold(started: list["subprocess.Popen[str]"], s
 
 
 def test_memory_that_is_shared_counts_once(started: list["subprocess.Popen[str]"]) -> None:
-    pid, said = start(HOLDS.replace("print", "import os; os.fork(); print"), started)
+    pid, said = start(HOLDS.replace("print", "import os; os.fork() and print"), started)
     assert said == "held"
     both = [pid, *descendants(pid)]
     try:
