@@ -55,10 +55,10 @@ def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
     assert not list(tiny.run_dir.glob(".new-*"))
 
 
-def blocks(pid: int, sign: signal.Signals) -> bool:
+def ignores(pid: int, sign: signal.Signals) -> bool:
     """Whether a process does not let a signal through."""
     with open(f"/proc/{pid}/status") as file:
-        mask = next(line.split()[1] for line in file if line.startswith("SigBlk:"))
+        mask = next(line.split()[1] for line in file if line.startswith("SigIgn:"))
     return bool(int(mask, 16) >> (sign - 1) & 1)
 
 
@@ -66,7 +66,7 @@ def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
     started = tiny.start("fault=deaf", "stage=big")
     tiny.at_work(started, "big")
     (child,) = children_of(started.pid)
-    while not blocks(child, signal.SIGTERM):
+    while not ignores(child, signal.SIGTERM):
         time.sleep(0.005)
     started.terminate()
     assert not ends(child, 0.5)
