@@ -15,8 +15,7 @@ def resolve_device(wish: str, gpu_memory_gb: float | None = None) -> str:
     Raises:
         InputError: The device is not there.
     """
-    if wish not in ("auto", "cpu", "cuda"):
-        raise InputError(f"--device {wish}: expected auto, cpu or cuda")
+    check_device(wish)
     if wish == "cpu":
         return "cpu"
     import torch
@@ -29,3 +28,13 @@ def resolve_device(wish: str, gpu_memory_gb: float | None = None) -> str:
     if wish == "cuda":
         raise InputError("--device cuda: PyTorch finds no GPU here; use --device cpu, or auto")
     return "cpu"
+
+
+def check_device(wish: str) -> None:
+    """Refuse a word that --device does not know.
+
+    Raises:
+        InputError: It is not auto, cpu or cuda.
+    """
+    if wish not in ("auto", "cpu", "cuda"):
+        raise InputError(f"--device {wish}: expected auto, cpu or cuda")

@@ -34,14 +34,14 @@ class Board:
         self.rows = rows
         self._talk, self._out, self._engine = talk, out, engine
         self._started, self._start = time.strftime("%Y-%m-%d %H:%M:%S"), time.monotonic()
-        self._written = 0.0
+        self._written = -WRITE_EVERY_S
         live = talk.out.is_terminal and talk.loudness != "quiet"
         self._live = Live(console=talk.out, refresh_per_second=2, transient=True) if live else None
 
     def __enter__(self) -> "Board":
         if self._live is not None:
             self._live.start()
-        self.show(write=True)
+        self.show()
         return self
 
     def __exit__(
@@ -63,11 +63,11 @@ class Board:
         else:
             self._talk.error(f"{row.name}: {row.state}{took}: {row.message or f'exit code {row.code}'}")
 
-    def show(self, *, write: bool = False) -> None:
+    def show(self) -> None:
         """Bring the table up to date, and now and then the files."""
         if self._live is not None:
             self._live.update(self._table())
-        if write and time.monotonic() - self._written > WRITE_EVERY_S:
+        if time.monotonic() - self._written > WRITE_EVERY_S:
             self.write()
 
     def write(self) -> None:

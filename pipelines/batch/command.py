@@ -23,14 +23,17 @@ from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
 from devrf.pipelines.batch.schedule import Job, work_through
 from devrf.pipelines.batch.scratch import Stored
 from devrf.pipelines.batch.store import Store
+from devrf.pipelines.batch.task import GRACE_S
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
-from devrf.pipelines.device import resolve_device
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY
-from devrf.pipelines.stamps.digests import Digests
+from devrf.pipelines.device import check_device, resolve_device
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.runner.supervise import tell
 
 CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
 GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
+STOP_S = int(GRACE_S) + 30  # to end in order: what the runs get, and time to store what they finished
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,9 @@ def batch(
     """
     if machines.engine not in ("local", "ray"):
         raise InputError(f"--engine {machines.engine}: expected local or ray")
-    if machines.device not in ("auto", "cpu", "cuda"):
-        raise InputError(f"--device {machines.device}: expected auto, cpu or cuda")
+    check_device(machines.device)
+    if machines.engine == "local" and machines.device == "cuda":
+        resolve_device("cuda")  # before the scenes are looked at, which can take minutes
     if machines.address is not None and machines.engine != "ray":
         raise InputError("--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
@@ -88,6 +92,7 @@ def batch(
                 board.ended(row)
         if engine is not None:
             stack.enter_context(_stopped_by_signals(engine))
+            tell(grace_s=STOP_S)
             work_through(_jobs(scenes, rows, options, engine, place, board), engine, board)
     done = sum(row.code == DONE for row in rows)
     talk.say(f"{done} of {len(rows)} scenes done; {out / HTML_FILE}")
@@ -101,15 +106,12 @@ class _Place:
     out: Path
     store: Store | None
 
-    def seen_in(self, scene: BatchScene) -> Path:
-        """A folder with the stamps of the scene's stages, brought up to date."""
-        if scene.config is None:
-            raise ValueError(f"{scene.path} has no configuration")
-        run_dir = scene.config.run_dir(scene.scene_dir)
+    def refresh(self, config: SceneConfig, scene_dir: Path) -> Path:
+        """A folder with the stamps of a scene's stages, brought up to date."""
         if self.store is None:
-            return run_dir
-        folder = (self.out / "scenes" / scene.folder_name).resolve()
-        mirror(self.store, scene, scene.folder_name, folder)
+            return config.run_dir(scene_dir)
+        folder = (self.out / "scenes" / config.folder_name).resolve()
+        mirror(self.store, config, scene_dir, folder)
         return folder
 
 
@@ -117,9 +119,13 @@ def _row(scene: BatchScene, options: Options, place: _Place) -> SceneRow:
     """A scene's row, ended already where there is nothing to run."""
     row = SceneRow(str(scene.path), scene.name, None if scene.run_dir is None else str(scene.run_dir))
     if scene.config is not None and scene.problem is None:
-        seen_in = place.seen_in(scene)
-        stand(scene, options, seen_in)
-        row.look(seen_in, scene.stages)
+        try:
+            seen_in = place.refresh(scene.config, scene.scene_dir)
+            stand(scene, options, seen_in)
+            row.look(seen_in, scene.stages)
+        except DevrfError as error:
+            row.end(_code_of(error), str(error))
+            return row
     if scene.problem is not None:
         row.end(BAD_INPUT, scene.problem)
     elif not scene.to_do:
@@ -141,28 +147,38 @@ def _jobs(
 ) -> Iterator[Job]:
     """What is to be run, one by one: the first runs while the raw files of the next are on their way to the store."""
     for number, (scene, row) in enumerate(zip(scenes, rows, strict=True)):
-        if row.code is not None or scene.config is None or scene.run_dir is None:
+        config, scene_dir, run_dir = scene.config, scene.scene_dir, scene.run_dir
+        if row.code is not None or config is None or run_dir is None or scene.digests is None:
+            continue
+        if engine.stopping:
+            row.end(STOPPED)
+            board.ended(row)
             continue
         arguments, stored = options.arguments(), None
-        if scene.config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
+        if config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
             arguments += ["--set", f"budget.memory_gb={engine.memory_gb:.3f}"]
         if place.store is not None:
             try:
-                inputs = inputs_of(scene.config, scene.path, Digests(place.seen_in(scene)))
+                inputs = inputs_of(config, scene.path, scene.digests)
+                scene.digests.save()
                 place.store.put_inputs(inputs.here)
             except DevrfError as error:
-                row.end(BAD_INPUT if isinstance(error, InputError) else FAILED, str(error))
+                row.end(_code_of(error), str(error))
                 board.ended(row)
                 continue
             arguments += [word for text in inputs.overrides for word in ("--set", text)]
-            stored = Stored(place.store.url, scene.folder_name, scene.path.name, inputs.files, last=False)
-        todo = deque(groups(scene.config, scene.standing, engine.gpus > 0))
-        look = partial(_look, row, scene, place)
-        yield Job(number, scene.path, scene.run_dir, tuple(arguments), row, todo, look, stored)
+            stored = Stored(place.store.url, config.folder_name, scene.path.name, inputs.files)
+        todo = deque(groups(config, scene.standing, engine.gpus > 0))
+        look = partial(_look, row, config, scene_dir, scene.stages, place)
+        yield Job(number, scene.path, run_dir, tuple(arguments), row, todo, look, stored)
 
 
-def _look(row: SceneRow, scene: BatchScene, place: _Place) -> None:
-    row.look(place.seen_in(scene), scene.stages)
+def _look(row: SceneRow, config: SceneConfig, scene_dir: Path, stages: list[str], place: _Place) -> None:
+    row.look(place.refresh(config, scene_dir), stages)
+
+
+def _code_of(error: DevrfError) -> int:
+    return BAD_INPUT if isinstance(error, InputError) else FAILED
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 from devrf.pipelines.batch.task import Ended, Started, Task
 
 
-@runtime_checkable
+@runtime_checkable  # what checks types while tests run asks for it
 class Engine(Protocol):
     """Carries out tasks side by side, as its resources allow.
 
@@ -14,11 +14,15 @@ class Engine(Protocol):
         threads: Cores that each task gets.
         memory_gb: Main memory that each task may hold.
         gpus: GPUs there are.
+        stopping: Whether it has been told to stop.
     """
 
     threads: int
     memory_gb: float
     gpus: int
+
+    @property
+    def stopping(self) -> bool: ...
 
     def submit(self, task: Task) -> None:
         """Take a task, to be begun as soon as there is room."""

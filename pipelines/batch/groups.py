@@ -1,10 +1,12 @@
-"""A scene's work in pieces that need the same machine: stages before the first that trains, and those from it on."""
+"""A scene's work in pieces that need the same machine: those before the first that uses a GPU, and the rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.runner.plan import Standing
+
+ON_GPU = {"canonical", "deformation", "evaluate", "render"}  # and flow, but by OpenCV's DIS
 
 
 @dataclass(frozen=True)
@@ -30,11 +32,9 @@ def groups(config: SceneConfig, standing: Sequence[Standing], gpu: bool) -> list
         standing: Where its stages that are to run stand.
         gpu: Whether there are GPUs. Without, one process does it all.
     """
-    trains = "flow" if config.flow.method != "dis" else "canonical"  # the first stage that uses a GPU
-    names = [now.stage.name for now in standing]
-    todo = next((n for n, now in enumerate(standing) if now.state in ("stale", "missing")), len(names))
-    first = next((n for n, name in enumerate(names) if name == trains), len(names))
-    if not gpu:
-        return [Group(tuple(names[todo:]), False)] if todo < len(names) else []
-    parts = ((tuple(names[todo:first]), False), (tuple(names[max(first, todo) :]), True))
-    return [Group(stages, on_gpu) for stages, on_gpu in parts if stages]
+    faster = ON_GPU if config.flow.method == "dis" else ON_GPU | {"flow"}
+    first = next((n for n, now in enumerate(standing) if now.state in ("stale", "missing")), len(standing))
+    todo = [now.stage.name for now in standing[first:]]
+    split = next((n for n, name in enumerate(todo) if gpu and name in faster), len(todo))
+    parts = ((todo[:split], False), (todo[split:], True))
+    return [Group(tuple(stages), on_gpu) for stages, on_gpu in parts if stages]

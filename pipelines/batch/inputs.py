@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -46,25 +47,23 @@ def inputs_of(config: SceneConfig, scene: Path, digests: Digests) -> Inputs:
         path = config.path(scene_dir, text)
         if path.is_relative_to(scene_dir):
             place = path.relative_to(scene_dir).as_posix()
-            written = Path(text)
-            if written.is_absolute() or text.startswith("~"):
-                found.overrides.append(f"{key}={json.dumps(place)}")
         else:
             beside = hashlib.blake2b(str(path.parent).encode(), digest_size=4).hexdigest()
             place = f"{OUTSIDE}/{beside}/{path.name}"
+        if place != text:  # absolute, or through a link, which does not come along
             found.overrides.append(f"{key}={json.dumps(place)}")
         _add(found, path, place, digests)
     known = set(found.here.values())
     for stage in STAGES:
         for name, path in stage.inputs(config, scene_dir).items():
-            path = path.resolve()
             if path in known or not path.exists():
                 continue
-            if not path.is_relative_to(scene_dir):
+            place = Path(os.path.relpath(path, scene_dir))  # as it is asked for, a link or not
+            if os.pardir in place.parts:
                 raise InputError(
                     f"{scene}: {name} ({path}) lies outside of the scene's folder; with --store it has to be in it"
                 )
-            _add(found, path, path.relative_to(scene_dir).as_posix(), digests)
+            _add(found, path, place.as_posix(), digests)
     return found
 
 

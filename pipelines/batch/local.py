@@ -32,6 +32,11 @@ class LocalPool:
             True: ThreadPoolExecutor(max(1, gpus), "batch-gpu"),
         }
 
+    @property
+    def stopping(self) -> bool:
+        """Whether it has been told to stop."""
+        return self._stopped.is_set()
+
     def submit(self, task: Task) -> None:
         """Take a task, to be begun as soon as there is room."""
         self._pools[task.gpu].submit(self._run, task)

@@ -5,7 +5,9 @@ behind, and the summary is to say what was lost.
 """
 
 import os
+import signal
 import socket
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -43,25 +45,27 @@ class RayCluster:
     def __init__(self, address: str | None, jobs: int | None, cores: int, device: str) -> None:
         self._ray = ray = _connected(address)
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-        cpus = [int(node["CPU"]) for node in nodes if node.get("CPU", 0) >= 1]
-        if not cpus:
+        able = [node for node in nodes if node.get("CPU", 0) >= 1 and node.get("memory")]
+        if not able:
             ray.shutdown()
             raise InputError(
-                f"--address {address}: no node of the cluster has a CPU; start nodes with --num-cpus"
+                f"--address {address}: no node of the cluster has a CPU and memory; start nodes with --num-cpus and "
+                "--memory"
             )
+        cpus = [int(node["CPU"]) for node in able]
         gpus = int(sum(node.get("GPU", 0) for node in nodes))
         if device == "cuda" and not gpus:
             ray.shutdown()
             raise InputError("--device cuda: no node of the cluster has a GPU; use --device cpu, or auto")
         self.threads = max(1, min(cores if jobs is None else sum(cpus) // jobs, *cpus))
-        per_core = min(node["memory"] / node["CPU"] for node in nodes if node.get("CPU", 0) >= 1)
+        per_core = min(node["memory"] / node["CPU"] for node in able)
         self.memory_gb = per_core * self.threads / GB
         self.gpus = gpus if device != "cpu" else 0
         self._most = jobs
         self._remote = ray.remote(num_returns="streaming", max_retries=0)(_carry_out)
         self._waiting: deque[Task] = deque()
         self._running: dict[Any, Task] = {}
-        self._stopping = False
+        self.stopping = self._cancelled = False
 
     def submit(self, task: Task) -> None:
         """Take a task, to be begun as soon as there is room."""
@@ -70,9 +74,8 @@ class RayCluster:
 
     def events(self, timeout_s: float) -> Sequence[Started | Ended]:
         """What has happened since the last call; waits at most `timeout_s` for something to happen."""
-        if self._stopping:
-            for stream in self._running:
-                self._ray.cancel(stream)
+        if self.stopping:
+            self._cancel_once()
             never_begun = [Ended(task.scene, STOPPED) for task in self._waiting]
             self._waiting.clear()
             if never_begun:
@@ -89,7 +92,7 @@ class RayCluster:
 
     def stop(self) -> None:
         """Begin nothing more, and end what runs; its ends are among the next `events`."""
-        self._stopping = True
+        self.stopping = True
 
     def close(self) -> None:
         """Leave the cluster, or end the one that was started here."""
@@ -97,20 +100,28 @@ class RayCluster:
 
     def _begin_what_fits(self) -> None:
         """Give tasks to Ray, which begins them when a node has room."""
-        while self._waiting and not self._stopping and not len(self._running) == self._most:
+        while self._waiting and not self.stopping and not len(self._running) == self._most:
             self._begin(self._waiting.popleft())
 
     def _begin(self, task: Task) -> None:
-        options = {"num_cpus": 1, "num_gpus": 1} if task.gpu else {"num_cpus": task.threads}
-        stream = self._remote.options(scheduling_strategy="SPREAD", **options).remote(task, devrf.__version__)
-        self._running[stream] = task
+        remote = self._remote.options(
+            num_cpus=task.threads, num_gpus=int(task.gpu), scheduling_strategy="SPREAD"
+        )
+        self._running[remote.remote(task, devrf.__version__)] = task
+
+    def _cancel_once(self) -> None:
+        """Have Ray interrupt what runs; a second time would interrupt it while it ends in order."""
+        if not self._cancelled:
+            self._cancelled = True
+            for stream in self._running:
+                self._ray.cancel(stream)
 
     def _next(self, stream: Any) -> Started | Ended:
         """What a task says next, or what became of it."""
         errors, task = self._ray.exceptions, self._running[stream]
         try:
             event = self._ray.get(next(stream))
-        except errors.TaskCancelledError:
+        except (errors.TaskCancelledError, StopIteration):  # what a cancelled task says last, Ray drops
             event = Ended(task.scene, STOPPED)
         except errors.RayTaskError as error:
             event = Ended(task.scene, FAILED, f"{task.path}: cannot be run there: {error.cause}")
@@ -162,12 +173,19 @@ def _knock(address: str) -> None:
 
 
 def _carry_out(task: Task, version: str) -> Iterator[Started | Ended]:
-    """On a node: run a task."""
+    """On a node: run a task. Ray cancels by an interrupt, which ends the run in order, as in the local pool."""
     import ray
 
-    yield Started(task.scene, f"{node_name()}/{ray.get_runtime_context().get_node_id()[:6]}")
-    if version != devrf.__version__:
-        message = f"{node_name()} has devrf {devrf.__version__}, the batch {version}; install one version everywhere"
-        yield Ended(task.scene, FAILED, message)
-    else:
-        yield run_task(task)
+    cancelled = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda number, frame: cancelled.set())
+    try:
+        yield Started(task.scene, f"{node_name()}/{ray.get_runtime_context().get_node_id()[:6]}")
+        if version != devrf.__version__:
+            message = (
+                f"{node_name()} has devrf {devrf.__version__}, the batch {version}; install one everywhere"
+            )
+            yield Ended(task.scene, FAILED, message)
+        else:
+            yield run_task(task, cancelled.is_set)
+    finally:
+        signal.signal(signal.SIGINT, before)

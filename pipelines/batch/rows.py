@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.health.rows import worst
 from devrf.pipelines.runner.plan import read_health
 from devrf.pipelines.stamps.stamp import read_stamp
 
@@ -19,7 +20,6 @@ STATE_OF: dict[int, State] = {
 }
 WORST_FIRST = (STOPPED, FAILED, UNHEALTHY, BAD_INPUT)  # which code speaks for a batch (docs/batch.md)
 MEASURES = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
-VERDICTS = ("fail", "warn", "ok")
 
 
 @dataclass
@@ -61,9 +61,11 @@ class SceneRow:
     before: dict[str, str | None] | None = None
 
     def end(self, code: int, message: str | None = None) -> None:
-        """It will not be gone on with."""
-        self.code, self.message = code, message
-        self.state = STATE_OF.get(code, "failed")
+        """It will not be gone on with; a code that none of ours is (a library's, a signal's) counts as a failure."""
+        self.code, self.message = (
+            (code, message) if code in STATE_OF else (FAILED, message or f"exit code {code}")
+        )
+        self.state = STATE_OF[self.code]
 
     def look(self, folder: Path, stages: list[str]) -> None:
         """Take what the stages left: times, health, measures, the report.
@@ -77,13 +79,11 @@ class SceneRow:
             stamp = read_stamp(folder / stage)
             if stamp is not None:
                 ids[stage] = stamp.get("id")
-                verdicts = {row.verdict for row in read_health(folder / stage)}
-                verdict = next((v for v in VERDICTS if v in verdicts), None)
+                verdict = worst(row.verdict for row in read_health(folder / stage))
                 self.stages[stage] = {"seconds": stamp.get("seconds"), "verdict": verdict}
         self.before = ids if self.before is None else self.before
         self.made = [stage for stage in ids if ids[stage] != self.before.get(stage)]
-        found = {made["verdict"] for made in self.stages.values()}
-        self.verdict = next((v for v in VERDICTS if v in found), None)
+        self.verdict = worst(made["verdict"] for made in self.stages.values())
         self.numbers = _numbers(folder / "evaluate" / "metrics.json") if "evaluate" in self.stages else {}
         page = folder / "report" / "index.html"
         self.report = str(page) if "report" in self.stages and page.is_file() else None

@@ -1,6 +1,5 @@
 """The scenes of a batch, each looked at before anything starts: what is wrong with it, and what it still needs."""
 
-import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from devrf.pipelines.preflight import check_inputs
 from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standings
 from devrf.pipelines.runner.run import check_choice
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stamps.digests import Digests
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,14 @@ class BatchScene:
         config: What it says; None where it cannot be used.
         problem: Why it cannot be used.
         standing: Where its stages that are to run stand.
+        digests: Of its raw files, once they were looked at.
     """
 
     path: Path
     config: SceneConfig | None = None
     problem: str | None = None
     standing: list[Standing] = field(default_factory=list)
+    digests: Digests | None = None
 
     @property
     def scene_dir(self) -> Path:
@@ -71,11 +73,6 @@ class BatchScene:
     def run_dir(self) -> Path | None:
         """The run folder."""
         return None if self.config is None else self.config.run_dir(self.scene_dir)
-
-    @property
-    def folder_name(self) -> str:
-        """Its name, as a folder's."""
-        return re.sub(r"[^A-Za-z0-9_.-]+", "_", self.name).strip(".") or "scene"
 
     @property
     def stages(self) -> list[str]:
@@ -102,7 +99,12 @@ def look(paths: Sequence[Path], options: Options, *, unique_names: bool = False)
         scenes, "the same run folder", "give each its own output", lambda scene: scene.run_dir or scene.path
     )
     if unique_names:
-        _refuse_twice(scenes, "the same name", "give each its own name", lambda scene: scene.folder_name)
+        _refuse_twice(
+            scenes,
+            "the same name",
+            "give each its own name",
+            lambda scene: scene.config.folder_name if scene.config is not None else scene.path,
+        )
     return scenes
 
 
@@ -110,14 +112,16 @@ def stand(scene: BatchScene, options: Options, seen_in: Path) -> None:
     """Find out what a scene still needs, and whether its files are fit for that.
 
     Args:
-        scene: Its `standing` and `problem` are set.
+        scene: Its `standing`, `digests` and `problem` are set.
         options: What it is to be run with.
         seen_in: Folder with the stamps of its stages.
     """
     if scene.config is None or scene.run_dir is None or scene.problem is not None:
         return
     choice = Choice(last=options.until)
-    found = standings(STAGES, scene.config, scene.scene_dir, seen_in, choice)
+    scene.digests = Digests(seen_in)
+    found = standings(STAGES, scene.config, scene.scene_dir, seen_in, choice, scene.digests)
+    scene.digests.save()
     scene.standing = [
         now for now in found if is_chosen(now.stage.name, STAGES, choice) and now.state != "not applicable"
     ]

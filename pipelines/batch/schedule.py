@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError
@@ -15,7 +15,7 @@ from devrf.pipelines.batch.task import Ended, Started, Task
 from devrf.pipelines.exit_codes import DONE, FAILED
 
 TICK_S = 0.5  # between two looks at what runs
-ATTEMPTS = 4  # of one task, where nodes are lost; whatever takes down so many is the task
+ATTEMPTS = 4  # of one task, three of them anew: whatever takes down so many nodes is the task
 
 
 @dataclass
@@ -56,29 +56,37 @@ class Job:
             threads,
             group.gpu,
             self.attempt,
-            None if self.stored is None else replace(self.stored, last=len(self.todo) == 1),
+            self.stored,
         )
 
 
 def work_through(jobs: Iterable[Job], engine: Engine, board: Board) -> None:
-    """Run all jobs to their ends; the rows say how each came out. One that fails stops no other."""
+    """Run all jobs to their ends; the rows say how each came out. One that fails stops no other.
+
+    To get the next job can take long (its raw files go to the store): what has happened meanwhile is taken in between.
+    """
     open_jobs: dict[int, Job] = {}
     for job in jobs:
         open_jobs[job.scene] = job
         engine.submit(job.task(engine.threads))
+        _take_events(open_jobs, engine, board, 0.0)
     while open_jobs:
-        for event in engine.events(TICK_S):
-            job = open_jobs[event.scene]
-            if isinstance(event, Started):
-                job.row.state = "running"
-                job.row.nodes.append(event.node)
-                board.say(job.row, f"{job.todo[0].stages[0]} to {job.todo[0].stages[-1]} on {event.node}")
-            elif _goes_on(job, event, board):
-                engine.submit(job.task(engine.threads))
-            else:
-                del open_jobs[event.scene]
-                board.ended(job.row)
-        board.show(write=True)
+        _take_events(open_jobs, engine, board, TICK_S)
+
+
+def _take_events(open_jobs: dict[int, Job], engine: Engine, board: Board, timeout_s: float) -> None:
+    for event in engine.events(timeout_s):
+        job = open_jobs[event.scene]
+        if isinstance(event, Started):
+            job.row.state = "running"
+            job.row.nodes.append(event.node)
+            board.say(job.row, f"{job.todo[0].stages[0]} to {job.todo[0].stages[-1]} on {event.node}")
+        elif _goes_on(job, event, board):
+            engine.submit(job.task(engine.threads))
+        else:
+            del open_jobs[event.scene]
+            board.ended(job.row)
+    board.show()
 
 
 def _goes_on(job: Job, ended: Ended, board: Board) -> bool:

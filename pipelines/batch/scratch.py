@@ -1,8 +1,10 @@
 """A scene of a store on the machine that works on it: raw files and finished stages come, new ones go.
 
-<scratch>/inputs/<digest>            raw files, once per machine
-<scratch>/scenes/<scene>/scene/...   the scene's folder, hard links to those
+<scratch>/scenes/<scene>/scene/...   the scene's folder
 <scratch>/scenes/<scene>/run/...     its run folder
+<scratch>/inputs/<digest>            raw files, hard links to those in the scenes' folders: fetched once for all of them
+
+Scenes side by side share only `inputs`, and that by single links: none can take away what another uses.
 """
 
 import contextlib
@@ -14,8 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.pipelines.batch.store import SizeAndDigest, Store
+from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps.stamp import read_stamp
+from devrf.pipelines.stamps.stamp import read_stamp, stamp_id
 
 SCRATCH = "DEVRF_SCRATCH"  # environment variable: folder on a fast disk of this machine
 
@@ -29,14 +32,12 @@ class Stored:
         name: What the scene is called there.
         scene: File name of its scene.yaml.
         files: Path in the scene's folder -> size and digest.
-        last: Whether nothing is to be done for it after this task.
     """
 
     url: str
     name: str
     scene: str
     files: dict[str, SizeAndDigest]
-    last: bool
 
 
 class Scratch:
@@ -58,17 +59,17 @@ class Scratch:
         """Get the raw files, and the stages that these stages are or read, as far as they are stored.
 
         Raises:
+            InputError: A run works here.
             StoreError: The store does not give what was put into it.
         """
-        self._fetch_inputs()
         read = {name for stage in STAGES if stage.name in stages for name in stage.reads}
-        for stage in (stage.name for stage in STAGES if stage.name in read.union(stages)):
-            stamp = self._store.stamp(self._stored.name, stage)
-            if stamp is None:
-                continue
-            self._pushed.add(stamp["id"])
-            if (read_stamp(self.run_dir / stage) or {}).get("id") != stamp["id"]:
-                self._store.pull(self._stored.name, stage, self.run_dir)
+        wanted = [stage.name for stage in STAGES if stage.name in read.union(stages)]
+        with Workspace(self.run_dir) as workspace:
+            self._fetch_inputs()
+            for stage, stamp in self._store.stamps(self._stored.name, wanted).items():
+                self._pushed.add(stamp["id"])
+                if stamp_id(self.run_dir / stage) != stamp["id"]:
+                    self._store.pull(self._stored.name, stage, stamp, workspace)
 
     def push(self, stages: tuple[str, ...]) -> None:
         """Store what has been finished since."""
@@ -79,7 +80,7 @@ class Scratch:
                 self._pushed.add(stamp["id"])
 
     def remove(self) -> None:
-        """Make room: the scene is finished, and raw files that no other scene here uses."""
+        """Make room: the scene's folders, and raw files that no other scene here uses."""
         shutil.rmtree(self._base, ignore_errors=True)
         for file in self._inputs.glob("*"):
             with contextlib.suppress(FileNotFoundError):
@@ -87,19 +88,25 @@ class Scratch:
                     file.unlink()
 
     def _fetch_inputs(self) -> None:
-        """Link the scene's folder anew, from files that are here already or come now."""
-        folder = self.scene.parent
-        shutil.rmtree(folder, ignore_errors=True)
+        """Lay out the scene's folder anew: links to what is here already; what is not comes and is shared then."""
+        shutil.rmtree(self.scene.parent, ignore_errors=True)
         self._inputs.mkdir(parents=True, exist_ok=True)
-        wanted = {entry: self._inputs / entry[1] for entry in self._stored.files.values()}
-        missing = {entry: place for entry, place in wanted.items() if not place.is_file()}
-        half = {entry: place.with_name(f"{place.name}.{os.getpid()}.tmp") for entry, place in missing.items()}
-        self._store.get_inputs(half)
-        for entry, place in missing.items():
-            half[entry].replace(place)
+        missing: dict[SizeAndDigest, Path] = {}
+        again: list[tuple[Path, Path]] = []  # one content under two names
         for name, entry in self._stored.files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            os.link(wanted[entry], folder / name)
+            place = self.scene.parent / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(self._inputs / entry[1], place)
+            except FileNotFoundError:
+                again += [(missing[entry], place)] if entry in missing else []
+                missing.setdefault(entry, place)
+        self._store.get_inputs(missing)
+        for (_, digest), place in missing.items():
+            with contextlib.suppress(FileExistsError):  # another scene brought it meanwhile
+                os.link(place, self._inputs / digest)
+        for first, place in again:
+            os.link(first, place)
 
 
 def scratch_dir(url: str) -> Path:

@@ -10,17 +10,17 @@ with sizes and digests: of the stamp, or of the batch that named the input.
 
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.durable import write_json
-from devrf.pipelines.runner.workspace import NEW
+from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stamps.digests import file_digest
-from devrf.pipelines.stamps.stamp import STAMP
+from devrf.pipelines.stamps.stamp import STAMP, parse_stamp, size_in
 
 SizeAndDigest = tuple[int, str]
 
@@ -55,9 +55,10 @@ class Store:
         Args:
             files: Digest -> where the file lies.
         """
-        known = {entry["name"].rsplit("/", 1)[-1]: entry["size"] for entry in self._list("inputs")}
-        new = {d: path for d, path in files.items() if known.get(d) != path.stat().st_size}
-        self._put(list(new.values()), [f"inputs/{digest}" for digest in new])
+        sizes = {digest: path.stat().st_size for digest, path in files.items()}
+        new = [digest for digest, size in sizes.items() if self._inputs.get(digest) != size]
+        self._put([files[digest] for digest in new], [f"inputs/{digest}" for digest in new])
+        self._inputs.update(sizes)
 
     def get_inputs(self, files: Mapping[SizeAndDigest, Path]) -> None:
         """Fetch raw files.
@@ -67,14 +68,20 @@ class Store:
         """
         self._get([(f"inputs/{digest}", path, (size, digest)) for (size, digest), path in files.items()])
 
-    def stamp(self, scene: str, stage: str) -> dict[str, Any] | None:
-        """The stamp of a finished stage; None where there is none."""
-        try:
-            with self._errors():
-                stamp = json.loads(self._fs.cat_file(self._path(f"runs/{scene}/{stage}.json")))
-        except (FileNotFoundError, ValueError):
-            return None
-        return stamp if isinstance(stamp, dict) and {"id", "files", "identity"} <= stamp.keys() else None
+    def stamps(self, scene: str, stages: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Stamps of those of a scene's stages that are finished, asked for side by side."""
+        places = [self._path(f"runs/{scene}/{stage}.json") for stage in stages]
+        found = {}
+        with self._errors():
+            for stage, text in zip(stages, self._fs.cat_ranges(places, None, None), strict=True):
+                if isinstance(text, FileNotFoundError):
+                    continue
+                if isinstance(text, Exception):
+                    raise text
+                stamp = parse_stamp(text)
+                if stamp is not None and isinstance(stamp.get("id"), str) and size_in(stamp) is not None:
+                    found[stage] = stamp
+        return found
 
     def push(self, scene: str, folder: Path, stamp: Mapping[str, Any]) -> None:
         """Store a finished stage.
@@ -94,22 +101,20 @@ class Store:
             for place in old:  # what it replaces
                 self._fs.rm(place, recursive=True)
 
-    def pull(self, scene: str, stage: str, run_dir: Path) -> None:
-        """Put a finished stage into a run folder, whole or not at all; one that is not stored is left out.
+    def pull(self, scene: str, stage: str, stamp: Mapping[str, Any], workspace: Workspace) -> None:
+        """Put a finished stage into a run folder, whole or not at all.
 
         Raises:
             StoreError: It is not what was stored.
         """
-        stamp, folder = self.stamp(scene, stage), run_dir / stage
-        if stamp is None:
-            return
-        half = run_dir / f"{NEW}{stage}-pull"  # a run clears such folders away
-        shutil.rmtree(half, ignore_errors=True)
-        half.mkdir(parents=True)
-        self.get(scene, stage, stamp, half)
-        write_json(half / STAMP, stamp)
-        shutil.rmtree(folder, ignore_errors=True)
-        half.rename(folder)
+        folder = workspace.fresh_folder(stage)
+        try:
+            self.get(scene, stage, stamp, folder)
+            write_json(folder / STAMP, stamp)
+            workspace.commit(stage, folder)
+        except BaseException:
+            workspace.discard(folder)
+            raise
 
     def get(
         self,
@@ -133,6 +138,11 @@ class Store:
                     f"{self.url}/{where}: names a file outside of the stage ({path}); remove it there"
                 )
         self._get(files)
+
+    @cached_property
+    def _inputs(self) -> dict[str, int]:
+        """Digest -> size of the raw files that are there, listed once."""
+        return {entry["name"].rsplit("/", 1)[-1]: entry["size"] for entry in self._list("inputs")}
 
     def _put(self, files: Sequence[Path], names: Sequence[str]) -> None:
         """All at once: a store far away takes many files side by side."""

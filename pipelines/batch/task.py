@@ -15,7 +15,7 @@ from pathlib import Path
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.batch.scratch import Scratch, Stored
 from devrf.pipelines.batch.store import StoreError
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.plan import error_path, last_error
 
@@ -24,6 +24,7 @@ MEANWHILE_S = 5.0  # between two looks for stages to store: a lost machine costs
 GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it
 LOCK_WAIT_S = 90.0  # for a run that a dead node left: it has been told to stop, and gets its grace
 MESSAGE_CHARACTERS = 4000
+VISIBLE_GPUS = "CUDA_VISIBLE_DEVICES"
 
 
 @dataclass(frozen=True)
@@ -89,23 +90,27 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
     Args:
         task: What to run.
         stop: Asked now and then; True ends the run as Ctrl-C does.
-        gpu: Number of the GPU to use, where the scheduler has not set it already.
+        gpu: Which of the GPUs that this process sees, where the scheduler has not set it already.
     """
     start = time.monotonic()
-    if task.stored is None:
-        return _run(task, stop, lambda: None, gpu, start)
     try:
-        scratch = Scratch(task.stored)
-        task = replace(task, path=scratch.scene, run_dir=scratch.run_dir)
+        scratch = None if task.stored is None else Scratch(task.stored)
+        if scratch is not None:
+            task = replace(task, path=scratch.scene, run_dir=scratch.run_dir)
         if task.attempt > 1:
             _wait_for_lock(task.run_dir, stop)
-        scratch.fetch(task.stages)
-        ended = _run(task, stop, lambda: _push(scratch, task), gpu, start)
-        scratch.push(task.stages)
-        if ended.code == DONE and task.stored is not None and task.stored.last:
-            scratch.remove()
+        if scratch is None:
+            ended = _run(task, stop, lambda: None, gpu)
+        else:
+            scratch.fetch(task.stages)
+            ended = _run(task, stop, lambda: _push(scratch, task), gpu)
+            scratch.push(task.stages)
+            if ended.code == DONE:
+                scratch.remove()
+    except InputError as error:
+        ended = Ended(task.scene, BAD_INPUT, str(error))
     except (DevrfError, OSError) as error:
-        return Ended(task.scene, FAILED, f"{task.path.name}: {error}", time.monotonic() - start)
+        ended = Ended(task.scene, FAILED, f"{task.path.name}: {error}")
     return replace(ended, seconds=time.monotonic() - start)
 
 
@@ -115,12 +120,10 @@ def _push(scratch: Scratch, task: Task) -> None:
         scratch.push(task.stages)
 
 
-def _run(
-    task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gpu: int | None, start: float
-) -> Ended:
+def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gpu: int | None) -> Ended:
+    if stop():
+        return Ended(task.scene, STOPPED)
     started_s = time.time()
-    if task.attempt > 1:
-        _wait_for_lock(task.run_dir, stop)
     process = subprocess.Popen(
         [sys.executable, "-m", "devrf.pipelines.batch.child", str(os.getpid()), *_command(task)],
         env=_environment(task, gpu),
@@ -131,14 +134,12 @@ def _run(
         errors="replace",
         start_new_session=True,  # Ctrl-C in a terminal comes from the batch, once
     )
-    try:
-        said = _wait(process, stop, meanwhile)
-    except BaseException:  # how Ray cancels
-        _end(process)
-        raise
+    said, stopped = _wait(process, stop, meanwhile)
     code = process.returncode
+    if stopped and code < 0:  # before it could listen, or because it did not
+        code = STOPPED
     message = None if code == DONE else _message(task, started_s, code, said)
-    return Ended(task.scene, code if code >= 0 else FAILED, message, time.monotonic() - start)
+    return Ended(task.scene, code if code >= 0 else FAILED, message)
 
 
 def node_name() -> str:
@@ -157,19 +158,22 @@ def _environment(task: Task, gpu: int | None) -> dict[str, str]:
     threads = str(task.threads)
     ours = {"OMP_NUM_THREADS": threads, "OPENCV_FOR_THREADS_NUM": threads, "OMP_WAIT_POLICY": "PASSIVE"}
     if gpu is not None:
-        ours["CUDA_VISIBLE_DEVICES"] = str(gpu)
+        seen = os.environ.get(VISIBLE_GPUS)
+        ours[VISIBLE_GPUS] = seen.split(",")[gpu].strip() if seen else str(gpu)
     return {**os.environ, **ours}
 
 
-def _wait(process: subprocess.Popen, stop: Callable[[], bool], meanwhile: Callable[[], None]) -> str:
-    """Wait for the end; what it said on stderr."""
+def _wait(
+    process: subprocess.Popen, stop: Callable[[], bool], meanwhile: Callable[[], None]
+) -> tuple[str, bool]:
+    """Wait for the end; what it said on stderr, and whether it was told to stop."""
     next_s = time.monotonic() + MEANWHILE_S
     while True:
         try:
-            return process.communicate(timeout=POLL_S)[1]
+            return process.communicate(timeout=POLL_S)[1], False
         except subprocess.TimeoutExpired:
             if stop():
-                return _end(process)
+                return _end(process), True
         if time.monotonic() > next_s:
             meanwhile()
             next_s = time.monotonic() + MEANWHILE_S

@@ -28,7 +28,7 @@ from devrf.pipelines.check.estimate import estimate_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
 from devrf.pipelines.health.rig import scale_rows
-from devrf.pipelines.health.rows import HealthRow, Verdict, note
+from devrf.pipelines.health.rows import HealthRow, Verdict, note, worst
 from devrf.pipelines.stages import ingest
 
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
@@ -57,8 +57,8 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     if not go and talk.loudness == "quiet":
         _say_failures(talk, sections)
     for title, rows in sections.items():
-        worst = _worst(rows)
-        talk.say(f"{WORDS[worst]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[worst])
+        verdict = worst(row.verdict for row in rows) or "ok"
+        talk.say(f"{WORDS[verdict]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[verdict])
         for row in rows:
             shown = row.verdict != "ok" or title in SHOWN
             (talk.say if shown else talk.detail)(f"    {WORDS[row.verdict]:>6}  {describe(row)}")
@@ -146,11 +146,6 @@ def _say_failures(talk: Talk, sections: Sections) -> None:
 
 def _number(count: int, what: str) -> str:
     return f"{count} {what}" + ("s" if count != 1 else "")
-
-
-def _worst(rows: list[HealthRow]) -> Verdict:
-    verdicts = [row.verdict for row in rows]
-    return "fail" if "fail" in verdicts else "warn" if "warn" in verdicts else "ok"
 
 
 def _sound(path: Path) -> Sound | None:

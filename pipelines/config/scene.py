@@ -462,10 +462,14 @@ class SceneConfig(_Section):
             os.path.realpath(scene_dir / Path(value).expanduser())
         )  # `resolve` fails on a loop of links
 
+    @property
+    def folder_name(self) -> str:
+        """Its name, as a folder's."""
+        return re.sub(r"[^A-Za-z0-9_.-]+", "_", self.name).strip(".") or "scene"
+
     def run_dir(self, scene_dir: Path) -> Path:
         """Where the stages' folders lie."""
-        folder = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.name).strip(".") or "scene"
-        return self.path(scene_dir, self.output or f"runs/{folder}")
+        return self.path(scene_dir, self.output or f"runs/{self.folder_name}")
 
     def truth_path(self, scene_dir: Path) -> Path | None:
         """ground_truth.json: the one that is named, else the one beside scene.yaml, else None."""

@@ -1,5 +1,6 @@
 """Health rows: what a stage measured of its own result, and what to do where it falls short."""
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -54,3 +55,9 @@ def row(
 def note(check: str, value: str, *, verdict: Verdict = "ok", remedy: str = "") -> HealthRow:
     """A row that states something in words (for example which cue gave the clocks)."""
     return HealthRow(check, value, "", None, None, verdict, remedy)
+
+
+def worst(verdicts: Iterable[Verdict | None]) -> Verdict | None:
+    """The worst of several verdicts; None where there are none."""
+    found = set(verdicts)
+    return "fail" if "fail" in found else "warn" if "warn" in found else "ok" if "ok" in found else None

@@ -8,7 +8,7 @@ from typing import Literal
 
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.durable import sync, write_json
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.rows import HealthRow, Verdict, worst
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.cache import Cache
 from devrf.pipelines.stamps.digests import Digests
@@ -62,10 +62,9 @@ class Standing:
     cached: str | None = None
 
     @property
-    def verdict(self) -> Literal["ok", "warn", "fail"] | None:
+    def verdict(self) -> Verdict | None:
         """The worst of the health rows; None where there are none."""
-        verdicts = {row.verdict for row in self.health}
-        return next((v for v in ("fail", "warn", "ok") if v in verdicts), None)
+        return worst(row.verdict for row in self.health)
 
 
 def standing(

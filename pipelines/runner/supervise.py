@@ -81,7 +81,8 @@ def tell(**facts: str | int | None) -> None:
     """Let the parent, if there is one, know what it needs when this process dies.
 
     Args:
-        facts: `run_dir`, and `run`, its name; `memory_budget`, bytes, or None; `stage`, or None between two.
+        facts: `run_dir`, and `run`, its name; `memory_budget`, bytes, or None; `stage`, or None between two; `grace_s`,
+            time it needs to end in order after a signal.
     """
     if _link is not None:
         os.write(_link, json.dumps(facts).encode() + b"\n")
@@ -166,7 +167,8 @@ class _Supervisor:
         elif sign != signal.SIGCHLD:
             if self._kill_at is not None:
                 return self._kill()
-            self._kill_at = time.monotonic() + GRACE_S
+            grace_s = self._facts.get("grace_s")
+            self._kill_at = time.monotonic() + (grace_s if isinstance(grace_s, int) else GRACE_S)
             os.kill(self._child, signal.SIGINT if sign == signal.SIGINT else signal.SIGTERM)
             os.killpg(self._child, signal.SIGCONT)  # what sleeps hears nothing
 

@@ -109,8 +109,16 @@ def _leaves(whole: dict, dotted: str) -> list[tuple[str, Any]]:
 def read_stamp(folder: Path) -> dict | None:
     """The stamp of a finished stage, or None."""
     try:
-        stamp = json.loads((folder / STAMP).read_text())
-    except (OSError, ValueError):
+        return parse_stamp((folder / STAMP).read_bytes())
+    except OSError:
+        return None
+
+
+def parse_stamp(text: bytes) -> dict | None:
+    """A stamp from its text; None where that is damaged."""
+    try:
+        stamp = json.loads(text)
+    except ValueError:
         return None
     made_from = stamp.get("identity") if isinstance(stamp, dict) else None
     return stamp if isinstance(made_from, dict) else None

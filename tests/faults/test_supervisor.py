@@ -135,6 +135,27 @@ def test_more_memory_than_allowed_ends_the_run_before_the_system_does(tiny: Tiny
     assert json.loads((tiny.run_dir / ".failed-parts.json").read_text())["code"] == FAILED
 
 
+def test_who_needs_longer_to_end_in_order_may_say_so() -> None:
+    code = (
+        "import signal, sys, time\n"
+        "from devrf.pipelines.runner import supervise\n"
+        "supervise.GRACE_S = 0.1\n"
+        "def work():\n"
+        "    def slowly(*_):\n"
+        "        time.sleep(1)\n"
+        "        sys.exit(7)\n"
+        "    signal.signal(signal.SIGTERM, slowly)\n"
+        "    supervise.tell(grace_s=60)\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60)\n"
+        "supervise.supervised(work)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as started:
+        assert started.stdout is not None and started.stdout.readline() == "ready\n"
+        started.terminate()
+    assert started.returncode == 7
+
+
 def test_the_parent_is_small(tiny: Tiny) -> None:
     """When it forks, nothing heavy has been imported and there is one thread."""
     code = (

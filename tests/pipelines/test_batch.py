@@ -13,10 +13,15 @@ from typing import Any
 import pytest
 from tests.conftest import Command
 from tests.pipelines.tiny_scenes import tiny_scene
+from tests.waiting import wait_for
 
-from devrf.pipelines.batch.groups import groups
+from devrf.capture.errors import InputError
+from devrf.pipelines.batch import command
+from devrf.pipelines.batch import task as batch_task
+from devrf.pipelines.batch.groups import ON_GPU, groups
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Task, run_task
+from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.runner.plan import Standing
 from devrf.pipelines.runner.workspace import Workspace
@@ -31,13 +36,6 @@ def summary(out: Path) -> dict[str, Any]:
 
 def by_name(out: Path) -> dict[str, dict[str, Any]]:
     return {row["name"]: row for row in summary(out)["scenes"]}
-
-
-def wait_for(what: Any, limit_s: float = 60.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not what() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert what()
 
 
 @pytest.fixture(scope="module")
@@ -155,12 +153,16 @@ def test_groups_split_where_training_begins(tmp_path: Path) -> None:
     names = ("ingest", "scene", "flow", "canonical", "report")
     stages = [stage for stage in STAGES if stage.name in names]
 
-    def split(*fresh: str, gpu: bool = True, **flow: str) -> list[tuple[str, ...]]:
+    def split(*fresh: str, gpu: bool = True, moves: bool = True, **flow: str) -> list[tuple[str, ...]]:
         assert scene.config is not None
         config = scene.config.model_copy(update={"flow": scene.config.flow.model_copy(update=flow)})
-        standing = [Standing(s, "fresh" if s.name in fresh else "missing", ()) for s in stages]
+        standing = [
+            Standing(s, "fresh" if s.name in fresh else "missing", ())
+            for s in stages
+            if moves or s.name != "flow"
+        ]
         found = groups(config, standing, gpu)
-        assert [g.gpu for g in found] == [gpu and "report" in g.stages for g in found]
+        assert [g.gpu for g in found] == [gpu and "canonical" in g.stages for g in found]
         return [group.stages for group in found]
 
     assert split() == [names[:3], names[3:]]
@@ -168,7 +170,45 @@ def test_groups_split_where_training_begins(tmp_path: Path) -> None:
     assert split(method="raft") == [names[:2], names[2:]]
     assert split("ingest", "scene", "flow") == [names[3:]]
     assert split("ingest", "flow") == [names[1:3], names[3:]]
+    assert split(moves=False, method="raft") == [names[:2], names[3:]]
+    assert split(*names[:4]) == [names[4:]]  # the report alone takes no GPU from others
     assert split(*names) == []
+    assert {stage.name for stage in STAGES} >= ON_GPU
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected"), [(None, "1"), ("", "1"), ("2,5", "5"), ("GPU-aa, GPU-bb", "GPU-bb")]
+)
+def test_a_task_gets_one_of_the_gpus_that_the_user_gave(
+    monkeypatch: pytest.MonkeyPatch, seen: str | None, expected: str
+) -> None:
+    if seen is None:
+        monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    else:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", seen)
+    task = Task(0, Path("scene.yaml"), Path("run"), ("canonical",), (), 1, True)
+    assert batch_task._environment(task, 1)["CUDA_VISIBLE_DEVICES"] == expected
+    assert batch_task._environment(task, None).get("CUDA_VISIBLE_DEVICES") == seen
+
+
+def test_stopped_before_it_listens_it_is_no_failure(tmp_path: Path) -> None:
+    task = Task(
+        0, tiny_scene(tmp_path, "a", LONG), tmp_path / "a/run", ("scene",), ("--device", "cpu"), 1, False
+    )
+    asked = iter((False, True))  # once the process has only just been started
+    assert run_task(task, lambda: next(asked)).code == STOPPED
+
+
+def test_a_gpu_that_is_not_there_is_said_before_the_scenes_are_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr(command, "look", lambda *arguments, **options: pytest.fail("looked"))
+    for device in ("cuda", "gpu"):
+        with pytest.raises(InputError, match=f"--device {device}"):
+            command.batch(
+                Talk("quiet"), [tmp_path], Options(), command.Machines(device=device), tmp_path / "o", None
+            )
 
 
 # --- stopped, killed ---
@@ -181,8 +221,7 @@ def batch_in_course(folder: Path) -> subprocess.Popen:
     process = subprocess.Popen(
         [sys.executable, *words, "--out", str(folder / "o")], stderr=subprocess.PIPE, text=True
     )
-    wait_for(lambda: process.poll() is not None or list(folder.glob("a/run/.new-canonical*")))
-    assert process.poll() is None
+    wait_for(lambda: list(folder.glob("a/run/.new-canonical*")), process=process)
     return process
 
 

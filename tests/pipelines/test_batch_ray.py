@@ -5,14 +5,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 from tests.conftest import Figures
 from tests.pipelines.tiny_scenes import tiny_scene
+from tests.waiting import wait_for
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch import ray_cluster
@@ -89,17 +89,18 @@ def rows(folder: Path) -> list[dict[str, Any]]:
         return []
 
 
-def wait_for(what: Callable[[], bool], batch: subprocess.Popen, limit_s: float = 90.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not what():
-        assert batch.poll() is None and time.monotonic() < deadline, batch.communicate(timeout=1)
-        time.sleep(0.02)
-
-
 def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path) -> None:
     batch = start_batch(tmp_path, nodes, ["a", "b", "c"], 100_000)
-    wait_for(lambda: len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2, batch)
+    wait_for(lambda: len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2, process=batch)
+    runs = [json.loads(lock.read_text())["pid"] for lock in tmp_path.glob("*/run/.lock")]
+    parents = [int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1]) for pid in runs]
+    for parent in parents:  # they hear the signal, but take their time
+        os.kill(parent, signal.SIGSTOP)
     batch.send_signal(signal.SIGTERM)
+    with pytest.raises(subprocess.TimeoutExpired):
+        batch.communicate(timeout=3)
+    for parent in parents:
+        os.kill(parent, signal.SIGCONT)
     said, _ = batch.communicate(timeout=90)
     assert batch.returncode == STOPPED, said
     assert {row["state"] for row in rows(tmp_path)} == {"stopped"}
@@ -119,7 +120,7 @@ def test_all_scenes_finish_though_a_node_is_killed(
         on_it = [r["name"] for r in rows(tmp_path) if nodes.other[:6] in "".join(r["nodes"][-1:])]
         return [name for name in on_it if list(tmp_path.glob(f"{name}/run/.new-canonical*"))]
 
-    wait_for(lambda: bool(lasting()), batch)
+    wait_for(lasting, process=batch)
     lost = lasting()
     nodes.kill_the_other()
     said, _ = batch.communicate(timeout=1800)

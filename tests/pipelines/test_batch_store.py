@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,14 @@ from tests.pipelines.tiny_scenes import tiny_scene
 from devrf.pipelines.batch import command
 from devrf.pipelines.batch.inputs import OUTSIDE, inputs_of
 from devrf.pipelines.batch.scenes import Options
-from devrf.pipelines.batch.scratch import SCRATCH, scratch_dir
+from devrf.pipelines.batch.scratch import SCRATCH, Scratch, Stored, scratch_dir
 from devrf.pipelines.batch.store import Store, StoreError
+from devrf.pipelines.batch.task import Task, run_task
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED
+from devrf.pipelines.runner.workspace import Workspace
+from devrf.pipelines.stamps import digests
 from devrf.pipelines.stamps.digests import Digests, file_digest
 
 STAMP = {"id": "1", "identity": {}, "content": "x"}
@@ -56,6 +60,22 @@ def finished(folder: Path, text: str, made: str) -> tuple[Path, dict[str, Any]]:
     return folder, stamp
 
 
+def pull(store: Store, stage: str, run_dir: Path) -> None:
+    with Workspace(run_dir) as workspace:
+        store.pull("a", stage, store.stamps("a", [stage])[stage], workspace)
+
+
+def stored_task(
+    folder: Path, url: str, name: str, stages: tuple[str, ...] = ("scene",), scene: int = 0
+) -> Task:
+    """A task on a scene whose raw files are in the store."""
+    path = tiny_scene(folder, name)
+    inputs = inputs_of(load_scene(path), path, Digests(folder / name / "run"))
+    Store(url).put_inputs(inputs.here)
+    stored = Stored(url, name, path.name, inputs.files)
+    return Task(scene, path, folder / name / "run", stages, ("--device", "cpu"), 1, False, stored=stored)
+
+
 def test_scenes_come_and_results_go(tmp_path: Path, scratch: Path, url: str) -> None:
     for name in ("a", "b"):
         tiny_scene(tmp_path, name)
@@ -64,7 +84,7 @@ def test_scenes_come_and_results_go(tmp_path: Path, scratch: Path, url: str) -> 
     assert rows["a"]["made"] == rows["b"]["made"] == ["scene"]
     assert not (tmp_path / "a/run").exists()  # it worked on a copy
     assert not list(scratch_dir(url).glob("scenes/*")) and not list(scratch_dir(url).glob("inputs/*"))
-    assert Store(url).stamp("a", "scene") is not None
+    assert list(Store(url).stamps("a", ["ingest", "scene"])) == ["scene"]
     code, rows = run(tmp_path, ["a", "b"], url)  # what is stored is fresh
     assert code == DONE and rows["a"]["made"] == [] and rows["a"]["nodes"] == []
     picture = tmp_path / "b/data/train/r_0.png"
@@ -72,6 +92,125 @@ def test_scenes_come_and_results_go(tmp_path: Path, scratch: Path, url: str) -> 
     code, rows = run(tmp_path, ["a", "b"], url)
     assert code == DONE
     assert rows["a"]["made"] == [] and rows["b"]["made"] == ["scene"]
+
+
+def test_a_machine_that_has_done_its_part_keeps_nothing(tmp_path: Path, scratch: Path) -> None:
+    url = f"file://{tmp_path}/store"
+    assert run_task(stored_task(tmp_path, url, "a")).code == DONE  # others train it
+    assert list(Store(url).stamps("a", ["scene"])) == ["scene"]
+    assert not list(scratch_dir(url).glob("*/*"))
+
+
+def test_scenes_side_by_side_do_not_disturb_each_other(
+    tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = f"file://{tmp_path}/store"
+    (a, b, c), get = (stored_task(tmp_path, url, name) for name in "abc"), Store.get_inputs
+    assert a.stored is not None and b.stored is not None and c.stored is not None
+    first, second = Scratch(a.stored), Scratch(b.stored)
+    first.fetch(a.stages)
+
+    def first_ends_meanwhile(store: Store, files: dict[Any, Path]) -> None:
+        get(store, files)
+        first.remove()
+
+    monkeypatch.setattr(Store, "get_inputs", first_ends_meanwhile)
+    second.fetch(b.stages)  # its pictures are those of the first, but its scene.yaml is its own
+    assert {path.name for path in second.scene.parent.rglob("*.png")} == {f"r_{n}.png" for n in range(9)}
+    there = scratch_dir(url) / "inputs"
+    assert {path.name for path in there.iterdir()} == {digest for _, digest in b.stored.files.values()}
+    fetched = []
+    monkeypatch.setattr(Store, "get_inputs", lambda store, files: (fetched.extend(files), get(store, files)))
+    Scratch(c.stored).fetch(c.stages)
+    assert fetched == [c.stored.files["scene.yaml"]]  # the pictures are here
+
+
+def test_one_content_under_two_names_comes_twice(tmp_path: Path, scratch: Path) -> None:
+    url = f"file://{tmp_path}/store"
+    task = stored_task(tmp_path, url, "a")
+    assert task.stored is not None
+    files = task.stored.files
+    twins = Scratch(replace(task.stored, files={**files, "again/r_0.png": files["data/train/r_0.png"]}))
+    for _ in range(2):  # from the store, and from here
+        twins.fetch(task.stages)
+        found = (twins.scene.parent / "again/r_0.png", twins.scene.parent / "data/train/r_0.png")
+        assert found[0].read_bytes() == found[1].read_bytes()
+
+
+def test_nothing_is_laid_out_where_a_run_works(tmp_path: Path, scratch: Path) -> None:
+    url = f"file://{tmp_path}/store"
+    task = stored_task(tmp_path, url, "a")
+    assert task.stored is not None
+    here = Scratch(task.stored)
+    here.scene.parent.mkdir(parents=True)
+    (here.scene.parent / "in use").touch()
+    with Workspace(here.run_dir):
+        ended = run_task(task)
+        assert ended.code == BAD_INPUT and "another run" in (ended.message or "")
+        assert (here.scene.parent / "in use").exists()
+
+
+def test_a_damaged_stage_in_the_store_stops_no_other_scene(tmp_path: Path, scratch: Path) -> None:
+    for name in ("a", "b"):
+        tiny_scene(tmp_path, name)
+    url = f"file://{tmp_path}/store"
+    assert run(tmp_path, ["a", "b"], url)[0] == DONE
+    (health,) = tmp_path.glob("store/runs/a/scene/*/health.json")
+    health.write_bytes(b"x" * health.stat().st_size)
+    shutil.rmtree(tmp_path / "out")
+    code, rows = run(tmp_path, ["a", "b"], url)
+    assert code == FAILED and rows["b"]["state"] == "done"
+    assert rows["a"]["state"] == "failed" and "is not what was stored" in rows["a"]["message"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "no json", "[]", '{"id": "1", "identity": {}}']
+    + [
+        json.dumps({"id": "1", "identity": {}, "files": {}} | wrong)
+        for wrong in (
+            {"id": 1},
+            {"identity": []},
+            {"files": []},
+            {"files": {"a": 1}},
+            {"files": {"a": ["1", "x"]}},
+        )
+    ],
+)
+def test_what_is_no_stamp_is_none(url: str, text: str) -> None:
+    store = Store(url)
+    store._make_folders([store._path("runs/a/scene.json")])
+    store._fs.pipe_file(store._path("runs/a/scene.json"), text.encode())
+    assert store.stamps("a", ["scene"]) == {}
+
+
+def test_a_store_that_does_not_answer_is_an_error(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*arguments: object) -> None:
+        raise OSError("the network is down")
+
+    store = Store(url)
+    monkeypatch.setattr(store._fs, "cat_file", fails)
+    with pytest.raises(StoreError, match="the network is down"):
+        store.stamps("a", ["scene"])
+
+
+def test_raw_files_are_read_once(tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny_scene(tmp_path, "a")
+    tiny_scene(tmp_path, "b")
+    url, read, listed = f"file://{tmp_path}/store", [], []
+    entry, there = digests._entry, Store._list
+    monkeypatch.setattr(digests, "RACY_S", 0.0)  # the files were only just written
+    monkeypatch.setattr(digests, "_entry", lambda path: (read.append(path), entry(path))[1])
+    monkeypatch.setattr(
+        Store, "_list", lambda store, folder: (listed.append(folder), there(store, folder))[1]
+    )
+    assert run(tmp_path, ["a", "b"], url)[0] == DONE
+    raw = sorted(path for name in "ab" for path in (tmp_path / name).rglob("*") if path.is_file())
+    assert sorted(path for path in read if tmp_path / "scratch" not in path.parents) == raw
+    assert listed.count("inputs") == 1  # by the batch; what it has put there it knows
+    read.clear()
+    assert run(tmp_path, ["a", "b"], url)[0] == DONE
+    assert not read
 
 
 def test_another_machine_goes_on_from_the_store(
@@ -102,14 +241,12 @@ def test_half_a_push_is_none(tmp_path: Path, url: str, monkeypatch: pytest.Monke
     with pytest.raises(StoreError, match="the network is down"):
         store.push("a", folder, stamp)
     monkeypatch.undo()
-    store.pull("a", "scene", tmp_path / "other")
+    pull(store, "scene", tmp_path / "other")
     assert (tmp_path / "other/scene/sub/result.txt").read_text() == "first"
     store.push("a", folder, stamp)
-    store.pull("a", "scene", tmp_path / "other")
+    pull(store, "scene", tmp_path / "other")
     assert (tmp_path / "other/scene/sub/result.txt").read_text() == "second"
     assert len(store._list("runs/a/scene")) == 1  # what it replaced is gone
-    store.pull("a", "flow", tmp_path / "other")
-    assert not (tmp_path / "other/flow").exists()
 
 
 @pytest.mark.parametrize("damage", ["first", "firs", None])
@@ -123,8 +260,8 @@ def test_what_was_changed_in_the_store_is_refused(tmp_path: Path, url: str, dama
     else:
         store._fs.pipe_file(place, damage.encode())
     with pytest.raises(StoreError, match="is missing" if damage is None else "is not what was stored"):
-        store.pull("a", "scene", tmp_path / "other")
-    assert not (tmp_path / "other/scene").exists()
+        pull(store, "scene", tmp_path / "other")
+    assert not list((tmp_path / "other").iterdir())
 
 
 def test_a_stamp_cannot_lead_out_of_the_stage(tmp_path: Path, url: str) -> None:
@@ -134,7 +271,7 @@ def test_a_stamp_cannot_lead_out_of_the_stage(tmp_path: Path, url: str) -> None:
     evil = stamp | {"files": {"../../../evil": [1, "0"]}}
     store._fs.pipe_file(store._path("runs/a/scene.json"), json.dumps(evil).encode())
     with pytest.raises(StoreError, match="outside of the stage"):
-        store.pull("a", "scene", tmp_path / "other")
+        pull(store, "scene", tmp_path / "other")
 
 
 def test_an_input_is_fetched_once_and_checked(tmp_path: Path, scratch: Path) -> None:
@@ -156,6 +293,17 @@ def test_files_outside_of_the_scenes_folder_come_too(tmp_path: Path) -> None:
     assert found.overrides[0].startswith(f'dataset.path="{OUTSIDE}/')
     assert {Path(name).parts[0] for name in found.files} == {"scene.yaml", OUTSIDE}
     assert len(found.files) == 1 + 1 + 9
+
+
+def test_what_is_reached_through_a_link_comes_too(tmp_path: Path) -> None:
+    scene = tiny_scene(tmp_path, "a")
+    (tmp_path / "a/data").rename(tmp_path / "a/disk")
+    (tmp_path / "a/data").symlink_to("disk")
+    (tmp_path / "truth.json").write_text("{}")
+    (tmp_path / "a/ground_truth.json").symlink_to("../truth.json")
+    found = inputs_of(load_scene(scene), scene, Digests(tmp_path / "run"))
+    assert found.overrides == ['dataset.path="disk"']
+    assert {Path(name).parts[0] for name in found.files} == {"scene.yaml", "disk", "ground_truth.json"}
 
 
 def test_a_store_that_cannot_be_used_is_named(tmp_path: Path) -> None:
