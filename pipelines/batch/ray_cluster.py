@@ -84,10 +84,11 @@ class RayCluster:
         if not self._running:
             time.sleep(timeout_s)
             return []
-        streams = list(self._running)
-        if self._ray.wait(streams, num_returns=1, timeout=timeout_s)[0]:
-            ready, _ = self._ray.wait(streams, num_returns=len(streams), timeout=0)
-            return [self._next(stream) for stream in ready]
+        # A stream that is cancelled has an end at once, its task has not: that is known by another reference.
+        streams = {stream.completed() if self.stopping else stream: stream for stream in self._running}
+        if self._ray.wait(list(streams), num_returns=1, timeout=timeout_s)[0]:
+            ready, _ = self._ray.wait(list(streams), num_returns=len(streams), timeout=0)
+            return [self._next(streams[which]) for which in ready]
         return []
 
     def stop(self) -> None:

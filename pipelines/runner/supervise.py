@@ -10,11 +10,12 @@ work is done without a parent.
 import faulthandler
 import json
 import os
+import select
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError
@@ -113,27 +114,33 @@ class _Supervisor:
     Args:
         child: Its process number, which is its group's too.
         link: Where it tells what it does.
-        waited: Signals to wait for; blocked.
+        waited: Signals to wait for; blocked until now.
     """
 
     def __init__(self, child: int, link: int, waited: set[signal.Signals]) -> None:
-        self._child, self._link, self._waited = child, link, waited
+        self._child, self._link = child, link
         self._facts: dict[str, str | int | None] = {}
         self._heard = b""
         self._kill_at: float | None = None  # when the time to end by itself is over
         self._too_much: str | None = None  # why it was ended for its memory
         self._tree, self._tree_at = [child], 0.0
         self._peak, self._left = 0, sys.maxsize  # bytes
-        os.set_blocking(link, False)
+        self._came, wake = os.pipe()  # numbers of signals
+        for end in (link, self._came, wake):
+            os.set_blocking(end, False)
+        signal.set_wakeup_fd(wake)
+        for sign in waited:
+            signal.signal(sign, lambda number, frame: None)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, waited)
         adopt_orphans()
 
     def exit_code(self) -> int:
         """Wait until the child has ended, and say what it could not say itself."""
         while True:
-            signalled = signal.sigtimedwait(self._waited, SHORT_TICK_S if self._left < NEAR else TICK_S)
+            signals = self._signals(SHORT_TICK_S if self._left < NEAR else TICK_S)
             self._listen()
-            if signalled is not None:
-                self._pass_on(signal.Signals(signalled.si_signo))
+            for sign in signals:
+                self._pass_on(sign)
             if os.waitid(os.P_PID, self._child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
                 break
             if self._kill_at is not None and time.monotonic() > self._kill_at:
@@ -146,6 +153,17 @@ class _Supervisor:
             return os.WEXITSTATUS(status)
         self._kill_what_is_left()
         return self._say_how_it_died(status)
+
+    def _signals(self, timeout_s: float) -> list[signal.Signals]:
+        """What has come; waits at most so long for the first.
+
+        Not by `sigtimedwait`: where this process was stopped for longer (SIGSTOP, a container that is paused), Python's
+        returns what happens to stand in memory.
+        """
+        select.select([self._came], [], [], timeout_s)
+        with suppress(BlockingIOError):
+            return [signal.Signals(number) for number in os.read(self._came, 4096)]
+        return []
 
     def _listen(self) -> None:
         try:

@@ -100,6 +100,19 @@ def test_ctrl_z_stops_the_child_too(tiny: Tiny) -> None:
     assert started.returncode == STOPPED
 
 
+def test_the_parent_may_sleep(tiny: Tiny) -> None:
+    started = tiny.start("fault=sleep", "stage=big")
+    tiny.at_work(started, "big")
+    for _ in range(3):
+        started.send_signal(signal.SIGSTOP)
+        time.sleep(0.6)  # longer than it waits for a signal
+        started.send_signal(signal.SIGCONT)
+        assert not ends(started.pid, 0.3)
+    started.terminate()
+    started.communicate(timeout=10)
+    assert started.returncode == STOPPED
+
+
 def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
     started = tiny.start("fault=deaf", "stage=big")
     tiny.at_work(started, "big")
