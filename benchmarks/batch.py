@@ -1,6 +1,6 @@
-"""Throughput of a batch on a Ray cluster of two nodes on this machine against the local pool; tasks Ray begins.
+"""A batch on a Ray cluster of two nodes on this machine against the local pool; what tasks and looks cost.
 
-    python -m benchmarks.batch [--scenes 16]     # from the repository's root; needs the extra `ray`
+    python -m benchmarks.batch [--scenes 16] [--json FILE]     # from the repository's root; needs the extra `ray`
 
 Both batches work on the same tiny scenes (tests/pipelines/tiny_scenes.py) at the same time, two jobs of one thread
 each, so that whatever else the machine does hits both alike.
@@ -13,21 +13,27 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.pipelines.batch.ray_cluster import LOOPBACK_ONLY, SILENT
+from devrf.pipelines.batch.scenes import Options, look, stand
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
+from devrf.pipelines.console import Talk
 
+GOAL = 0.9  # of the local pool's throughput
 TASKS = 400  # empty ones; Ray has started its workers after the first fifty
 WARM = 50
 
 
 def main() -> None:
-    """Print the figures as JSON."""
+    """Print the rows, and write them where asked."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=16)
-    scenes = parser.parse_args().scenes
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
     os.environ.update(LOOPBACK_ONLY | SILENT)
     from ray.cluster_utils import Cluster
 
@@ -35,21 +41,31 @@ def main() -> None:
     cluster.add_node(num_cpus=1)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            ray_engine = ("--engine", "ray", "--address", cluster.address)
-            running = {
-                "local": _start(Path(folder) / "local", scenes),
-                "ray": _start(Path(folder) / "ray", scenes, *ray_engine),
-            }
-            for name, process in running.items():
+            local, ray = Path(folder) / "local", Path(folder) / "ray"
+            running = [
+                _start(local, asked.scenes),
+                _start(ray, asked.scenes, "--engine", "ray", "--address", cluster.address),
+            ]
+            for process in running:
                 if process.wait():
-                    raise SystemExit(f"{name}: exit code {process.returncode}")
-            seconds = {name: _seconds(Path(folder) / name) for name in running}
-        figures = {f"{name}_s": round(value, 1) for name, value in seconds.items()}
-        figures["ray_of_local_throughput"] = round(seconds["local"] / seconds["ray"], 3)
-        figures["ray_tasks_per_s"] = round(_tasks_per_s(cluster.address), 1)
-        print(json.dumps({"scenes": scenes, **figures}))
+                    raise SystemExit(f"{process.args}: exit code {process.returncode}")
+            local_s, ray_s, look_s = _seconds(local), _seconds(ray), _look_s(local)
+        rate = _tasks_per_s(cluster.address)
     finally:
         cluster.shutdown()
+    name = f"batch/{asked.scenes} scenes"
+    rows = [
+        Row(f"{name}, local pool", local_s, "s"),
+        Row(f"{name}, Ray cluster of two nodes", ray_s, "s"),
+        with_goal(Row(f"{name}, throughput on Ray of that of the local pool", local_s / ray_s, ""), GOAL),
+        Row("batch/empty tasks that Ray begins and ends", rate, "1/s"),
+        Row("batch/looking at a scene that is fresh, processor time", look_s, "s"),
+    ]
+    talk = Talk()
+    print_rows(talk, "batch", rows)
+    if asked.json is not None:
+        write_rows(asked.json, rows, benchmark="batch", versions={n: version(n) for n in ("devrf", "ray")})
+        say_files(talk, asked.json)
 
 
 def _start(folder: Path, scenes: int, *words: str) -> subprocess.Popen:
@@ -63,6 +79,22 @@ def _seconds(folder: Path) -> float:
     return float(json.loads((folder / "out" / "batch.json").read_text())["seconds"])
 
 
+def _look_s(folder: Path) -> float:
+    """What a batch does for a scene of which nothing is to be made, the first one left out: it pays for the imports."""
+    first, *others = sorted(folder.glob("*/scene.yaml"))
+    _stand([first])
+    start = time.process_time()
+    _stand(others)
+    return (time.process_time() - start) / len(others)
+
+
+def _stand(paths: list[Path]) -> None:
+    for scene in look(paths, Options()):
+        stand(scene, Options(), scene.scene_dir / "run")
+        if not scene.stages or scene.to_do:
+            raise SystemExit(f"{scene.path}: {', '.join(scene.to_do)} would be made again")
+
+
 def _tasks_per_s(address: str) -> float:
     """Empty tasks that are begun and end on warm workers, as a batch submits them."""
     import ray
@@ -70,7 +102,7 @@ def _tasks_per_s(address: str) -> float:
     def empty(n: int):  # a generator, like the tasks of a batch
         yield n
 
-    ray.init(address=address, log_to_driver=False)
+    ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     task = ray.remote(num_returns="streaming", max_retries=0)(empty)
 
     def rate(count: int) -> float:
