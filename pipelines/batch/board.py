@@ -35,6 +35,7 @@ class Board:
         self._talk, self._out, self._engine = talk, out, engine
         self._started, self._start = time.strftime("%Y-%m-%d %H:%M:%S"), time.monotonic()
         self._written = -WRITE_EVERY_S
+        self._said = False  # that the files cannot be written
         live = talk.out.is_terminal and talk.loudness != "quiet"
         self._live = Live(console=talk.out, refresh_per_second=2, transient=True) if live else None
 
@@ -71,13 +72,20 @@ class Board:
             self.write()
 
     def write(self) -> None:
-        """batch.json and batch.html, each whole or not at all."""
+        """batch.json and batch.html, each whole or not at all; a disk that is full does not stop the scenes."""
         self._written = time.monotonic()
         now = summary(self.rows, self._engine, self._started, time.monotonic() - self._start)
-        write_json(self._out / JSON_FILE, now)
-        whole = self._out / f".{HTML_FILE}.tmp"
-        whole.write_text(page(now, self._out.resolve()), encoding="utf-8")
-        whole.replace(self._out / HTML_FILE)
+        try:
+            write_json(self._out / JSON_FILE, now)
+            whole = self._out / f".{HTML_FILE}.tmp"
+            whole.write_text(page(now, self._out.resolve()), encoding="utf-8")
+            whole.replace(self._out / HTML_FILE)
+        except OSError as error:
+            if not self._said:
+                self._talk.error(
+                    f"{self._out}: the summary cannot be written ({error.strerror}); make room there"
+                )
+            self._said = True
 
     def _table(self) -> Group:
         """What runs now, and how many stand where."""

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,18 @@ def test_on_a_terminal_what_runs_is_shown_and_taken_away(tmp_path: Path) -> None
         board._live.refresh() if board._live is not None else None
     shown = screen.getvalue()
     assert "node7" in shown and "ingest, sync" in shown and "1 waiting" in shown
+
+
+def test_a_summary_that_cannot_be_written_stops_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    with Board(Talk("quiet"), out, rows_with(0), "local") as board:
+        shutil.rmtree(out)
+        board.write()
+        board.write()
+    assert capsys.readouterr().err.count("the summary cannot be written (No such file or directory)") == 1
 
 
 def test_the_files_follow_the_rows(tmp_path: Path) -> None:

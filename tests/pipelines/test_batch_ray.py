@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -97,9 +97,9 @@ def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path)
     for parent in parents:  # they hear the signal, but take their time
         os.kill(parent, signal.SIGSTOP)
     batch.send_signal(signal.SIGTERM)
-    with pytest.raises(subprocess.TimeoutExpired):
-        batch.communicate(timeout=3)
-    for parent in parents:
+    for parent in parents:  # one after the other
+        with pytest.raises(subprocess.TimeoutExpired):
+            batch.communicate(timeout=3)
         os.kill(parent, signal.SIGCONT)
     said, _ = batch.communicate(timeout=90)
     assert batch.returncode == STOPPED, said
@@ -133,6 +133,37 @@ def test_all_scenes_finish_though_a_node_is_killed(
         assert not list((tmp_path / name / "run").glob(".new-*"))
     figures(batch_scenes=len(names), done=sum(row["code"] == DONE for row in found.values()), lost=len(lost))
     assert "begun anew elsewhere" in said and "raylet" not in said
+
+
+class Nothing:
+    """What stands for the module `ray`, connected to these nodes."""
+
+    def __init__(self, *resources: dict[str, float]) -> None:
+        self._resources = resources
+
+    def nodes(self) -> list[dict[str, Any]]:
+        return [{"Alive": True, "Resources": resources} for resources in self._resources]
+
+    def remote(self, **options: object) -> Callable[[object], object]:
+        return lambda work: work
+
+    def shutdown(self) -> None: ...
+
+
+def test_shares_follow_the_nodes_that_can_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = (
+        {"CPU": 4.0, "memory": 16e9, "GPU": 1.0},
+        {"CPU": 8.0, "memory": 24e9},
+        {"CPU": 2.0},
+        {"memory": 4e9},
+    )
+    monkeypatch.setattr(ray_cluster, "_connected", lambda address: Nothing(*nodes))
+    cluster = RayCluster("auto", None, 2, "auto")
+    assert (cluster.threads, cluster.memory_gb, cluster.gpus) == (2, 6.0, 1)
+    assert RayCluster("auto", 3, 2, "cpu").threads == 4
+    monkeypatch.setattr(ray_cluster, "_connected", lambda address: Nothing(*nodes[2:]))
+    with pytest.raises(InputError, match="no node of the cluster has a CPU and memory"):
+        RayCluster("auto", None, 2, "auto")
 
 
 def test_without_ray_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
