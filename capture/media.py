@@ -8,12 +8,14 @@ from av.error import FFmpegError
 from av.stream import Disposition
 from av.video.stream import VideoStream
 
+from devrf.capture.cores import usable_cores
 from devrf.capture.errors import InputError
 from devrf.capture.limits import CLIP_PX, check_pixels
 
 ARBITRARY_CLOCK_FORMATS = ("mpegts", "mpeg")  # camcorders' .mts starts at 1.4 s or at the time of day
 TEXT_FORMATS = ("tty",)  # ffmpeg shows plain text as pictures of letters
 SNIFF_BYTES = 512
+MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises against it
 
 
 def check_file(path: Path) -> None:
@@ -54,9 +56,13 @@ def origin_s(container: InputContainer) -> float:
     return 0.0
 
 
-def video_stream(container: InputContainer, path: Path) -> VideoStream:
+def video_stream(container: InputContainer, path: Path, threads: int | None = None) -> VideoStream:
     """The first stream of pictures that is not a cover; its decoder refuses pictures that are too large.
 
+    Args:
+        container: The open file.
+        path: Its name, for messages.
+        threads: Of the decoder, each of which holds a picture; None: one per core. They change no picture.
     Raises:
         InputError: If there is none.
         CaptureError: If its pictures are larger than any camera's.
@@ -70,6 +76,8 @@ def video_stream(container: InputContainer, path: Path) -> VideoStream:
         raise InputError(f"{path}: its pictures are coded in a way that is not known; convert it to H.264")
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
         check_pixels(path, stream.codec_context.width, stream.codec_context.height, CLIP_PX)
+    stream.thread_type = "AUTO"
+    stream.codec_context.thread_count = min(threads or usable_cores(), MOST_THREADS)
     stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(CLIP_PX)}
     return stream
 

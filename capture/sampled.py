@@ -4,11 +4,15 @@ Only what is asked for is decoded, from the nearest key picture before it. `vide
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 
-import av
 import numpy as np
+from av.container import InputContainer
 from av.error import FFmpegError
+from av.video.stream import VideoStream
 from jaxtyping import Float
 
 from devrf.capture.errors import CaptureError
@@ -16,9 +20,7 @@ from devrf.capture.media import open_media, origin_s, video_stream
 from devrf.capture.packets import scan_packets
 from devrf.capture.video import VideoFrame, VideoReader
 
-MOST_AHEAD = (
-    60  # pictures decoded to get from a key picture to the place asked for; then what is there is taken
-)
+MOST_AHEAD = 60  # pictures decoded from a key picture to the place asked for; then what is there is taken
 NEAR = 12  # pictures; this near ahead, going on is faster than seeking
 SAME_TIME_S = 1e-4
 
@@ -64,49 +66,58 @@ def read_runs(
     with VideoReader(path) as reader:
         turns = reader.info.rotation_deg // 90
     with open_media(path) as container:
-        stream = video_stream(container, path)
-        time_base = stream.time_base
-        assert time_base is not None
-        stream.thread_type = "AUTO"
-        offset_s = origin_s(container)
-        pictures: Iterator[av.VideoFrame] = iter(())
+        clip = _OpenClip(container, video_stream(container, path), times_s, turns)
+        frames: Iterator[VideoFrame] = iter(())
         last = -NEAR - 1  # number of the picture that was read last
-        came = 0  # pictures since the last seek
-
-        def taken(first: int) -> list[VideoFrame]:
-            """Of the pictures that come next, the run that begins at number `first`."""
-            nonlocal last, came
-            run: list[VideoFrame] = []
-            for n, picture in enumerate(pictures):
-                came += 1
-                if picture.pts is None:
-                    continue
-                time_s = float(picture.pts * time_base) - offset_s
-                index = int(np.searchsorted(times_s, time_s - SAME_TIME_S))
-                if (index < first and n < MOST_AHEAD) or index <= last:
-                    continue
-                run.append(VideoFrame(index, time_s, picture, turns))
-                last = index
-                if len(run) == length:
-                    break
-            return run
-
         for start_s in starts_s:
-            run: list[VideoFrame] = []
-            first = int(np.searchsorted(times_s, start_s - SAME_TIME_S))
+            first, run = clip.number(start_s), []
             try:
-                if 0 <= first - last <= NEAR:
-                    run = taken(first)
-                else:
-                    for at_s in (
-                        start_s + offset_s,
-                        0.0,
-                    ):  # streams without an index: a seek may miss the key picture
-                        container.seek(int(at_s / time_base), stream=stream)
-                        pictures, came = container.decode(stream), 0
-                        run = taken(first)
-                        if came:
-                            break
+                if not 0 <= first - last <= NEAR:
+                    frames = clip.frames(start_s)
+                run = _run(frames, first, last, length)
             except FFmpegError:
-                pictures = iter(())  # the rest of a damaged file
+                frames = iter(())  # the rest of a damaged file
+            last = run[-1].index if run else last
             yield run
+
+
+@dataclass(frozen=True)
+class _OpenClip:
+    container: InputContainer
+    stream: VideoStream
+    times_s: Float[np.ndarray, " n"]
+    turns: int
+
+    def number(self, time_s: float) -> int:
+        """The picture that is shown at a file time."""
+        return int(np.searchsorted(self.times_s, time_s - SAME_TIME_S))
+
+    def frames(self, from_s: float) -> Iterator[VideoFrame]:
+        """Pictures from the key picture before a file time on; none where nothing can be found."""
+        time_base, offset_s = self.stream.time_base, origin_s(self.container)
+        assert time_base is not None
+        for at_s in (from_s + offset_s, 0.0):  # streams without an index: a seek may miss the key picture
+            self.container.seek(int(at_s / time_base), stream=self.stream)
+            frames = self._decoded(time_base, offset_s)
+            head = next(frames, None)
+            if head is not None:
+                return chain([head], frames)
+        return iter(())
+
+    def _decoded(self, time_base: Fraction, offset_s: float) -> Iterator[VideoFrame]:
+        for picture in self.container.decode(self.stream):
+            if picture.pts is not None:
+                time_s = float(picture.pts * time_base) - offset_s
+                yield VideoFrame(self.number(time_s), time_s, picture, self.turns)
+
+
+def _run(frames: Iterator[VideoFrame], first: int, last: int, length: int) -> list[VideoFrame]:
+    """Of the pictures that come next, the run that begins at number `first`; those up to number `last` are known."""
+    run: list[VideoFrame] = []
+    for n, frame in enumerate(frames):
+        if (frame.index >= first or n >= MOST_AHEAD) and frame.index > last:
+            run.append(frame)
+            last = frame.index
+            if len(run) == length:
+                break
+    return run

@@ -136,7 +136,7 @@ class VideoReader:
             path: The file.
             from_s: Leave out pictures before this file time. The reader jumps to a key picture before it and decodes
                 from there: times, indices and pictures are those of reading from the start.
-            threads: Of the decoder, each of which holds a picture; None: one per core. They change no picture.
+            threads: Of the decoder, as `video_stream` takes them.
         Raises:
             InputError: If the file is missing, empty, not a video, or has no picture that decodes.
         """
@@ -144,7 +144,7 @@ class VideoReader:
         self.decoded = 0
         self.ended_early: str | None = None
         self._from_s = from_s
-        self._threads = threads or 0  # ffmpeg takes 0 for one per core
+        self._threads = threads
         self._packets: Packets | None = None  # known where the reader jumped
         if from_s is None or not self._open_at(from_s):
             self._open()
@@ -166,9 +166,7 @@ class VideoReader:
         self._failure: str | None = None
         self._container = open_media(self.path)
         try:
-            self._stream = video_stream(self._container, self.path)
-            self._stream.thread_type = "AUTO"
-            self._stream.codec_context.thread_count = self._threads
+            self._stream = video_stream(self._container, self.path, self._threads)
             self._origin_s = origin_s(self._container)
             if at_pts is not None:
                 self._container.seek(at_pts, stream=self._stream)

@@ -30,6 +30,7 @@ from devrf.calibration.sweep.sfm_output import (
     write_model,
     write_two_views,
 )
+from devrf.capture.cores import usable_cores
 from devrf.capture.processes import die_with_parent
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
@@ -227,8 +228,7 @@ def _extract(database: Path, job: dict[str, Any], names: list[str]) -> None:
 
 
 def _threads(job: dict[str, Any]) -> int:
-    """Threads of a job as COLMAP counts them."""
-    return job.get("threads") or -1
+    return job["threads"] or usable_cores()
 
 
 def _match(database: Path, job: dict[str, Any], pairs: list[Pair]) -> None:

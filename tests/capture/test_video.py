@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.errors import InputError
+from devrf.capture.media import MOST_THREADS, open_media, video_stream
 from devrf.capture.packets import scan_packets
 from devrf.capture.video import VideoReader, probe_video
 
@@ -126,3 +127,16 @@ def test_real_clips(data_dir):
     assert [i.width for i in infos] == [1080, 1080, 1088, 1088]
     assert [i.codec for i in infos] == ["h264", "vp9", "h264", "h264"]
     assert [i.has_audio for i in infos] == [False, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("wish", "asked", "threads"), [("1", None, 1), ("1", 3, 3), ("1", 100, MOST_THREADS)]
+)
+def test_a_decoder_takes_the_cores_that_a_run_is_given(
+    make_clip, pictures, monkeypatch, wish: str, asked: int | None, threads: int
+) -> None:
+    """By itself ffmpeg takes all of the machine's."""
+    monkeypatch.setenv("OMP_NUM_THREADS", wish)
+    path = make_clip("cam0.mp4", pictures)
+    with open_media(path) as container:
+        assert video_stream(container, path, asked).codec_context.thread_count == threads
