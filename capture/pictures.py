@@ -130,11 +130,7 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
         return develop(path).rgb
     with open_picture(path) as header:
         orientation = _orientation(header)
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
+    image = _decoded(path, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise CaptureError(f"{path}: the picture does not decode; copy it from the camera again")
     if image.dtype == np.uint16:
@@ -145,6 +141,22 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
         image = image[:, :, None].repeat(3, axis=2)
     order = [2, 1, 0, 3][: image.shape[2]]
     return np.ascontiguousarray(_upright(image[:, :, order], orientation))
+
+
+def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
+    """A frame of a run as grey levels; of a JPEG those that are stored, without its colours.
+
+    Raises:
+        CaptureError: It cannot be read.
+    """
+    try:
+        with open_picture(path):
+            grey = _decoded(path, cv2.IMREAD_GRAYSCALE)
+    except CaptureError as error:
+        raise CaptureError(f"{error}; run again with --from ingest") from None
+    if grey is None:
+        raise CaptureError(f"{path}: cannot be read as a picture; run again with --from ingest")
+    return grey
 
 
 def copy_upright(info: PictureInfo, folder: Path, stem: str) -> str:
@@ -177,6 +189,14 @@ def write_bgr(path: Path, bgr: UInt8[np.ndarray, "height width channels"], quali
     if not done:
         raise ValueError(f"{path}: OpenCV cannot write {suffix}")
     path.write_bytes(data.data)
+
+
+def _decoded(path: Path, flag: int) -> np.ndarray | None:
+    """Pixels as OpenCV reads them; None where it cannot. Its header is known to be in order."""
+    try:
+        return cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), flag)
+    except cv2.error:
+        return None
 
 
 def _orientation(image: Image.Image) -> int:

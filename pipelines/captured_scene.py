@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.boards.layout import read_grey
 from devrf.calibration.bounds import (
     MASK_SIDE_PX,
     MAX_ERROR_PX,
@@ -28,6 +27,7 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
+from devrf.capture.pictures import read_grey
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.calibration.boards.find import read_grey
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.clocks.geometry import (
@@ -22,6 +21,7 @@ from devrf.calibration.clocks.geometry import (
 from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
+from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress
 from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health.clock import REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms

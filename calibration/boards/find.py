@@ -5,9 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from devrf.calibration.boards.detect import detector, edge_width
-from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, read_grey, settle
+from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, settle
 from devrf.calibration.boards.spec import BoardSpec, BoardView
 from devrf.capture.errors import HealthError
+from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress, no_progress
 
 MIN_CORNERS = 6  # of a view that is used at all

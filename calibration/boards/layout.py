@@ -11,11 +11,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
 from devrf.calibration.boards.detect import detector
 from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_places
-from devrf.capture.errors import CaptureError, HealthError
+from devrf.capture.errors import HealthError
+from devrf.capture.pictures import read_grey
 
 TRIAL_VIEWS = 12  # views with markers that decide inverted, legacy and swapped
 TRIAL_PICTURES = 8  # in which a chessboard of another size is looked for
@@ -68,18 +69,6 @@ def chessboard_of_another_size(files: Sequence[Path], spec: BoardSpec) -> BoardS
         if any(len(detector(other)(grey)[0]) for grey in pictures):
             return other
     return None
-
-
-def read_grey(file: Path) -> UInt8[np.ndarray, "h w"]:
-    """A picture as grey levels.
-
-    Raises:
-        CaptureError: It cannot be read.
-    """
-    grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if grey is None:
-        raise CaptureError(f"{file}: cannot be read as a picture; run again with --from ingest")
-    return np.asarray(grey, dtype=np.uint8)
 
 
 def never_seen(name: str, count: int, spec: BoardSpec) -> str:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.calibration.boards.find import read_grey
+from devrf.capture.pictures import read_grey
 
 PICTURES = 25  # of the clip that are looked at: a bump is found to a twenty-fifth of its length
 FEATURES = 600

@@ -7,11 +7,11 @@ frames at rest shows the scene exactly as the sweep saw it. Which one registers 
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.picture_files import read_pixels, write_png
 
 CLIP_FRAMES = 21  # of the whole clip's median
 REST_FRAMES = 3
@@ -38,19 +38,17 @@ def clean_pictures(
     written = []
     for label, sources in candidates.items():
         path = out / f"{name}_{label}.png"
-        cv2.imwrite(str(path), median_picture(sources))
+        write_png(path, median_picture(sources))
         written.append(path)
     return written
 
 
 def median_picture(files: list[Path]) -> UInt8[np.ndarray, "h w 3"]:
-    """Median over pictures, per pixel and channel, as OpenCV stores them (BGR)."""
-    pictures = []
-    for file in files:
-        picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if picture is None:
-            raise CaptureError(f"{file}: cannot be read as a picture; run again with --from ingest")
-        pictures.append(picture)
+    """Median over pictures, per pixel and channel, RGB."""
+    try:
+        pictures = [read_pixels(file)[:, :, :3] for file in files]
+    except CaptureError as error:
+        raise CaptureError(f"{error}; run again with --from ingest") from None
     if len(pictures) == 1:
         return pictures[0]
     return np.median(np.stack(pictures), axis=0).round().astype(np.uint8)

@@ -7,6 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from devrf.capture.errors import CaptureError
+from devrf.capture.picture_files import read_pixels
+
 ERROR_FULL_SCALE = 0.25  # colour difference (RGB in [0, 1]) shown at full brightness
 JPEG_QUALITY = 82
 
@@ -45,17 +48,14 @@ def data_uri(data: bytes, mime: str) -> str:
 
 def read_picture(path: Path) -> UInt8[np.ndarray, "h w 3"] | None:
     """A picture file as RGB, transparent parts on white; None where it cannot be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
+    try:
+        image = read_pixels(path)
+    except CaptureError:
         return None
-    if image.dtype == np.uint16:
-        image = (image // 257).astype(np.uint8)
-    if image.ndim == 2:
-        return np.repeat(image[..., None], 3, axis=2)
     if image.shape[2] == 4:
         alpha = image[..., 3:] / 255.0
         image = (image[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
-    return np.ascontiguousarray(image[..., 2::-1])
+    return image
 
 
 def error_picture(

@@ -9,9 +9,10 @@ import pytest
 
 from devrf.calibration.boards.detect import CHESSBOARD_TRIES, detector, misfit
 from devrf.calibration.boards.find import BoardSpec, find_board
-from devrf.calibration.boards.layout import read_grey, settle
+from devrf.calibration.boards.layout import settle
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError, InputError
+from devrf.capture.pictures import read_grey
 
 SPEC = BoardSpec("charuco", (6, 4), 0.05, 0.0375, "DICT_5X5_100")
 PIXELS_PER_SQUARE = 60

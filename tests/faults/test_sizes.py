@@ -24,7 +24,7 @@ from devrf.capture.arrays import ArrayError, npz_shapes, read_npy, read_npz
 from devrf.capture.errors import CaptureError, DevrfError, FlowError, ReconstructError
 from devrf.capture.formats.files import read_header, read_json
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.pictures import probe_picture, read_picture
+from devrf.capture.pictures import probe_picture, read_grey, read_picture
 from devrf.capture.session import read_timestamps
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
@@ -95,7 +95,7 @@ def test_pictures(make: Callable[[int], bytes], tmp_path: Path, run: Fuzzer) -> 
     path = tmp_path / f"bomb.{make.__name__}"
     path.write_bytes(make(WIDE))
     assert path.stat().st_size < 25_000
-    for read in (read_pixels, read_picture, probe_picture, read_header):
+    for read in (read_pixels, read_picture, read_grey, probe_picture, read_header):
         with pytest.raises(
             CaptureError, match=r"bomb.*60000x60000, 3600 million pixels; at most 250 million"
         ):
@@ -113,7 +113,7 @@ def test_postscript_is_no_picture(tmp_path: Path) -> None:
     """Pillow would call ghostscript."""
     path = tmp_path / "a.png"
     path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n")
-    for read in (read_pixels, read_picture, probe_picture, read_header):
+    for read in (read_pixels, read_picture, read_grey, probe_picture, read_header):
         with pytest.raises(CaptureError, match="not a picture"):
             read(path)
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from devrf.calibration.boards.guess import BoardGuess, board_pictures, guess_board
-from devrf.calibration.boards.layout import read_grey
 from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.field.steady import Steadiness, steadiness
 from devrf.capture.errors import InputError
+from devrf.capture.pictures import read_grey
 from devrf.capture.survey import Look, find_material
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.config.load import load_scene

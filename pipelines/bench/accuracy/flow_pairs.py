@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, UInt8
-from PIL import Image
 
+from devrf.capture.picture_files import read_pixels
 from devrf.flow.consistency import endpoint_error
 from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.pair import estimated, measured
@@ -122,7 +122,7 @@ def _estimator(cases: Cases, method: str) -> FlowEstimator | None:
 
 
 def _pictures(folder: Path) -> Pair:
-    first, second = (np.array(Image.open(folder / f"frame{n}.png").convert("RGB")) for n in (10, 11))
+    first, second = (read_pixels(folder / f"frame{n}.png") for n in (10, 11))
     return first, second
 
 
