@@ -2,7 +2,9 @@
 
 import math
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from io import BufferedIOBase
 from pathlib import Path
 from typing import IO
@@ -14,61 +16,72 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.limits import ARRAY_BYTES, check_bytes
 
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+NUMBERS, TEXT = "biuf", "U"  # numpy's kinds
 
 
 class ArrayError(CaptureError):
     """A file of arrays that is missing, damaged, too large, or holds something else."""
 
 
-def read_npz(
-    path: Path, names: Iterable[str] | None = None, most: int = ARRAY_BYTES
-) -> dict[str, np.ndarray]:
-    """Arrays of an npz by name; `names` None: all.
+def read_npz(path: Path, names: Iterable[str] | None = None, *, text: bool = False) -> dict[str, np.ndarray]:
+    """Arrays of an npz by name.
 
+    Args:
+        path: The file.
+        names: Which of them; None: all.
+        text: Whether they may hold text as well as numbers.
     Raises:
-        ArrayError: One is missing or damaged, or they are larger than `most` bytes.
+        ArrayError: One is missing or damaged, holds something else, or together they are larger than `ARRAY_BYTES`.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = {i.filename.removesuffix(".npy"): i for i in archive.infolist()}
-            wanted = list(entries) if names is None else list(names)
-            check_bytes(path, most, sum(_entry(entries, name).file_size for name in wanted))
-            return {name: _read(archive, entries[name]) for name in wanted}
-    except Exception as error:
-        raise _named(path, error) from None
+    with _opened(path) as (archive, entries):
+        wanted = [_entry(entries, name) for name in (entries if names is None else names)]
+        check_bytes(path, ARRAY_BYTES, sum(entry.file_size for entry in wanted))
+        return {_name(e): _array(partial(archive.open, e), e.file_size, text) for e in wanted}
 
 
 def npz_shapes(path: Path, names: Iterable[str]) -> list[tuple[int, ...]]:
     """Shapes of arrays of an npz by their headers alone; errors as `read_npz`."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = {i.filename.removesuffix(".npy"): i for i in archive.infolist()}
-            found = []
-            for name in names:
-                with archive.open(_entry(entries, name)) as file:
-                    found.append(_header(file)[0])
-            return found
-    except Exception as error:
-        raise _named(path, error) from None
+    found = []
+    with _opened(path) as (archive, entries):
+        for name in names:
+            with archive.open(_entry(entries, name)) as file:
+                found.append(_header(file)[0])
+    return found
 
 
 def read_npy(path: Path) -> np.ndarray:
-    """The array of an npy; errors as `read_npz`."""
-    try:
+    """The numbers of an npy; errors as `read_npz`."""
+    with _errors_named(path):
         check_bytes(path, ARRAY_BYTES)
-        with path.open("rb") as file:
-            _check(*_header(file), path.stat().st_size - file.tell())
-            file.seek(0)
-            return npy.read_array(file, allow_pickle=False)
+        return _array(partial(path.open, "rb"), path.stat().st_size, text=False)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+    """The archive of an npz, and its entries by the name of the array."""
+    with _errors_named(path), zipfile.ZipFile(path) as archive:
+        yield archive, {_name(entry): entry for entry in archive.infolist()}
+
+
+@contextmanager
+def _errors_named(path: Path) -> Iterator[None]:
+    """What zip, zlib and numpy's header parser raise of damaged files depends on their bytes: all of it is damage."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except CaptureError as error:
+        raise ArrayError(str(error)) from None
+    except FileNotFoundError:
+        raise ArrayError(f"{path}: no such file") from None
     except Exception as error:
-        raise _named(path, error) from None
+        raise ArrayError(
+            f"{path}: damaged or not a file of arrays ({error or type(error).__name__})"
+        ) from None
 
 
-def _read(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    with archive.open(entry) as file:
-        _check(*_header(file), entry.file_size - file.tell())
-    with archive.open(entry) as file:
-        return npy.read_array(file, allow_pickle=False)
+def _name(entry: zipfile.ZipInfo) -> str:
+    return entry.filename.removesuffix(".npy")
 
 
 def _entry(entries: dict[str, zipfile.ZipInfo], name: str) -> zipfile.ZipInfo:
@@ -77,28 +90,25 @@ def _entry(entries: dict[str, zipfile.ZipInfo], name: str) -> zipfile.ZipInfo:
     return entries[name]
 
 
+def _array(opened: Callable[[], IO[bytes]], size: int, text: bool) -> np.ndarray:
+    """An array of `size` bytes with its header, which is looked at first: numpy takes the memory that it asks for.
+
+    Opened again, not wound back: an entry of a zip would no longer be compared with its checksum.
+    """
+    with opened() as file:
+        shape, dtype = _header(file)
+        there = size - file.tell()
+    if dtype.kind not in (NUMBERS + TEXT if text else NUMBERS):
+        raise ValueError(f"holds values of type {dtype}, expected numbers{' or text' if text else ''}")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != there:
+        raise ValueError(f"its header says {dtype} of shape {list(shape)}, it has {there} bytes of them")
+    with opened() as file:
+        return npy.read_array(file, allow_pickle=False)
+
+
 def _header(file: IO[bytes] | BufferedIOBase) -> tuple[tuple[int, ...], np.dtype]:
     version = npy.read_magic(file)
     if version not in HEADERS:
         raise ValueError(f"version {version} of the format")
     shape, _, dtype = HEADERS[version](file)
     return shape, dtype
-
-
-def _check(shape: tuple[int, ...], dtype: np.dtype, there: int) -> None:
-    """numpy takes the memory that a header asks for before it reads."""
-    if dtype.hasobject:
-        raise ValueError("holds Python objects, expected numbers or text")
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != there:
-        raise ValueError(f"its header says {dtype} of shape {list(shape)}, it has {there} bytes of them")
-
-
-def _named(path: Path, error: Exception) -> ArrayError:
-    """What zip, zlib and numpy's header parser raise of damaged files depends on their bytes: all of it is damage."""
-    if isinstance(error, MemoryError):
-        raise error
-    if isinstance(error, CaptureError):
-        return ArrayError(str(error))
-    if isinstance(error, FileNotFoundError):
-        return ArrayError(f"{path}: no such file")
-    return ArrayError(f"{path}: damaged or not a file of arrays ({error or type(error).__name__})")

@@ -97,7 +97,7 @@ def read_checks(path: Path) -> dict[str, Any]:
     Raises:
         FlowError: A file that is damaged or is not one of ours.
     """
-    return json.loads(str(_read(path, "checks")["checks"]))
+    return json.loads(str(_read(path, "checks", text=True)["checks"]))
 
 
 def read_flows(folder: Path) -> dict[str, CameraFlow]:
@@ -119,9 +119,9 @@ def read_flows(folder: Path) -> dict[str, CameraFlow]:
     return flows
 
 
-def _read(path: Path, *names: str) -> dict[str, np.ndarray]:
+def _read(path: Path, *names: str, text: bool = False) -> dict[str, np.ndarray]:
     try:
-        return read_npz(path, names)
+        return read_npz(path, names, text=text)
     except ArrayError as error:
         raise FlowError(f"{error}; run again with --force flow") from error
 

@@ -50,7 +50,7 @@ class TwoViews:
 
 def read_two_views(file: Path) -> TwoViews:
     """Read what the worker wrote."""
-    arrays = read_npz(file)
+    arrays = read_npz(file, text=True)
     names, kinds = (tuple(arrays.pop(key).tolist()) for key in ("names", "kinds"))
     return TwoViews(names=names, kinds=kinds, **arrays)
 

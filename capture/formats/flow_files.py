@@ -35,11 +35,11 @@ def read_flow_file(path: Path) -> Flow:
     """
     try:
         data = read_npz(path, ("flow", "mask"))
-        flow, mask = data["flow"].astype(np.float32), np.asarray(data["mask"] > 0)
-        if flow.shape != (*mask.shape, 2):
-            raise ValueError(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
-    except (ArrayError, ValueError, TypeError) as error:
+    except ArrayError as error:
         raise _damaged(error) from None
+    flow, mask = data["flow"].astype(np.float32), np.asarray(data["mask"] > 0)
+    if flow.shape != (*mask.shape, 2):
+        raise _damaged(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
     finite = np.asarray(np.isfinite(flow).all(axis=-1))
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
 
@@ -95,5 +95,5 @@ def with_flow_files(
     return tuple(out)
 
 
-def _damaged(error: Exception) -> CaptureError:
-    return CaptureError(f"{error}; expected an npz with flow and mask; copy it again")
+def _damaged(what: object) -> CaptureError:
+    return CaptureError(f"{what}; expected an npz with flow and mask; copy it again")

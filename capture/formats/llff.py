@@ -130,7 +130,7 @@ def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
     """
     try:
         table = read_npy(path).astype(np.float64)
-    except (ArrayError, TypeError, ValueError) as error:
+    except ArrayError as error:
         raise CaptureError(
             f"{error}; expected a table of numbers: copy it again, or check dataset.path and dataset.format"
         ) from None

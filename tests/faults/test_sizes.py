@@ -19,10 +19,14 @@ from PIL import Image
 from tests.faults.fuzz_material import pictures, scene_yaml
 from tests.faults.fuzzing import Fuzzer, fuzzer
 
-from devrf.capture import limits
+from devrf.capture import arrays, limits
 from devrf.capture.arrays import ArrayError, npz_shapes, read_npy, read_npz
 from devrf.capture.errors import CaptureError, DevrfError, FlowError, ReconstructError
 from devrf.capture.formats.files import read_header, read_json
+from devrf.capture.formats.flow_files import read_flow_file
+from devrf.capture.formats.llff import read_rows
+from devrf.capture.light import LightCourse
+from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.pictures import probe_picture, read_grey, read_picture
 from devrf.capture.session import read_timestamps
@@ -171,7 +175,7 @@ def npy_header(shape: tuple[int, ...], dtype: str = "<f4") -> bytes:
     return file.getvalue()
 
 
-def test_arrays_that_claim_a_terabyte(tmp_path: Path) -> None:
+def test_arrays_that_claim_a_terabyte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("flow.npy", npy_header((1 << 20, 1 << 18)) + bytes(1000))
@@ -179,10 +183,11 @@ def test_arrays_that_claim_a_terabyte(tmp_path: Path) -> None:
         archive.writestr("code.npy", npy_header((1,), "|O") + b"cos\nsystem\n(S'id'\ntR.")
     with pytest.raises(ArrayError, match=r"a.npz: damaged.*shape \[1048576, 262144\], it has 1000 bytes"):
         read_npz(path, ["flow"])
-    with pytest.raises(ArrayError, match=r"a.npz: 40 MB, at most 1 MB"):
-        read_npz(path, ["bomb"], most=1_000_000)
-    with pytest.raises(ArrayError, match="Python objects"):
-        read_npz(path, ["code"])
+    with monkeypatch.context() as patch, pytest.raises(ArrayError, match=r"a.npz: 40 MB, at most 1 MB"):
+        patch.setattr(arrays, "ARRAY_BYTES", 1_000_000)
+        read_npz(path, ["bomb"])
+    with pytest.raises(ArrayError, match="values of type object, expected numbers"):
+        read_npz(path, ["code"], text=True)
     assert npz_shapes(path, ["flow"]) == [(1 << 20, 1 << 18)]
     plain = tmp_path / "a.npy"
     plain.write_bytes(npy_header((1 << 20, 1 << 18)) + bytes(1000))
@@ -190,6 +195,29 @@ def test_arrays_that_claim_a_terabyte(tmp_path: Path) -> None:
         read_npy(plain)
     np.save(plain, np.arange(6.0).reshape(2, 3))
     assert read_npy(plain).shape == (2, 3)
+
+
+WORDS = np.full((4, 20), "words")
+
+
+@pytest.mark.parametrize(
+    "values", [WORDS, WORDS.astype("S"), np.zeros((4, 20), [("a", "f4")]), np.zeros((4, 20), "M8[s]")]
+)
+def test_arrays_of_something_else_than_numbers(values: np.ndarray, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", values)
+    np.savez(tmp_path / "a.npz", flow=values, mask=values)
+    readers = [
+        lambda: LightCourse.read(tmp_path / "a.npy"),
+        lambda: Look(flat=tmp_path / "a.npy").apply(np.zeros((4, 4, 3), np.uint8)),
+        lambda: read_rows(tmp_path / "a.npy", 20),
+        lambda: read_flow_file(tmp_path / "a.npz"),
+        lambda: read_npz(tmp_path / "a.npz"),
+    ]
+    for read in readers:
+        with pytest.raises(CaptureError, match="a.np.: damaged .*values of type .*, expected numbers"):
+            read()
+    np.savez(tmp_path / "text.npz", words=WORDS)
+    assert read_npz(tmp_path / "text.npz", text=True)["words"].tolist() == WORDS.tolist()
 
 
 def test_weights_that_unpack_to_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
