@@ -1,7 +1,8 @@
-"""How large what a user brings may be, asked by headers before anything is decoded: one place for all of it.
+"""How large raw material, data sets, arrays and weights may be, asked by headers and sizes before they are decoded.
 
-Limits are far above real material and far below what takes a machine down: a file of a few kilobytes may claim a
-picture of gigabytes. docs/security.md lists them.
+A file of a few kilobytes may claim a picture of gigabytes. No picture of today's cameras is above the limits, and one
+file within them takes no more than some gigabytes. Texts of a format of its own (scene.yaml, calibrations) have their
+limits beside their readers. docs/security.md lists all of them.
 """
 
 from pathlib import Path

@@ -29,8 +29,6 @@ Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 LONGEST_PATH, LONGEST_NAME = 1000, 255  # characters, bytes: every system takes these
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
-PORTS = tuple(f"{port}{n}" for port in ("com", "lpt") for n in range(10))
-DEVICES = ("con", "prn", "aux", "nul", *PORTS)  # names that Windows keeps for itself
 RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
 BackgroundWord = Literal["auto", "white", "black", "shell"]
 

@@ -5,7 +5,6 @@ from collections import Counter
 
 from devrf.pipelines.config.scene import (
     CAMERA_NAME,
-    DEVICES,
     RESERVED_NAMES,
     RESERVED_PREFIXES,
     SceneConfig,
@@ -109,7 +108,7 @@ def _check_names(config: SceneConfig, say: Say) -> None:
                     f"capture.{section}",
                     f"{name!r} cannot be a camera's name; use letters, digits, _ and - (at most 64)",
                 )
-            elif name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES) or name.lower() in DEVICES:
+            elif name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
                 say(f"capture.{section}", f"{name!r} is a name that the run folder needs; choose another")
     alike: dict[str, str] = {}
     for name in capture.all_cameras:
