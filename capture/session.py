@@ -20,7 +20,7 @@ from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
 from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions
 from devrf.capture.sampled import picture_times
-from devrf.capture.video import probe_video
+from devrf.capture.video import VideoInfo, probe_video
 
 Rest = Literal["start", "end", "none"]
 
@@ -100,8 +100,11 @@ def preflight(session: CaptureSession) -> list[str]:
     if session.static is not None:
         sweep = session.static
         attempt(lambda: _check_sweep(sweep), "capture.static")
+    clips: dict[str, VideoInfo] = {}
     for name, path in session.cameras.items():
-        attempt(lambda path=path: probe_video(path), f"capture camera {name}")
+        attempt(
+            lambda name=name, path=path: clips.update({name: probe_video(path)}), f"capture camera {name}"
+        )
     for name, path in session.board_clips.items():
         attempt(lambda path=path: _check_clip_or_folder(path), f"capture.board.clips.{name}")
     for name, path in session.joint_clips.items():
@@ -116,7 +119,10 @@ def preflight(session: CaptureSession) -> list[str]:
         problems += _outside_range(times, session.range_s, "times in capture.timestamps go")
     elif session.cameras and session.range_s is not None and not problems:
         first = next(iter(session.cameras))
-        attempt(lambda: problems.extend(_outside_clip(session, first)), f"capture camera {first}")
+        attempt(
+            lambda: problems.extend(_outside_clip(first, clips[first], session.range_s)),
+            f"capture camera {first}",
+        )
     problems += _same_file_twice(session.cameras)
     return problems
 
@@ -232,13 +238,11 @@ def _check_folder(path: Path) -> list[Path]:
     return pictures
 
 
-def _outside_clip(session: CaptureSession, first: str) -> list[str]:
+def _outside_clip(first: str, clip: VideoInfo, range_s: tuple[float, float] | None) -> list[str]:
     """Whether the first camera's clip, whose clock is the session's, has nothing in the range."""
-    path, range_s = session.cameras[first], session.range_s
-    duration_s = probe_video(path).duration_s
-    if range_s is None or duration_s is None or (range_s[0] <= duration_s and range_s[1] >= 0):
+    if range_s is None or clip.duration_s is None or (range_s[0] <= clip.duration_s and range_s[1] >= 0):
         return []
-    time_s = picture_times(path)  # an announced duration is not always true
+    time_s = picture_times(clip.path)  # an announced duration is not always true
     return _outside_range({first: FrameTimes(np.arange(len(time_s)), time_s)}, range_s, "clip goes")
 
 
