@@ -40,7 +40,7 @@ class Ended:
 
 
 class Started:
-    """A run of the tiny pipeline, with the manners of subprocess.Popen.
+    """A run of the tiny pipeline.
 
     Attributes:
         pid: Number of the process; the parent of the one that works.
@@ -73,11 +73,6 @@ class Started:
     def kill(self) -> None:
         """SIGKILL."""
         self.send_signal(signal.SIGKILL)
-
-    def communicate(self, timeout: float = LIMIT_S) -> tuple[str, str]:
-        """All that it says until it has ended, as Popen has it."""
-        ended = self.end(timeout)
-        return ended.stdout, ended.stderr
 
     def end(self, timeout: float = LIMIT_S) -> Ended:
         """Wait until it and its child have ended; after the time it is killed."""

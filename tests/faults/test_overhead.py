@@ -89,7 +89,7 @@ def test_the_parent_costs_next_to_nothing(tiny: Tiny, figures) -> None:
     time.sleep(4.0)
     share = (_ticks(started.pid) - ticks) / os.sysconf("SC_CLK_TCK") / (time.monotonic() - start)
     started.terminate()
-    started.communicate()
+    started.end()
     figures(parents_share=round(share, 4))
     assert share <= PARENTS_SHARE
 

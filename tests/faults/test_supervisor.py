@@ -49,9 +49,9 @@ def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
     started = tiny.start("fault=sleep", "stage=big")
     tiny.at_work(started, "big")
     started.send_signal(sign)
-    _, err = started.communicate(timeout=10)
-    assert started.returncode == STOPPED
-    assert err == "stopped; finished stages are kept, the next run goes on from there\n"
+    ended = started.end(timeout=10)
+    assert ended.returncode == STOPPED
+    assert ended.stderr == "stopped; finished stages are kept, the next run goes on from there\n"
     assert not list(tiny.run_dir.glob(".new-*"))
 
 
@@ -71,8 +71,8 @@ def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
     started.terminate()
     assert not ends(child, 0.5)
     started.terminate()
-    _, err = started.communicate(timeout=10)
-    assert started.returncode == STOPPED and "stopped; finished stages are kept" in err
+    ended = started.end(timeout=10)
+    assert ended.returncode == STOPPED and "stopped; finished stages are kept" in ended.stderr
     assert ends(child, 1)
     assert not list(tiny.run_dir.glob(".new-*")) and not (tiny.run_dir / ".lock").exists()
 
@@ -96,8 +96,7 @@ def test_ctrl_z_stops_the_child_too(tiny: Tiny) -> None:
     started.send_signal(signal.SIGCONT)
     assert becomes(child, "RS") and becomes(started.pid, "RS")
     started.terminate()
-    started.communicate(timeout=10)
-    assert started.returncode == STOPPED
+    assert started.end(timeout=10).returncode == STOPPED
 
 
 def test_the_parent_may_sleep(tiny: Tiny) -> None:
@@ -118,7 +117,7 @@ def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
     tiny.at_work(started, "big")
     (child,) = children_of(started.pid)
     started.kill()
-    started.communicate()
+    started.end()
     assert ends(child, 2)
     assert tiny.run().returncode == DONE
 
@@ -131,8 +130,7 @@ def test_what_the_child_started_ends_with_it(tiny: Tiny) -> None:
         time.sleep(0.01)
     (child,) = children_of(started.pid)
     os.kill(child, signal.SIGKILL)
-    started.communicate(timeout=10)
-    assert started.returncode == FAILED
+    assert started.end(timeout=10).returncode == FAILED
     assert ends(int(note.read_text()), 2)
 
 

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 from tests.faults.conftest import TinyMaker
-from tests.faults.harness import LIMIT_S, Count, go_on
+from tests.faults.harness import Count, go_on
 from tests.faults.tiny_stages import NAMES
 
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE
@@ -17,15 +17,16 @@ def test_of_several_runs_one_works(new_tiny: TinyMaker, reference: Path, faults:
     while count.faults < (20 if faults == "full" else 4):
         tiny = new_tiny()
         started = [tiny.start() for _ in range(TOGETHER)]
-        ended = [(process.communicate(timeout=LIMIT_S), process.returncode) for process in started]
+        ended = [process.end() for process in started]
         made: list[str] = []
-        for (out, err), code in ended:
-            assert code in (DONE, BAD_INPUT), err
-            if code == BAD_INPUT:
+        for run in ended:
+            said = run.stderr
+            assert run.returncode in (DONE, BAD_INPUT), said
+            if run.returncode == BAD_INPUT:
                 refused += 1
-                assert "another run (" in err and "wait for it, stop it, or use another output" in err
-            made += [line.split()[1].rstrip(":") for line in out.splitlines() if ": runs:" in line]
-        count.took_effect += any(code == BAD_INPUT for _, code in ended)
+                assert "another run (" in said and "wait for it, stop it, or use another output" in said
+            made += [line.split()[1].rstrip(":") for line in run.stdout.splitlines() if ": runs:" in line]
+        count.took_effect += any(run.returncode == BAD_INPUT for run in ended)
         assert made == list(NAMES)  # each stage once, by whichever run
         go_on(tiny, reference, count)
         shutil.rmtree(tiny.folder)

@@ -162,8 +162,8 @@ class _Reader:
             return next((kind for part in node.values if (kind := self._kind(part, known))), None)
         if not isinstance(node, ast.Attribute):
             return None
-        if _is_self(node.value):
-            return self._own.get(node.attr)
+        if _is_self(node.value) and node.attr in self._own:
+            return self._own[node.attr]
         base = self._kind(node.value, known)
         if base == CONTEXT:
             return "SceneConfig" if node.attr == "config" else None
@@ -187,14 +187,8 @@ class _Reader:
         assert isinstance(owner, ast.ClassDef)
         for part in owner.body:
             if isinstance(part, ast.FunctionDef) and part.name == name:
-                if part.args.args and part.args.args[0].arg == "self":
-                    _Reader(module, self._found)._function_of(part, base)
-
-    def _function_of(self, node: ast.FunctionDef, owner: str) -> None:
-        renamed = ast.parse(ast.unparse(node).replace("self", "owner_")).body[0]
-        assert isinstance(renamed, ast.FunctionDef)
-        renamed.args.args[0].annotation = ast.Name(owner)
-        self._function(renamed, {})
+                part.args.args[0].annotation = ast.Name(base)  # its self is the section
+                _Reader(module, self._found).look_at(part)
 
 
 def _is_self(node: ast.AST) -> bool:
