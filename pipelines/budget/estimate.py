@@ -215,7 +215,8 @@ def _rendering(
     """A model in memory, and rays in pieces."""
     held = LOADED * model_bytes(config, material) + CACHED * pixels + MOST_CACHED + more
     if device == "cuda":
-        return Need(stage, 2 * BASE + model_bytes(config, material), gpu=held + CHUNK * RAY)
+        base = 2 * BASE + model_bytes(config, material)
+        return Need(stage, base, at_once=PIECES, gpu=held + CHUNK * RAY)
     return Need(stage, BASE + held, CHUNK * RAY // PIECES, PIECES)
 
 

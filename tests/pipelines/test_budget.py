@@ -30,6 +30,7 @@ from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import _options, coarser_rows
+from devrf.pipelines.trained_model import PIECES
 from devrf.reconstruct import model as models
 from devrf.reconstruct.model import CHUNK, FEWEST_RAYS, render_view
 
@@ -118,6 +119,15 @@ def test_what_fits_is_done_with_fewer_at_once(config: SceneConfig) -> None:
         BudgetError, match="flow needs about 2 GB.*left on this machine; close.*flow.method: dis"
     ):
         fit(need, config, planned(config, static=source(role="sweep")), 2 * GB - 1)
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_with_enough_memory_all_rays_are_rendered_at_once(config: SceneConfig, device: str) -> None:
+    material = planned(config, static=source(role="sweep", used=120), cam0=source())
+    needs = stage_needs(config, material, device)
+    for stage in ("evaluate", "render"):
+        found = fit(needs[stage], config, material, 100 * GB, device)
+        assert found.at_once == PIECES and found.said is None
 
 
 def test_the_sweep_is_reduced_before_it_is_refused(config: SceneConfig, two_cores: None) -> None:
