@@ -8,7 +8,6 @@ their signs folded into the last bit, low and high bytes apart: that compresses 
 """
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int, Int16, UInt8
 
 from devrf.capture.arrays import ArrayError, read_npz
+from devrf.capture.durable import sync
 from devrf.capture.errors import FlowError
 
 STEPS_PER_PX = 64
@@ -69,9 +69,8 @@ def write_pair(
             confidence=confidence,
             checks=np.array(json.dumps(dict(checks))),
         )
-        file.flush()
-        os.fsync(file.fileno())  # or a power cut could leave a hole under a name that counts
-    os.replace(new, path)
+    sync(new)  # or a power cut could leave a hole under a name that counts
+    new.replace(path)
 
 
 def read_pair(

@@ -5,12 +5,10 @@ everything the training depends on and a digest of its content; one with another
 was written (cut off, with a hole after a power cut), is not taken up: the training begins anew.
 """
 
-import contextlib
 import glob
 import hashlib
 import json
 import logging
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from devrf.capture.durable import sync
 from devrf.reconstruct.training_log import TrainingLog
 
 FIRST_S = 5.0  # of training before the first checkpoint
@@ -84,16 +83,15 @@ class Checkpoint:
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
         try:
             save_file(ready, str(new), metadata={"devrf": numbers, "digest": _digest(numbers, ready)})
-            _make_durable(new)
-            os.replace(new, self.path)
-        except (
-            OSError,
-            SafetensorError,
-        ) as error:  # a full disk: the one before stays, training need not end
+            sync(new)
+            new.replace(self.path)
+            sync(self.path.parent)
+        except BaseException as error:
             new.unlink(missing_ok=True)
+            if not isinstance(error, OSError | SafetensorError):
+                raise
+            # a full disk: the one before stays, training need not end
             logger.warning("%s: the checkpoint cannot be written (%s)", self.path, error)
-        with contextlib.suppress(OSError):  # not every system opens folders
-            _make_durable(self.path.parent)
         self._written = time.monotonic()
         self._gap_s, self._timed = max(FIRST_S, (self._written - start) / SHARE), True
 
@@ -143,11 +141,3 @@ def _digest(numbers: str, tensors: dict[str, Tensor]) -> str:
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
         digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
-
-
-def _make_durable(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

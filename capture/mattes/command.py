@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.capture.cores import usable_cores
+from devrf.capture.durable import sync
 from devrf.capture.errors import CaptureError
 from devrf.capture.mattes.given import read_given
 from devrf.capture.picture_files import read_pixels
@@ -143,8 +144,7 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
         read_given(new, width, height, inverted=False)
     except CaptureError as error:
         raise CaptureError(f"{_named(command)}: no matte of {picture}: {error}") from None
-    with new.open("rb") as written:
-        os.fsync(written.fileno())  # or a power cut could leave an empty file under a name that counts
+    sync(new)  # or a power cut could leave an empty file under a name that counts
     new.replace(name)
 
 

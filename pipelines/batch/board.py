@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from devrf.capture.durable import write_json
 from devrf.pipelines.batch.page import page
 from devrf.pipelines.batch.rows import SceneRow, summary
 from devrf.pipelines.console import Talk, duration
-from devrf.pipelines.durable import write_json
 
 JSON_FILE, HTML_FILE = "batch.json", "batch.html"
 WRITE_EVERY_S = 2.0  # at most; a thousand scenes make a page of a megabyte

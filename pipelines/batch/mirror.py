@@ -6,7 +6,6 @@ from pathlib import Path
 
 from devrf.pipelines.batch.store import Store
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.durable import write_json
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stamps.stamp import HEALTH, STAMP, stamp_id
 

@@ -16,8 +16,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from devrf.capture.durable import write_json
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.durable import write_json
 from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stamps.digests import file_digest
 from devrf.pipelines.stamps.stamp import STAMP, parse_stamp, size_in

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import devrf
-from devrf.pipelines.durable import write_json
+from devrf.capture.durable import write_json
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage

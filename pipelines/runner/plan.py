@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from devrf.capture.durable import sync, write_json
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.durable import sync, write_json
 from devrf.pipelines.health.rows import HealthRow, Verdict, worst
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.cache import Cache

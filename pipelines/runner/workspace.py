@@ -12,8 +12,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+from devrf.capture.durable import sync, sync_tree
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.durable import sync, sync_tree
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.stamps.stamp import STAMP
 

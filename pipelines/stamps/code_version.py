@@ -21,7 +21,6 @@ RUNNER = ("config", "runner", "stamps")  # folders of `pipelines`
 RUNNER_FILES = (
     "stage",
     "health.rows",
-    "durable",
     "logs",
     "console",
     "status",

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from devrf.capture.durable import write_json
 from devrf.capture.errors import InputError
-from devrf.pipelines.durable import write_json
 from devrf.pipelines.logs import LOG_FILE
 
 DIGESTS = ".digests.json"  # in the run folder

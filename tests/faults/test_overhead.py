@@ -13,7 +13,7 @@ import pytest
 from tests.conftest import ExampleRun
 from tests.faults.harness import Tiny
 
-from devrf.pipelines.durable import sync, sync_tree
+from devrf.capture.durable import sync, sync_tree
 from devrf.pipelines.exit_codes import DONE
 
 MOST_SHARE = 0.02  # of a stage's time

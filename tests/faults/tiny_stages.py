@@ -23,10 +23,10 @@ from pathlib import Path
 
 from tests.faults.tracing import install
 
+from devrf.capture.durable import sync
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.durable import sync
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.runner.execute import execute

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from devrf.capture.errors import ReconstructError
 from devrf.reconstruct import checkpoint as checkpoints
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, State
 from devrf.reconstruct.training_log import TrainingLog
@@ -89,6 +90,22 @@ def test_a_full_disk_leaves_the_one_before(
     saved = Checkpoint(tmp_path / "state", "one").found(_log())
     assert saved is not None and saved.done == 1
     assert [path.name for path in tmp_path.iterdir()] == ["state"]
+
+
+@pytest.mark.parametrize("stopped", [KeyboardInterrupt, ReconstructError])
+def test_what_stops_it_while_it_writes_leaves_nothing_half_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stopped: type[BaseException]
+) -> None:
+    """Ctrl-C, and the watch over the disk, come wherever the program is."""
+
+    def half(tensors: object, path: str, **_: object) -> None:
+        Path(path).write_bytes(b"half")
+        raise stopped
+
+    monkeypatch.setattr(checkpoints, "save_file", half)
+    with pytest.raises(stopped):
+        Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, _log(), _state)
+    assert not list(tmp_path.iterdir())
 
 
 def test_they_are_as_frequent_as_they_are_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

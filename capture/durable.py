@@ -9,9 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-MANY_FILES = (
-    32  # from here on the whole file system at once is quicker: 1000 files in 0.06 s instead of 0.28 s
-)
+MANY_FILES = 32  # from here on the whole file system is put on the disk at once, which is quicker
 NOT_FOR_FOLDERS = (
     errno.EINVAL,
     errno.EOPNOTSUPP,
@@ -22,10 +20,8 @@ def write_json(path: Path, value: Any) -> None:
     """Write a file whole or not at all, and make it durable."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            json.dump(value, file, indent=1, allow_nan=False)
-            file.flush()
-            os.fsync(file.fileno())
+        temporary.write_text(json.dumps(value, indent=1, allow_nan=False), encoding="utf-8")
+        sync(temporary)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
