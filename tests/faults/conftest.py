@@ -1,9 +1,10 @@
 """Fixtures of the fault suite."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.faults.fuzzing import Fuzzer, fuzzer
 from tests.faults.harness import Tiny
 from tests.faults.tiny_stages import prepare
 
@@ -36,3 +37,10 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     prepare(folder.folder)
     assert folder.run().returncode == 0
     return folder.run_dir
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[Fuzzer]:
+    """What takes hostile input."""
+    with fuzzer() as one:
+        yield one

@@ -58,8 +58,8 @@ class Target:
     named: Sequence[str] = field(default_factory=tuple)
 
 
-def targets(folder: Path, odd_scene: Scene, repository: Path, data: Path | None) -> dict[str, Target]:
-    """Make the files; without `data` those that need a real capture are left out."""
+def targets(folder: Path, odd_scene: Scene, repository: Path, data: Path) -> dict[str, Target]:
+    """Make the files, some of them of the real captures in `data`."""
     out: dict[str, Target] = {}
     _clips(folder / "clips", repository, data, out)
     _photos(folder / "photos", data, out)
@@ -88,17 +88,18 @@ def scene_yaml(folder: Path, **keys: Any) -> Path:
     return folder
 
 
-def _clips(folder: Path, repository: Path, data: Path | None, out: dict[str, Target]) -> None:
+def _clips(folder: Path, repository: Path, data: Path, out: dict[str, Target]) -> None:
     folder.mkdir(parents=True)
     write_video(folder / "static.mp4", pictures(), 10.0)
     made = {"mp4": ("libx264", "aac"), "mkv": ("libx264", "pcm_s16le"), "avi": ("mpeg4", "mp3"),
             "ts": ("mpeg2video", "mp2"), "mov": ("mjpeg", "pcm_s16be"), "webm": ("libvpx", "libopus")}  # fmt: skip
     for ending, codecs in made.items():
         _encode(folder / f"made.{ending}", *codecs)
-    real = {"example": repository / "examples/waving-sheet/cam0.mp4"}
-    if data is not None:
-        real["webcam"] = data / "caliscope_charuco_calibration/calibration/extrinsic/cam_0.mp4"
-        real["qualisys"] = data / "pose2sim_single/videos/cam01.mp4"
+    real = {
+        "example": repository / "examples/waving-sheet/cam0.mp4",
+        "webcam": data / "caliscope_charuco_calibration/calibration/extrinsic/cam_0.mp4",
+        "qualisys": data / "pose2sim_single/videos/cam01.mp4",
+    }
     for name, source in real.items():
         _cut(source, folder / f"{name}.mp4")
     for name in (*(f"made.{ending}" for ending in made), *(f"{name}.mp4" for name in real)):
@@ -144,7 +145,7 @@ def _cut(source: Path, path: Path) -> None:
             writer.mux(packet)
 
 
-def _photos(folder: Path, data: Path | None, out: dict[str, Target]) -> None:
+def _photos(folder: Path, data: Path, out: dict[str, Target]) -> None:
     """A sweep of photos, one of which is damaged."""
 
     def sweep(name: str, files: Sequence[Path]) -> Path:
@@ -169,9 +170,8 @@ def _photos(folder: Path, data: Path | None, out: dict[str, Target]) -> None:
     image.save(plain / "a.bmp")
     cv2.imwrite(str(plain / "deep.png"), np.asarray(image)[..., ::-1].astype(np.uint16) * 257)
     kinds: dict[str, list[Path]] = {p.name: [p] * 6 for p in sorted(plain.iterdir())}
-    if data is not None:
-        kinds["real.jpg"] = sorted((data / "fox_static/images").glob("*.jpg"))[:4]
-        kinds["real.kdc"] = [data / "raw/RAW_KODAK_DC50.KDC"] * 4
+    kinds["real.jpg"] = sorted((data / "fox_static/images").glob("*.jpg"))[:4]
+    kinds["real.kdc"] = [data / "raw/RAW_KODAK_DC50.KDC"] * 4
     for name, files in kinds.items():
         scene = sweep(name.replace(".", "_"), files)
         damaged = next((scene / "photos").glob("damaged*"))
@@ -195,27 +195,27 @@ def _tables(folder: Path, out: dict[str, Target]) -> None:
 
 def _data_sets(folder: Path, odd_scene: Scene, out: dict[str, Target]) -> None:
     flow = np.zeros((60, 88, 2), np.float32), np.ones((60, 88), bool)
-    files = {
-        "nerfstudio": [("transforms.json", JSON), ("images/static/000000.png", BINARY)],
-        "devrf": [
-            ("dynamic_2views/transforms_train.json", JSON),
-            ("dynamic_2views/train_flow/*.npz", BINARY),
+    files = {  # of each format: a file, or the last of a pattern; how it is damaged; what it is called
+        "nerfstudio": [
+            ("transforms.json", JSON, "transforms.json"), ("images/static/000000.png", BINARY, "picture"),
         ],
-        "blender": [("transforms_train.json", JSON)],
-        "llff": [("poses_bounds.npy", BINARY)],
-        "colmap": [(f"sparse/0/{part}.bin", BINARY) for part in ("cameras", "images", "points3D")],
-    }
+        "devrf": [
+            ("dynamic_2views/transforms_train.json", JSON, "transforms_train.json"),
+            ("dynamic_2views/train_flow/*.npz", BINARY, "flow"),
+        ],
+        "blender": [("transforms_train.json", JSON, "transforms_train.json")],
+        "llff": [("poses_bounds.npy", BINARY, "poses_bounds.npy")],
+        "colmap": [(f"sparse/0/{part}.bin", BINARY, part) for part in ("cameras", "images", "points3D")],
+    }  # fmt: skip
     for name, found in files.items():
         scene = scene_yaml(folder / name, dataset={"format": name, "path": "set"})
         write_dataset(name, odd_scene, scene / "set", lambda frame: None)  # pyright: ignore[reportArgumentType]
         if name == "devrf":
             _give_flow(scene / "set" / "dynamic_2views", flow)
-        for pattern, mutations in found:
+        for pattern, mutations, title in found:
             file = sorted((scene / "set").glob(pattern))[-1]
-            title = f"{name} {file.name if mutations is not BINARY or 'flow' not in pattern else 'flow'}"
-            out[title] = Target(
-                file, mutations, scene, ("--until", "scene"), named=(file.name, name, "dataset")
-            )
+            named = (file.name, name, "dataset")
+            out[f"{name} {title}"] = Target(file, mutations, scene, ("--until", "scene"), named=named)
     _model_as_text(folder, out)
 
 
@@ -253,7 +253,7 @@ def _model_as_text(folder: Path, out: dict[str, Target]) -> None:
         )
 
 
-def _calibrations(folder: Path, data: Path | None, out: dict[str, Target]) -> None:
+def _calibrations(folder: Path, data: Path, out: dict[str, Target]) -> None:
     """Given rigs, in every format."""
     folder.mkdir()
     cameras = {}
@@ -276,14 +276,13 @@ def _calibrations(folder: Path, data: Path | None, out: dict[str, Target]) -> No
             out[f"{name} {file.name}"] = Target(file, mutations, place, arguments, allowed=DRY, named=named)
     write_rig(folder / "rig.json", Rig({n: RigCamera(c, "given") for n, c in cameras.items()}, ARBITRARY))
     out["rig.json"] = Target(folder / "rig.json", JSON, reader="rig", named=("rig.json",))
-    if data is not None:
-        real = {"qualisys": "pose2sim_single/calibration/Calib.qca.txt",
-                "stereo": "opencv_stereo_chessboard/intrinsics.yml",
-                "caliscope": "caliscope_charuco_calibration/camera_array.toml"}  # fmt: skip
-        for name, source in real.items():
-            file = folder / Path(source).name
-            file.write_bytes((data / source).read_bytes())
-            out[f"calibration {name}"] = Target(file, TEXT, reader="calibration", named=(file.name,))
+    real = {"qualisys": "pose2sim_single/calibration/Calib.qca.txt",
+            "stereo": "opencv_stereo_chessboard/intrinsics.yml",
+            "caliscope": "caliscope_charuco_calibration/camera_array.toml"}  # fmt: skip
+    for name, source in real.items():
+        file = folder / Path(source).name
+        file.write_bytes((data / source).read_bytes())
+        out[f"calibration {name}"] = Target(file, TEXT, reader="calibration", named=(file.name,))
 
 
 def _models(folder: Path, out: dict[str, Target]) -> None:
@@ -305,21 +304,20 @@ def _models(folder: Path, out: dict[str, Target]) -> None:
         out[f"model {name}"] = Target(file, BINARY, reader=name, named=(file.name,))
 
 
-def _small_files(folder: Path, repository: Path, data: Path | None, out: dict[str, Target]) -> None:
+def _small_files(folder: Path, repository: Path, data: Path, out: dict[str, Target]) -> None:
     folder.mkdir()
     steps = np.linspace(-3, 3, 48 * 64 * 2, dtype=np.float32).reshape(48, 64, 2)
     write_pair(folder / "000001.npz", steps, np.full((48, 64), 9, np.uint8), {"a": 1})
     write_flow_file(folder / "flow.npz", (steps, np.ones((48, 64), bool)))
     shutil.copy(repository / "examples/waving-sheet/ground_truth.json", folder / "truth.json")
     cv2.imwrite(str(folder / "matte.png"), np.full((48, 64), 255, np.uint8))
-    whole = {"pair": "000001.npz", "flow": "flow.npz", "truth": "truth.json", "matte": "matte.png"}
-    if data is not None:
-        shutil.copyfile(data / "weights/raft-small.pth", folder / "raft.pth")
-        (folder / "lpips").mkdir()
-        for file in (data / "weights" / "lpips_ref").glob("*.pth"):
-            shutil.copyfile(file, folder / "lpips" / file.name)
-        shutil.copyfile(data / "weights/lpips_alex_v0.1.npz", folder / "lpips" / "lpips_alex_v0.1.npz")
-        whole |= {"raft": "raft.pth", "lpips": "lpips/lpips_alex_v0.1.npz"}
+    shutil.copyfile(data / "weights/raft-small.pth", folder / "raft.pth")
+    (folder / "lpips").mkdir()
+    for file in (data / "weights" / "lpips_ref").glob("*.pth"):
+        shutil.copyfile(file, folder / "lpips" / file.name)
+    shutil.copyfile(data / "weights/lpips_alex_v0.1.npz", folder / "lpips" / "lpips_alex_v0.1.npz")
+    whole = {"pair": "000001.npz", "flow": "flow.npz", "truth": "truth.json", "matte": "matte.png",
+             "raft": "raft.pth", "lpips": "lpips/lpips_alex_v0.1.npz"}  # fmt: skip
     for reader, name in whole.items():
         file = folder / name
         mutations = JSON if file.suffix == ".json" else BINARY

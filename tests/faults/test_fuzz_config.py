@@ -10,7 +10,7 @@ import os
 import random
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ import yaml
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from tests.conftest import Command, Figures
-from tests.faults.fuzzing import Fuzzer, fuzzer
+from tests.faults.fuzzing import Fuzzer
 from tests.faults.hostile import NUMBERS, RAW_TEXTS, TEXTS, WORDS
 
 from devrf.capture.formats.datasets import write_dataset
@@ -263,12 +263,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def data_set(folder: Path, odd_scene: Scene) -> None:
     if not (folder / "set").exists():
         write_dataset("nerfstudio", odd_scene, folder / "set")
-
-
-@pytest.fixture(scope="module")
-def run() -> Iterator[Fuzzer]:
-    with fuzzer() as one:
-        yield one
 
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example]

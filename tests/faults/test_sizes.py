@@ -6,7 +6,7 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,7 +17,7 @@ import torch
 from numpy.lib import format as npy
 from PIL import Image
 from tests.faults.fuzz_material import pictures, scene_yaml
-from tests.faults.fuzzing import Fuzzer, fuzzer
+from tests.faults.fuzzing import Fuzzer
 
 from devrf.capture import arrays, limits
 from devrf.capture.arrays import ArrayError, npz_shapes, read_npy, read_npz
@@ -38,12 +38,6 @@ from devrf.reconstruct.model_io import load_rest
 
 LITTLE_MB = 700  # the libraries, and a few pictures; what these files claim is a hundred times that
 WIDE = 60_000
-
-
-@pytest.fixture(scope="module")
-def run() -> Iterator[Fuzzer]:
-    with fuzzer() as one:
-        yield one
 
 
 def refused(run: Fuzzer, code: int, *words: str, arguments: tuple[object, ...]) -> None:
