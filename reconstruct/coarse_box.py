@@ -19,7 +19,7 @@ from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.render import render_rest
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import named, part_of
+from devrf.reconstruct.training_state import grids_state, take_up_grids
 
 ALPHA_INIT = 1e-6  # of a coarse voxel: space is seen through until something in it is learned
 ALPHA_THRESHOLD = 1e-7
@@ -54,23 +54,21 @@ def find_subject(
     model.density[~allowed] = KEPT_EMPTY
     share = (views.float() / views.max().clamp(min=1))[..., None]
     density, features = GridTrainer(model.density), GridTrainer(model.features)
+    grids = {"density": density, "features": features}
     per_ray = max(1, int(1.2 * sum(model.shape) / 3 / options.stepsize))
     most = max(256, min(options.coarse_rays, options.samples // per_ray))
     begin, saved = 0, checkpoint.found(log)
     if saved is not None:
         begin, tensors, _ = saved
         model.distance = tensors["distance"].to(device)
-        for name, grid in (("density", density), ("features", features)):
-            grid.values.copy_(tensors[name])
-            grid.take_up(part_of(tensors, f"{name} trainer"))
+        take_up_grids(grids, tensors)
+        for grid in grids.values():
             grid.visit(model.reachable())
         generator.set_state(tensors["generator"])
 
     def state() -> State:
         tensors = {"distance": model.distance, "generator": generator.get_state()}
-        for name, grid in (("density", density), ("features", features)):
-            tensors |= {name: grid.values} | named(f"{name} trainer", grid.state())
-        return tensors, {}
+        return tensors | grids_state(grids), {}
 
     for iteration in range(begin, options.coarse_iterations):
         if iteration % OCCUPANCY_EVERY == 0:

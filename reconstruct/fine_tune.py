@@ -31,7 +31,7 @@ from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import named, net_state, part_of, take_up_net
+from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
 NET_SHARE = 1 / 300  # the MLP's rate, of the grids'
 ENTROPY = 1e-3  # weight
@@ -122,7 +122,7 @@ class _Recipe:
         canonical = self.rest.canonical
         reachable = canonical.reachable()
         self.density, self.features = GridTrainer(canonical.density), GridTrainer(canonical.features)
-        for grid in (self.density, self.features):
+        for grid in self._grids().values():
             grid.visit(reachable)
         self.net = torch.optim.Adam(canonical.net.parameters(), 0.0, BETAS, EPS)
         self.windows = _windows(motion, device)
@@ -169,16 +169,12 @@ class _Recipe:
     def state(self) -> State:
         """Everything that the next iteration depends on."""
         tensors = {"generator": self.generator.get_state()} | net_state(self.rest.canonical.net, self.net)
-        for name, grid in (("density", self.density), ("features", self.features)):
-            tensors |= {name: grid.values} | named(f"{name} trainer", grid.state())
-        return tensors, {"window": self.window}
+        return tensors | grids_state(self._grids()), {"window": self.window}
 
     def take_up(self, saved: Saved) -> int:
         """Go on from a `state`; returns the number of iterations behind it."""
         done, tensors, numbers = saved
-        for name, grid in (("density", self.density), ("features", self.features)):
-            grid.values.copy_(tensors[name])
-            grid.take_up(part_of(tensors, f"{name} trainer"))
+        take_up_grids(self._grids(), tensors)
         take_up_net(self.rest.canonical.net, self.net, tensors)
         self.generator.set_state(tensors["generator"])
         self.enter(numbers["window"])
@@ -226,6 +222,9 @@ class _Recipe:
             self.rest, self.motion, self.live, batch.rays_o, batch.rays_d, tau, jitter, rest_grads=grads
         )
         return self.around.at(batch.frame, batch.pixel).compose(seen.rgb, seen.left), seen.left
+
+    def _grids(self) -> dict[str, GridTrainer]:
+        return {"density": self.density, "features": self.features}
 
     def _jitter(self, rows: int, batch: RayBatch) -> Tensor:
         return torch.rand(rows, len(batch.rgb), generator=self.generator).to(batch.rgb)

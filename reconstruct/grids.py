@@ -14,6 +14,7 @@ from devrf.reconstruct.kernels.adam import masked_step
 
 BETAS = (0.9, 0.99)  # DirectVoxGO's; the papers say "Adam"
 EPS = 1e-8
+FEW = 0.5  # share of the vertices below which a checkpoint holds them one by one, and not the whole grid
 
 
 def grid_shape(
@@ -108,12 +109,14 @@ class GridTrainer:
         """What later steps depend on beside values and reach: few vertices have moments, hardly any a gradient left.
 
         A gradient is left where `update` was told that a vertex has none; it counts once the vertex is visited again.
+        Where there are many, the whole grid is handed on: it need not be copied.
         """
         out = {"step": torch.tensor(self.step)}
         for name in ("moment1", "moment2", "grad"):
             rows = getattr(self, name).view(-1, self.values.shape[3])
             at = (rows != 0).any(1).nonzero()[:, 0]
-            out |= {f"{name}_at": at, name: rows[at]}
+            few = len(at) < FEW * len(rows)
+            out |= {f"{name}_at": at, name: rows[at]} if few else {name: rows}
         return out
 
     def take_up(self, state: dict[str, Tensor]) -> None:
@@ -121,5 +124,8 @@ class GridTrainer:
         self.step = int(state["step"])
         for name in ("moment1", "moment2", "grad"):
             rows = getattr(self, name).view(-1, self.values.shape[3])
+            if f"{name}_at" not in state:
+                rows.copy_(state[name])
+                continue
             rows.zero_()
             rows[state[f"{name}_at"].to(rows.device)] = state[name].to(rows.device)

@@ -40,7 +40,7 @@ from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import named, net_state, part_of, take_up_net
+from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25
@@ -303,9 +303,7 @@ class _Recipe:
     def state(self, generator: torch.Generator) -> State:
         """Everything that the next iteration depends on."""
         tensors = {"distance": self.canonical.distance, "generator": generator.get_state()}
-        tensors |= net_state(self.canonical.net, self.net_optimiser)
-        for name, grid in self._grids().items():
-            tensors |= {name: grid.values} | named(f"{name} trainer", grid.state())
+        tensors |= net_state(self.canonical.net, self.net_optimiser) | grids_state(self._grids())
         if self.shell is not None:
             tensors["surround distance"] = self.shell.distance
         return tensors, {"samples_per_ray": self.samples_per_ray}
@@ -314,16 +312,17 @@ class _Recipe:
         """Go on from a `state`; returns the number of iterations behind it."""
         done, tensors, numbers = saved
         device, target = self.canonical.density.device, self.canonical
-        target.density, target.features = tensors["density"].to(device), tensors["features"].to(device)
+        target.density, target.features = (
+            torch.empty_like(tensors[name], device=device) for name in ("density", "features")
+        )
         target.distance = tensors["distance"].to(device)
         if self.shell is not None:
-            self.shell.grid = tensors["surround"].to(device)
+            self.shell.grid = torch.empty_like(tensors["surround"], device=device)
             self.shell.distance = tensors["surround distance"].to(device)
         self.samples_per_ray = numbers["samples_per_ray"]
         take_up_net(self.canonical.net, self.net_optimiser, tensors)
         self._new_trainers()
-        for name, grid in self._grids().items():
-            grid.take_up(part_of(tensors, f"{name} trainer"))
+        take_up_grids(self._grids(), tensors)
         self._visit(self.canonical.reachable(), None if self.shell is None else self.shell.reachable())
         generator.set_state(tensors["generator"])
         return done

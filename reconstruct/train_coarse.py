@@ -23,7 +23,7 @@ from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.shell import CUBE, Shell
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import named, part_of
+from devrf.reconstruct.training_state import grids_state, take_up_grids
 
 SIZES = (0.4, 0.6, 0.8, 1.0)  # of `coarse_size`, each for a quarter of the iterations, where nothing is known
 OCCUPANCY_EVERY = 20
@@ -56,15 +56,16 @@ def train_coarse(
     begin, saved = 0, checkpoint.found(log)
     if saved is not None:
         begin, tensors, _ = saved
-        model.grid, model.distance = tensors["grid"].to(device), tensors["distance"].to(device)
+        model.grid = torch.empty_like(tensors["grid"], device=device)
+        model.distance = tensors["distance"].to(device)
         trainer = GridTrainer(model.grid, copies_for(model.grid.device))
-        trainer.take_up(part_of(tensors, "trainer"))
+        take_up_grids({"grid": trainer}, tensors)
         trainer.visit(model.reachable())
         generator.set_state(tensors["generator"])
 
     def state() -> State:
-        grids = {"grid": model.grid, "distance": model.distance, "generator": generator.get_state()}
-        return grids | named("trainer", trainer.state()), {}
+        tensors = {"distance": model.distance, "generator": generator.get_state()}
+        return tensors | grids_state({"grid": trainer}), {}
 
     for step in range(begin, per_size * len(sizes)):
         n, iteration = divmod(step, per_size)
