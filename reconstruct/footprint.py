@@ -6,12 +6,14 @@ occupancy rebuild needs for a moment and what samples leave until the backward p
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.grids import FEW
 from devrf.reconstruct.motion import MOST_ON_GPU
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
@@ -22,8 +24,11 @@ IMPORTED = 310e6  # of libraries, when all is imported
 AT_WORK = 160e6  # more of them after the first iterations
 OPTIMISER = 60e6  # and PyTorch's own, where an MLP is trained
 TRAINED = 16  # per value: itself, gradient, two moments
-VERTEX = 37  # per vertex beside: 9 that stay, the rest while occupancy is rebuilt
-SHELL_VERTEX = 120  # of the surroundings: four values, two gradients, and positions while it grows
+VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, and else
+SHELL_VERTEX, SHELL_VERTEX_STAYS = (
+    120,
+    89,
+)  # of the surroundings: four values, two gradients, and positions as it grows
 COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
 SAMPLE = 440  # per sample in the box, until the backward pass
 SAMPLE_PER_UNIT = 15  # and per hidden unit, where the MLP is asked per sample
@@ -38,6 +43,7 @@ CHANNELS = 13  # density and features
 REST_VERTEX = 4 * CHANNELS + 1  # of a scene at rest that is looked at
 AROUND = 5 * (4 * 4 + 1)  # and of its surroundings, which have (192 / 112)^3 = 5 vertices for each of its own
 FIELD_VERTEX = 2 * 3 * 4  # of both motion fields, per key time
+READ = 2  # times a scene at rest, while it is unpacked
 
 SAMPLES_PER_RAY = 16  # in motion; of solid things fewer count, of things still translucent these (measured)
 SAMPLES_PER_RAY_AT_REST = 40  # in fine-tuning, whose steps are half as long
@@ -130,39 +136,55 @@ def footprint(
         scene: What is trained on; of a `Scene` also what `adapt` takes off the resolution at rest is known.
         options: Of the scene at rest, or of the motion (its `resolution` is that of the scene at rest).
         device: cpu or cuda.
-        held: Bytes of main memory that the process holds already, everything imported.
+        held: Bytes of main memory that the process holds before, everything imported.
     """
+    return footprints(scene, device, held)(options)
+
+
+def footprints(
+    scene: Scene | SceneSize, device: str = "cpu", held: int = 0
+) -> Callable[[CanonicalOptions | MotionOptions], Footprint]:
+    """The same of any options, for a scene that is looked at once."""
     size = SceneSize.of(scene) if isinstance(scene, Scene) else scene
-    if isinstance(options, CanonicalOptions):
-        adapted = _adapted(scene, options) if isinstance(scene, Scene) and options.adapt else options
-        kept, trained = {}, _at_rest(size, adapted)
-    else:
-        kept, trained = _in_motion(size, options, on_gpu=device != "cpu")
-    libraries = max(IMPORTED, held) + AT_WORK
-    if isinstance(options, CanonicalOptions) or options.fine_tuning:
-        libraries += OPTIMISER
-    main = {"libraries": libraries} | kept
-    if device == "cpu":
-        return Footprint(_whole(main | trained), {})
-    brought = {
-        name: trained[name] for name in ("pictures", "models")
-    }  # read here, and written as a checkpoint
-    return Footprint(_whole(main | brought), _whole(trained))
+    adapted = _adapting(scene) if isinstance(scene, Scene) else lambda options: options
+
+    def of(options: CanonicalOptions | MotionOptions) -> Footprint:
+        libraries = max(IMPORTED, held) + AT_WORK
+        if isinstance(options, CanonicalOptions):
+            libraries += OPTIMISER
+            kept, trained = {}, _at_rest(size, adapted(options))
+        else:
+            libraries += OPTIMISER if options.fine_tuning else 0.0
+            kept, trained = _in_motion(size, options, on_gpu=device != "cpu")
+        main = {"libraries": libraries} | kept
+        if device == "cpu":
+            return Footprint(_whole(main | trained), {})
+        # read here, and written as a checkpoint
+        brought = {name: trained.get(name, 0) for name in ("pictures", "models", "checkpoint")}
+        return Footprint(_whole(main | brought), _whole(trained))
+
+    return of
 
 
 def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     """What is trained, or trained on."""
-    grids = o.resolution**3 * (TRAINED * (1 + o.channels) + VERTEX)
-    shell = 0.0 if size.plain else o.shell_resolution**3 * SHELL_VERTEX
+    box, around = o.resolution**3, 0 if size.plain else o.shell_resolution**3
+    trained = TRAINED * (1 + o.channels)
+    models = box * (trained + VERTEX) + around * SHELL_VERTEX
     first = 0.0
     if not size.plain or o.box_search == "coarse":
-        first = o.coarse_size**3 * COARSE_VERTEX + (grids + shell) / 2 ** len(o.scale_at)
+        first = o.coarse_size**3 * COARSE_VERTEX + models / 2 ** len(o.scale_at)
     per_sample = SAMPLE + (0 if o.deferred else SAMPLE_PER_UNIT * o.mlp_width)
-    return {
-        "pictures": _picture_bytes(size, size.still_pixels, size.still_lenses),
-        "models": max(first, grids + shell),
+    common = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
+    training = common | {
+        "models": max(first, models),
         "samples": (o.samples * per_sample + o.rays * _steps_bytes(o)) / o.parts,
     }
+    writing = common | {
+        "models": box * (trained + VERTEX_STAYS) + around * SHELL_VERTEX_STAYS,
+        "checkpoint": box * _checkpoint_bytes(1, o.channels) + around * _checkpoint_bytes(4),
+    }
+    return _largest([training, writing])
 
 
 def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, Parts]:
@@ -178,6 +200,7 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         "pictures": _picture_bytes(size, size.moving_pixels, size.moving_lenses) + PIXEL * size.largest_clip,
         "surroundings": VIEW_PIXEL * size.views,
     }
+    reading = {"models": READ * rest}
     beginning = common | {"surroundings": 2 * VIEW_PIXEL * size.views, "models": rest}
     moving = o.rays * SAMPLES_PER_RAY * MOVING_SAMPLE
     motion = common | {
@@ -190,12 +213,17 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         "models": rest + on_device + vertices * (TRAINED * CHANNELS + VERTEX),
         "samples": moving + o.rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o)),
     }
-    phases = [beginning, motion, tuning] if o.fine_tuning else [beginning, motion]
+    writing = tuning | {
+        "models": rest + on_device + vertices * (TRAINED * CHANNELS + VERTEX_STAYS),
+        "samples": 0,
+        "checkpoint": vertices * _checkpoint_bytes(1, CHANNELS - 1),
+    }
+    phases = [reading, beginning, motion, *([tuning, writing] if o.fine_tuning else [])]
     kept: Parts = {
         "flow as read": FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0),
         "motion field": fields * apart,
     }
-    return kept, max(phases, key=lambda parts: sum(parts.values()))
+    return kept, _largest(phases)
 
 
 def _picture_bytes(size: SceneSize, pixels: int, lenses: int) -> int:
@@ -207,13 +235,26 @@ def _steps_bytes(o: CanonicalOptions | MotionOptions) -> float:
     return 4 * math.sqrt(3) * o.resolution / o.stepsize
 
 
-def _adapted(scene: Scene, options: CanonicalOptions) -> CanonicalOptions:
-    """With no more voxels than pictures show; the box found later may be smaller than the scene's, not larger."""
+def _checkpoint_bytes(*channels: int) -> float:
+    """Per vertex, of both moments as a checkpoint holds them: copies, and numbers of their vertices."""
+    return sum(2 * FEW * (8 + 4 * count) for count in channels)
+
+
+def _largest(phases: list[Parts]) -> Parts:
+    return max(phases, key=lambda parts: sum(parts.values()))
+
+
+def _adapting(scene: Scene) -> Callable[[CanonicalOptions], CanonicalOptions]:
+    """No more voxels than pictures show; the box found later may be smaller than the scene's, not larger."""
     boxed = scene.in_box_frame()
     cameras = [f.camera.scaled(scene.image_scale) for f in boxed.static if f.split == "train"]
     ndc = None if scene.ndc is None else Ndc(*scene.ndc)
     aabb = CUBE if ndc is not None else torch.tensor(boxed.aabb, dtype=torch.float32)
-    return fewer_voxels(options, cameras, aabb, ndc)[0] if cameras else options
+
+    def adapted(options: CanonicalOptions) -> CanonicalOptions:
+        return fewer_voxels(options, cameras, aabb, ndc)[0] if options.adapt and cameras else options
+
+    return adapted
 
 
 def _whole(parts: Parts) -> dict[str, int]:

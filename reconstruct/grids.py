@@ -14,7 +14,9 @@ from devrf.reconstruct.kernels.adam import masked_step
 
 BETAS = (0.9, 0.99)  # DirectVoxGO's; the papers say "Adam"
 EPS = 1e-8
-FEW = 0.5  # share of the vertices below which a checkpoint holds them one by one, and not the whole grid
+FEW = (
+    0.25  # share of the vertices below which a checkpoint holds them one by one, else the whole grid: no copy
+)
 
 
 def grid_shape(

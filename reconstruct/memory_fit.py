@@ -6,15 +6,15 @@ First what leaves the result as it is in expectation: an iteration's rays in par
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
-from devrf.reconstruct.footprint import Footprint, SceneSize, footprint
+from devrf.reconstruct.footprint import Footprint, SceneSize, footprints
 from devrf.reconstruct.options import FEWEST_RAYS, CanonicalOptions, MotionOptions, resized_whole
 from devrf.reconstruct.sizing import Decision
 
-Options = TypeVar("Options", CanonicalOptions, MotionOptions)
+Options = TypeVar("Options", bound=CanonicalOptions | MotionOptions)
 
 UNSURE = 0.1  # by how much a training may take more than is predicted (docs/reliability.md)
 MOST_PARTS = 16
@@ -47,39 +47,43 @@ def fitted(
     Raises:
         ReconstructError: Even the smallest training takes more.
     """
-
-    def need(some: Options) -> Footprint:
-        return footprint(scene, some, device, held)
-
-    wanted, smaller = options, options
-    if limits.hold(need(wanted)):
-        return wanted, []
-    for smaller in _smaller_and_smaller(wanted):
-        if limits.hold(need(smaller)):
-            return smaller, _decisions(wanted, smaller, need(wanted), limits)
-    raise ReconstructError(_too_little(need(smaller), limits))
+    need_of = footprints(scene, device, held)
+    need = wanted = need_of(options)
+    if limits.hold(wanted):
+        return options, []
+    for smaller in _smaller_and_smaller(options):
+        need = need_of(smaller)
+        if limits.hold(need):
+            return smaller, _decisions(options, smaller, wanted, limits)
+    raise ReconstructError(_too_little(need, limits))
 
 
 def _smaller_and_smaller(options: Options) -> Iterator[Options]:
     """Each takes less memory than the one before."""
-    if isinstance(options, CanonicalOptions):
-        while options.parts < MOST_PARTS:
-            options = replace(options, parts=2 * options.parts)
-            yield options
-        wanted, ratio = options, COARSER
-        while ratio * wanted.resolution >= COARSEST:
-            yield resized_whole(wanted, ratio)
-            ratio *= COARSER
-        return
+    found = _at_rest(options) if isinstance(options, CanonicalOptions) else _in_motion(options)
+    return cast(Iterator[Options], found)
+
+
+def _at_rest(options: CanonicalOptions) -> Iterator[CanonicalOptions]:
+    while options.parts < MOST_PARTS:
+        options = replace(options, parts=2 * options.parts)
+        yield options
+    ratio = COARSER
+    while ratio * options.resolution >= COARSEST:
+        yield resized_whole(options, ratio)
+        ratio *= COARSER
+
+
+def _in_motion(options: MotionOptions) -> Iterator[MotionOptions]:
     while options.rays // 2 >= FEWEST_RAYS:
         options = replace(options, rays=options.rays // 2)
         yield options
     if options.fine_tuning:
         options = replace(options, fine_tuning=0)
         yield options
-    wanted, ratio = options, COARSER
-    while ratio * wanted.levels[-1] >= COARSEST_MOTION:
-        yield replace(wanted, levels=tuple(max(4, round(ratio * level)) for level in wanted.levels))
+    ratio = COARSER
+    while ratio * options.levels[-1] >= COARSEST_MOTION:
+        yield replace(options, levels=tuple(max(4, round(ratio * level)) for level in options.levels))
         ratio *= COARSER
 
 

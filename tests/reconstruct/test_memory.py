@@ -14,6 +14,7 @@ from tests.reconstruct.conftest import REST
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
 from devrf.reconstruct.footprint import SceneSize, footprint
+from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.memory_fit import GB, Limits, fitted
 from devrf.reconstruct.options import CanonicalOptions, preset
 from devrf.reconstruct.train_canonical import train_canonical
@@ -25,20 +26,22 @@ ROOM = SceneSize(
 PEAK = """
 import json, pickle, sys
 from pathlib import Path
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.train_canonical import train_canonical
 
 def of_status(key):
     return next(int(l.split()[1]) * 1024 for l in Path("/proc/self/status").open() if l.startswith(key))
 
 scene, options = pickle.loads(Path(sys.argv[1]).read_bytes())
-train_canonical(scene, options)
+train_canonical(scene, options, checkpoint=Checkpoint(Path(sys.argv[1] + ".state"), every_s=0.0))
 print(json.dumps(of_status("VmHWM")))
 """
 
 
 def _peak(scene: Scene, options: CanonicalOptions, folder: Path) -> int:
-    """Of the main memory that a process trains in, bytes."""
+    """Of the main memory that a process trains in, with a checkpoint after every step, bytes."""
     (folder / "case").write_bytes(pickle.dumps((scene, options)))
+    (folder / "case.state").unlink(missing_ok=True)
     command = [sys.executable, "-c", PEAK, str(folder / "case")]
     root = Path(__file__).resolve().parents[2]
     return json.loads(subprocess.run(command, cwd=root, check=True, capture_output=True, timeout=300).stdout)
@@ -104,6 +107,37 @@ def test_on_a_gpu_what_is_trained_lies_there() -> None:
     many = replace(preset("reference").motion, most_keys=50)
     large = footprint(ROOM, many, "cuda")
     assert large.main["motion field"] > 2 * 10**9 > large.gpu["models"]  # a window of it is there
+
+
+def test_a_scene_at_rest_is_read_twice_over() -> None:
+    """The motion of a scene with large grids and small pictures takes most while it reads them."""
+    size = SceneSize(still_pixels=10**6, moving_pixels=10**6, times=2, plain=False)
+    options = replace(preset("tiny").motion, resolution=400)
+    at_rest = footprint(size, options).main["models"] / 2
+    assert at_rest > 53 * 400**3
+    limit = int(1.05 * (footprint(size, options).main_bytes - at_rest))  # enough for the rest of the training
+    with pytest.raises(ReconstructError, match="smallest training does not fit"):
+        fitted(size, options, Limits(limit))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.24, 0.26, 1.0])
+def test_a_checkpoint_copies_no_more_than_is_predicted(share: float) -> None:
+    side, options = 20, replace(REST, resolution=20, channels=12, samples=1, rays=1)
+    predicted = footprint(SceneSize(10), options).main["checkpoint"]
+    copied = 0
+    for channels in (1, options.channels):
+        grid = GridTrainer(torch.zeros(side, side, side, channels))
+        rows = grid.moment1.view(-1, channels)
+        rows[: int(share * len(rows))] = 1.0
+        grid.moment2.copy_(grid.moment1)
+        state = grid.state()
+        own = {grid.moment1.data_ptr(), grid.moment2.data_ptr(), grid.grad.data_ptr()}
+        copied += sum(t.nbytes for t in state.values() if t.data_ptr() not in own and t.dim())
+        again = GridTrainer(torch.zeros(side, side, side, channels))
+        again.moment1 += 7.0
+        again.take_up(state)
+        assert torch.equal(again.moment1, grid.moment1) and torch.equal(again.moment2, grid.moment2)
+    assert copied <= predicted
 
 
 def test_what_a_process_holds_already_counts() -> None:
