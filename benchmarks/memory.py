@@ -1,9 +1,9 @@
 """Memory that trainings take against what is predicted of them: the table of docs/reliability.md.
 
-    python -m benchmarks.memory          # from the repository's root; some minutes
+    python -m benchmarks.memory          # from the repository's root; a quarter of an hour
 
 Each training is a process of its own on the CPU, a few iterations through all resolutions on pictures of a ball
-(tests/reconstruct/conftest.py), and its peak is what the kernel says (VmHWM).
+(tests/reconstruct/conftest.py), with a checkpoint after each, and its peak is what the kernel says (VmHWM).
 """
 
 import json
@@ -20,12 +20,16 @@ from tests.reconstruct import conftest as ball
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import CameraFlow
+from devrf.pipelines.bench.rows import Row, with_goal, write_rows
+from devrf.pipelines.stages.evaluate import versions
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.footprint import footprint
 from devrf.reconstruct.model_io import load_rest, save_rest
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_deformation import train_deformation
 
+RESULT = Path("benchmarks/results/memory-cpu.json")
 SMALL, LARGE = (48, 40), (960, 800)
 FEW_RAYS = {"rays": 2000}
 ROOM = {"preset": "tiny", "plain": False}
@@ -47,28 +51,34 @@ CASES: tuple[dict[str, Any], ...] = (
 
 
 def main() -> None:
-    """Print the table; with a case in JSON, be the process that trains it."""
+    """Print the table and write its rows; with a case in JSON, be the process that trains it."""
     if len(sys.argv) > 1:
         print(json.dumps(_train(json.loads(sys.argv[1]))))
         return
     print("| training | predicted, MB | measured, MB | ratio |\n|---|---|---|---|")
+    rows = []
     for case in CASES:
         command = [sys.executable, "-m", "benchmarks.memory", json.dumps(case)]
         said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         predicted, measured = (count / 1e6 for count in json.loads(said.splitlines()[-1]))
         words = ", ".join(f"{key} {value}" for key, value in case.items())
         print(f"| {words} | {predicted:.0f} | {measured:.0f} | {predicted / measured:.2f} |", flush=True)
+        rows.append(
+            with_goal(Row(f"memory/{words}", round(measured), "MB"), round(predicted), low_is_good=True)
+        )
+    write_rows(RESULT, rows, benchmark="memory", versions=versions())
 
 
 def _train(case: dict[str, Any]) -> tuple[int, int]:
     """Predicted and measured peak, bytes."""
     with tempfile.TemporaryDirectory() as folder:
         scene = _scene(Path(folder), case)
+        state = Checkpoint(Path(folder) / "state", every_s=0.0)
         options = preset(case.get("preset", "fast"), resolution=case["R"], adapt=False)
         rest, motion = _few_iterations(case, options.canonical, options.motion)
         if not scene.dynamic:
             predicted = footprint(scene, rest).main_bytes
-            train_canonical(scene, rest)
+            train_canonical(scene, rest, checkpoint=state)
             return predicted, _peak()
         model = Path(folder) / "rest.safetensors"
         at_rest = train_canonical(scene, replace(rest, rays=500))
@@ -77,7 +87,7 @@ def _train(case: dict[str, Any]) -> tuple[int, int]:
         _forget_peak()
         trained = load_rest(model)
         predicted = footprint(scene, motion).main_bytes
-        train_deformation(scene, trained, _flows(scene) if case.get("flow") else {}, motion)
+        train_deformation(scene, trained, _flows(scene) if case.get("flow") else {}, motion, checkpoint=state)
         return predicted, _peak()
 
 

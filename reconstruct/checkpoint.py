@@ -1,8 +1,8 @@
 """The middle of a training on disk, so that one that was killed goes on where it was, bit for bit.
 
 Data only (safetensors): tensors, and numbers as JSON in the file's metadata. A checkpoint carries a fingerprint of
-everything the training depends on and a digest of its content; one with another fingerprint, and one that is not as it
-was written (cut off, with a hole after a power cut), is not taken up: the training begins anew.
+all that was asked for, what was chosen within that, and a digest of its content; one of something else, and one that is
+not as it was written (cut off, with a hole after a power cut), is not taken up: the training begins anew.
 """
 
 import glob
@@ -45,12 +45,15 @@ class Checkpoint:
 
     Args:
         path: The file; None: nothing is kept.
-        fingerprint: Of everything the training depends on.
+        fingerprint: Of everything the training depends on that was asked for.
         every_s: Seconds between two writings; 0 writes after every step; None: as often as costs little.
+        chosen: What else it depends on, such as options that fit into the memory of that moment, as JSON has it.
     """
 
-    def __init__(self, path: Path | None, fingerprint: str = "", every_s: float | None = None) -> None:
-        self.path, self.fingerprint, self.every_s = path, fingerprint, every_s
+    def __init__(
+        self, path: Path | None, fingerprint: str = "", every_s: float | None = None, chosen: Any = None
+    ) -> None:
+        self.path, self.fingerprint, self.every_s, self.chosen = path, fingerprint, every_s, chosen
         self._gap_s = FIRST_S  # where `every_s` leaves it open
         self._timed = every_s is not None
         self._written = time.monotonic()
@@ -60,7 +63,13 @@ class Checkpoint:
         if self.path is None:
             return self
         path = self.path.with_name(f"{self.path.stem}.{name}{self.path.suffix}")
-        return type(self)(path, f"{self.fingerprint} {name}", self.every_s)
+        return type(self)(path, self.fingerprint, self.every_s, self.chosen)
+
+    def begun(self) -> Any:
+        """What was chosen for a training of this fingerprint that has not ended; None where there is none."""
+        return next(
+            (saved.numbers.get("chosen") for path in self._files() if (saved := self._read(path))), None
+        )
 
     def keep(self, done: int, log: TrainingLog, state: Callable[[], State]) -> None:
         """Write the state after `done` steps and the log, if it is time to."""
@@ -79,7 +88,9 @@ class Checkpoint:
         assert self.path is not None
         start = time.monotonic()
         ready = {name: tensor.detach().cpu().contiguous() for name, tensor in saved.tensors.items()}
-        numbers = json.dumps(saved.numbers | {"done": saved.done, "of": self.fingerprint})
+        numbers = json.dumps(
+            saved.numbers | {"done": saved.done, "of": self.fingerprint, "chosen": self.chosen}
+        )
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
         try:
             save_file(ready, str(new), metadata={"devrf": numbers, "digest": _digest(numbers, ready)})
@@ -97,35 +108,42 @@ class Checkpoint:
 
     def found(self, log: TrainingLog) -> Saved | None:
         """What was written last, the log taken up; None where nothing was, for something else, or not whole."""
-        saved = self._read()
-        if saved is not None:
-            log.take_up(saved.numbers.pop("log"))
-            logger.info("training goes on after step %d, from %s", saved.done, self.path)
+        saved = None if self.path is None else self._read(self.path)
+        if saved is None:
+            return None
+        if saved.numbers.pop("chosen", None) != self.chosen:
+            logger.info("%s: begun otherwise than is possible now; training begins anew", self.path)
+            return None
+        log.take_up(saved.numbers.pop("log"))
+        logger.info("training goes on after step %d, from %s", saved.done, self.path)
         return saved
 
     def remove(self) -> None:
         """The training is done, and its result is safe."""
-        if self.path is None:
-            return
-        parts = self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")
-        for path in (self.path, *parts):
+        for path in self._files():
             path.unlink(missing_ok=True)
 
-    def _read(self) -> Saved | None:
-        if self.path is None or not self.path.exists():
+    def _files(self) -> list[Path]:
+        """That of the whole and those of its parts."""
+        if self.path is None:
+            return []
+        return [self.path, *self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")]
+
+    def _read(self, path: Path) -> Saved | None:
+        if not path.exists():
             return None
         try:
-            with safe_open(str(self.path), framework="pt", device="cpu") as file:
+            with safe_open(str(path), framework="pt", device="cpu") as file:
                 meta = file.metadata() or {}
                 numbers = json.loads(meta.get("devrf", "{}"))
                 if not isinstance(numbers, dict) or numbers.pop("of", None) != self.fingerprint:
-                    logger.info("%s: of another training; this one begins anew", self.path)
+                    logger.info("%s: of another training; this one begins anew", path)
                     return None
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             if _digest(meta["devrf"], tensors) != meta.get("digest"):
                 raise ValueError("its content is not what was written")
         except (OSError, SafetensorError, ValueError) as error:
-            logger.warning("%s: damaged (%s); training begins anew", self.path, error)
+            logger.warning("%s: damaged (%s); training begins anew", path, error)
             return None
         return Saved(numbers.pop("done"), tensors, numbers)
 
