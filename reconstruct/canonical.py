@@ -173,6 +173,11 @@ class Canonical:
         return x, y, z
 
     @property
+    def resolution(self) -> float:
+        """R: the cube root of the number of vertices."""
+        return math.prod(self.shape) ** (1 / 3)
+
+    @property
     def voxel(self) -> float:
         """Side of a voxel, in the units of the box: the geometric mean over the axes."""
         return voxel_size(self.aabb, self.shape)

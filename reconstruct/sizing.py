@@ -84,7 +84,7 @@ def fewer_voxels(
 
 def levels_for(options: MotionOptions, canonical: Canonical) -> MotionOptions:
     """The options with levels in proportion to a scene at rest that has been given fewer voxels."""
-    ratio = math.prod(canonical.shape) ** (1 / 3) / options.resolution
+    ratio = canonical.resolution / options.resolution
     if ratio > NEARLY_ALL:
         return options
     return resized_motion(options, ratio)

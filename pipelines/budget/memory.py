@@ -54,14 +54,6 @@ def left_bytes(proc: Path = Path("/proc"), cgroups: Path | None = None) -> int:
     return min([_machine_left(proc), *_cgroups_left(proc, cgroups)])
 
 
-def resident_bytes(proc: Path = Path("/proc")) -> int:
-    """What this process holds with the libraries that are mapped, bytes; 0 where the system does not tell."""
-    try:
-        return int((proc / "self" / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, IndexError, ValueError):
-        return 0
-
-
 def _machine_left(proc: Path) -> int:
     try:
         lines = (proc / "meminfo").read_text().splitlines()

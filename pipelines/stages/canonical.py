@@ -8,7 +8,7 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
-from devrf.pipelines.training_memory import fit_to_memory
+from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.model_io import FILE, save_rest
 from devrf.reconstruct.train_canonical import train_canonical
@@ -19,8 +19,9 @@ LEAST_PSNR_DB, DOUBTFUL_PSNR_DB = 10.0, 18.0  # of training pictures: below, not
 def run(context: StageContext) -> None:
     """Write `model.safetensors` and `metrics.json`; a training that was killed goes on from its checkpoint."""
     scene = read_scene(context.run_dir / "scene")
-    options, fits = fit_to_memory(context, scene, training_options(context.config, scene).canonical)
-    checkpoint = training_checkpoint(context, "canonical", options)
+    asked = training_options(context.config, scene).canonical
+    checkpoint = training_checkpoint(context, "canonical", asked)
+    options, fits = fit_to_memory(context, scene, asked, TrainingMemory.now(context), checkpoint)
     model = train_canonical(scene, options, context.device, context.progress, checkpoint)
     save_rest(context.out / FILE, model)
     for line in model.metrics["decisions"]:

@@ -1,7 +1,7 @@
 """Stage `deformation`: how the scene moves, learned from the moving cameras."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
@@ -9,7 +9,7 @@ from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
-from devrf.pipelines.training_memory import fit_to_memory
+from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
 from devrf.reconstruct.sizing import levels_for
@@ -22,10 +22,15 @@ CLOCK_MOVED = 2.0  # standard deviations of a clock, beyond which what sync says
 def run(context: StageContext) -> None:
     """Write models and `metrics.json`; a training that was killed goes on from its checkpoint."""
     scene = read_scene(context.run_dir / "scene")
-    options = training_options(context.config, scene).motion
+    memory = TrainingMemory.now(context)
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
-    options = levels_for(options, rest.canonical) if options.adapt else options
-    options, fits = fit_to_memory(context, scene, options)
+    asked = training_options(context.config, scene).motion
+    asked = levels_for(asked, rest.canonical) if asked.adapt else asked
+    asked = replace(
+        asked, resolution=round(rest.canonical.resolution)
+    )  # there may be fewer voxels than planned
+    checkpoint = training_checkpoint(context, "deformation", asked)
+    options, fits = fit_to_memory(context, scene, asked, memory, checkpoint)
     flows = read_flows(context.run_dir / "flow")
     motion, tuned, metrics = train_deformation(
         scene,
@@ -34,7 +39,7 @@ def run(context: StageContext) -> None:
         options,
         context.device,
         context.progress,
-        training_checkpoint(context, "deformation", options),
+        checkpoint,
         clock_stds=clock_stds(context.run_dir),
     )
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)

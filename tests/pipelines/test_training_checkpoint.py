@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE, STOPPED
 from devrf.pipelines.runner.execute import execute
@@ -15,6 +17,9 @@ from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
+from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
+from devrf.reconstruct.footprint import SceneSize, footprint
+from devrf.reconstruct.memory_fit import Limits
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.training_log import TrainingLog
 
@@ -29,13 +34,34 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, stop_after: int = 3, options: CanonicalOptions = OPTIONS, seed: int = 1) -> list[int]:
-    """One run of one stage that trains for three steps, Ctrl-C after some; returns the steps it took."""
+def run(
+    folder: Path,
+    stop_after: int = 3,
+    options: CanonicalOptions = OPTIONS,
+    seed: int = 1,
+    most: int | None = None,
+    trained: list[CanonicalOptions] | None = None,
+) -> list[int]:
+    """One run of one stage that trains for three steps, Ctrl-C after some; returns the steps it took.
+
+    Args:
+        folder: Of the scene.
+        stop_after: Steps.
+        options: Asked for.
+        seed: A key of the configuration.
+        most: Memory that is free, bytes.
+        trained: Takes the options that it trains with.
+    """
     steps: list[int] = []
 
     def train(context: StageContext) -> None:
         checkpoint = training_checkpoint(context, "learn", options)
         checkpoint.every_s = 0.0
+        memory = TrainingMemory(Limits(most), 0)
+        chosen, decisions = fit_to_memory(context, SceneSize(still_pixels=10), options, memory, checkpoint)
+        assert bool(decisions) == (chosen != options)
+        if trained is not None:
+            trained.append(chosen)
         log = TrainingLog("cpu", 1)
         saved = checkpoint.found(log)
         for step in range(0 if saved is None else saved.done, 3):
@@ -63,6 +89,28 @@ def test_with_another_key_or_other_options_it_begins_anew(folder: Path) -> None:
     run(folder, stop_after=2)
     assert run(folder, stop_after=1, seed=2) == [0]
     assert run(folder, seed=2, options=replace(OPTIONS, rays=8)) == [0, 1, 2]
+
+
+def test_it_goes_on_with_the_options_it_was_begun_with_as_long_as_they_fit(folder: Path) -> None:
+    asked, trained = replace(OPTIONS, resolution=160), []
+    needed = footprint(SceneSize(still_pixels=10), asked).main_bytes
+    assert run(folder, 2, asked, most=needed, trained=trained) == [0, 1]
+    assert run(folder, 2, asked, most=int(0.4 * needed), trained=trained) == [0, 1]
+    assert asked.resolution == trained[0].resolution > trained[1].resolution
+    assert run(folder, 3, asked, most=None, trained=trained) == [2]  # others have ended meanwhile
+    assert trained[1] == trained[2]
+
+
+def test_what_pytorch_keeps_for_itself_on_a_gpu_may_be_trained_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("mem_get_info", (20, 80)), ("memory_reserved", 30), ("memory_allocated", 10)):
+        monkeypatch.setattr(torch.cuda, name, lambda value=value: value)
+    config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4"}})
+    here = Path()
+    context = StageContext(config, here, here, here, lambda *_: None, "cuda")
+    assert TrainingMemory.now(context).limits == Limits(None, 40)
+    for budget, left in ((100, 40), (35, 25), (5, 0)):
+        context.allowance = Allowance(memory=7, gpu=budget)
+        assert TrainingMemory.now(context).limits == Limits(7, left)
 
 
 def test_one_whose_stage_was_finished_is_cleared_away(folder: Path) -> None:
