@@ -1,8 +1,7 @@
 """Where a run trains, and how much of a GPU's memory it may take."""
 
+from devrf.capture.amounts import GB
 from devrf.capture.errors import InputError
-
-GB = 1e9
 
 
 def resolve_device(wish: str, gpu_memory_gb: float | None = None) -> str:

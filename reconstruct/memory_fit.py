@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
 
+from devrf.capture.amounts import GB
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
 from devrf.reconstruct.footprint import Footprint, SceneSize, footprints
@@ -20,7 +21,6 @@ UNSURE = 0.1  # by how much a training may take more than is predicted (docs/rel
 MOST_PARTS = 16
 COARSER = 0.9  # resolution from one try to the next
 COARSEST, COARSEST_MOTION = 24, 6  # vertices along an axis: below, nothing is recovered
-GB = 1e9
 
 
 @dataclass(frozen=True)

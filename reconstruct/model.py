@@ -24,7 +24,7 @@ from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in, shade
 from devrf.reconstruct.train_canonical import RestModel
 
-FEWEST_RAYS = 1 << 9  # at once, where memory is short: fewer would be slow and need hardly less
+FEWEST_AT_ONCE = 1 << 9  # rays, where memory is short: fewer would be slow and need hardly less
 CACHED_BYTES = 1 << 28  # of surroundings of cameras that are remembered: 20 cameras of 0.5 megapixels
 LIVE_VOXELS = 40  # size of the grid that says where the moving scene may be
 STRETCH = 1.5  # how much a motion may stretch space inside one of its cells
@@ -186,7 +186,7 @@ def render_layers(
         try:
             return _layers(model, camera, time)
         except torch.OutOfMemoryError:
-            if model.chunk <= FEWEST_RAYS:
+            if model.chunk <= FEWEST_AT_ONCE:
                 raise
         model.chunk //= 2  # here the failed try holds nothing any more
         model.forget()

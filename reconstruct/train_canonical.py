@@ -44,7 +44,7 @@ from devrf.reconstruct.training_state import grids_state, net_state, take_up_gri
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25
-FEWEST_RAYS = 256
+FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
 
@@ -232,7 +232,7 @@ class _Recipe:
     def rays_now(self) -> int:
         """Rays for one iteration: as many as keep the number of samples near its aim."""
         fitting = round(self.options.samples / max(self.samples_per_ray, 1e-3))
-        return max(FEWEST_RAYS, min(self.options.rays, fitting))
+        return max(FEWEST_DRAWN, min(self.options.rays, fitting))
 
     def before(self, iteration: int) -> None:
         """Refine when it is time to; rebuild the occupancy every so often."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from devrf.capture.amounts import GB
 from devrf.capture.errors import ReconstructError
 
 
@@ -109,7 +110,7 @@ class TrainingLog:
             "rays_per_s": round(self.rays / max(seconds, 1e-9)),
             "device": self.device,
             "peak_rss_gb": round(peak_rss_gb(), 3),
-            "peak_gpu_gb": round(torch.cuda.max_memory_allocated() / 1e9, 3) if on_gpu else None,
+            "peak_gpu_gb": round(torch.cuda.max_memory_allocated() / GB, 3) if on_gpu else None,
             "train_psnr": self.rows[-1].get("psnr") if self.rows else None,
             "curve": self.rows,
         }
@@ -123,4 +124,4 @@ def psnr(mse: float) -> float:
 def peak_rss_gb() -> float:
     """Most memory this process has held, in units of 1e9 bytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak * (1 if sys.platform == "darwin" else 1024) / 1e9
+    return peak * (1 if sys.platform == "darwin" else 1024) / GB

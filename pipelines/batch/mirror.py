@@ -4,6 +4,7 @@ import os
 import shutil
 from pathlib import Path
 
+from devrf.capture.durable import write_json
 from devrf.pipelines.batch.store import Store
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stages import STAGES

@@ -3,14 +3,15 @@
 import shutil
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from devrf.pipelines.budget.need import GB, BudgetError, size_text
-from devrf.pipelines.runner.workspace import size_of
+from devrf.capture.amounts import GB, size_text
+from devrf.pipelines.budget.need import BudgetError
+from devrf.pipelines.runner.workspace import nearest, size_of, unfinished
 
 MARGIN, MARGIN_SHARE = 200_000_000, 0.01  # bytes, and share of a small disk, that other programs are left
 WATCH_S = 1.0  # a stage writes less than the margin meanwhile, but for the fastest disks
@@ -24,35 +25,43 @@ class Room:
         count: Bytes; below 0 where there is too much already.
         bound: What says so, for messages.
         remedy: How there can be more.
+        kept: What goes from the run folder leaves no room: a cache on the same disk has it, too.
     """
 
     count: int
     bound: str
     remedy: str
+    kept: bool = False
 
 
-def room_for(run_dir: Path, disk_gb: float | None, cache: Path | None = None) -> Room:
+def room_for(
+    run_dir: Path, disk_gb: float | None, cache: Path | None = None, stages: Collection[str] = ()
+) -> Room:
     """Room for a run folder, by its budget and by the disk that it lies on, whichever leaves less.
 
     Args:
         run_dir: The run folder, made or not.
         disk_gb: Its budget.
         cache: Folder of results that are kept for later, and may be deleted.
+        stages: About to run: what an earlier run has left of them unfinished counts as room, they go on from it.
     """
-    place = next(folder for folder in (run_dir, *run_dir.absolute().parents) if folder.exists())
+    place = nearest(run_dir)
     usage = shutil.disk_usage(place)
+    back = unfinished(run_dir, stages) if stages else 0
     free = usage.free - min(MARGIN, int(MARGIN_SHARE * usage.total))
+    cached = cache is not None and cache.is_dir() and cache.stat().st_dev == place.stat().st_dev
+    spare = f" ({cache} holds results of earlier runs, which can be deleted safely; cache.max_gb bounds it)"
     disk = Room(
-        free,
+        free + back,
         f"{size_text(usage.free)} are free on the disk of {run_dir}",
-        f"free some space{_spare(cache, place)}, or set output: in scene.yaml to a folder on a larger disk",
+        f"free some space{spare if cached else ''}, or set output: in scene.yaml to a folder on a larger disk",
+        cached,
     )
     if disk_gb is None:
         return disk
     used = size_of(run_dir)
-    left = int(disk_gb * GB) - used
     budget = Room(
-        left,
+        int(disk_gb * GB) - used + back,
         f"budget.disk_gb is {disk_gb:g}, of which {run_dir} holds {size_text(used)}",
         "raise budget.disk_gb, or lower reconstruct.image_scale",
     )
@@ -65,13 +74,6 @@ def no_room(count: int, what: str, room: Room) -> str:
     return (
         f"{what} needs about {needed} on the disk, {missing} more than there is: {room.bound}; {room.remedy}"
     )
-
-
-def _spare(cache: Path | None, place: Path) -> str:
-    """That a cache on the same disk may be deleted, where there is one."""
-    if cache is None or not cache.is_dir() or cache.stat().st_dev != place.stat().st_dev:
-        return ""
-    return f" ({cache} holds results of earlier runs, which can be deleted safely; cache.max_gb bounds it)"
 
 
 @contextmanager

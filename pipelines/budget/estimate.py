@@ -7,7 +7,7 @@ cores beside other jobs; other sessions and machines differ by a factor of `UNSU
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from devrf.calibration.sweep.static_poses import FINE_OCTAVE_BELOW, MAX_IMAGE_SIZE
@@ -65,8 +65,10 @@ FILM_S_PER_MEGAPIXEL = 20.0
 FEW_S = 5.0  # loading libraries, reading, writing
 
 
-def stage_needs(config: SceneConfig, material: Material, device: str = "cpu") -> dict[str, Need]:
-    """What each stage that applies needs, in the order in which they run."""
+def stage_needs(
+    config: SceneConfig, material: Material, device: str = "cpu", only: Collection[str] | None = None
+) -> dict[str, Need]:
+    """What each stage that applies needs, in the order in which they run; of `only` some, if given."""
     makers: dict[str, Callable[[], Need]] = {
         "ingest": lambda: _ingest(config, material),
         "static_poses": lambda: static_poses_need(config, material),
@@ -83,7 +85,8 @@ def stage_needs(config: SceneConfig, material: Material, device: str = "cpu") ->
     }
     from devrf.pipelines.stages import STAGES
 
-    return {stage.name: makers[stage.name]() for stage in STAGES if stage.applies(config) is None}
+    applying = [stage.name for stage in STAGES if stage.applies(config) is None]
+    return {name: makers[name]() for name in applying if only is None or name in only}
 
 
 def _ingest(config: SceneConfig, material: Material) -> Need:

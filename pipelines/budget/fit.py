@@ -1,13 +1,13 @@
 """How a stage is done within the memory that is allowed: fewer pictures at once, then smaller ones, else not at all."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from devrf.calibration.sweep.static_poses import MAX_IMAGE_SIZE
+from devrf.capture.amounts import size_text
 from devrf.pipelines.budget.estimate import static_poses_need
-from devrf.pipelines.budget.material import Material
+from devrf.pipelines.budget.material import TRAINED, Material
 from devrf.pipelines.budget.memory import memory_bound
-from devrf.pipelines.budget.need import BudgetError, Need, size_text
-from devrf.pipelines.budget.training import STAGES as TRAINED
+from devrf.pipelines.budget.need import BudgetError, Need
 from devrf.pipelines.budget.training import fitted_training
 from devrf.pipelines.config.scene import SceneConfig
 
@@ -59,8 +59,8 @@ def fit(need: Need, config: SceneConfig, material: Material, allowed: int, devic
         BudgetError: There is none.
     """
     if need.stage in TRAINED:
-        base, decided = fitted_training(need.stage, config, material, device, allowed)
-        return Fit(replace(need, base=base), 1, decided=decided)
+        smaller, decided = fitted_training(need, config, material, device, allowed)
+        return Fit(smaller, 1, decided=decided)
     at_once = need.fitted(allowed)
     if at_once:
         return Fit(need, at_once)
@@ -76,7 +76,7 @@ def fit(need: Need, config: SceneConfig, material: Material, allowed: int, devic
 def no_memory(need: Need, config: SceneConfig, allowed: int) -> str:
     """What is said of a stage that does not fit."""
     return (
-        f"{need.stage} needs about {size_text(need.least)} of main memory at the least, and "
+        f"needs about {size_text(need.least)} of main memory at the least, and "
         f"{memory_bound(config, allowed)}, or use {REMEDIES.get(need.stage, 'smaller pictures')}"
     )
 

@@ -1,18 +1,20 @@
 """What a run will need, said before it starts; refused where it cannot be had."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from devrf.capture.amounts import size_text
 from devrf.capture.errors import DevrfError
 from devrf.pipelines.budget.disk import Room, no_room, room_for
 from devrf.pipelines.budget.estimate import UNSURE, stage_needs
 from devrf.pipelines.budget.fit import Fit, fit
-from devrf.pipelines.budget.material import find_material
+from devrf.pipelines.budget.material import Material, find_material
 from devrf.pipelines.budget.memory import allowed_bytes, bound_by_budget
-from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk, size_text
+from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
+from devrf.pipelines.runner.workspace import size_of
 from devrf.pipelines.stamps.cache import cache_of
 
 
@@ -21,31 +23,36 @@ class Forecast:
     """Of the stages that are going to run.
 
     Attributes:
-        fits: How each is done, in their order.
-        refused: What cannot be done within the budget, one message each.
+        needs: What they need, in their order.
+        fits: How each that can be done is done.
+        too_large: What cannot be done within the memory that is allowed, one message each.
         doubtful: Later stages that could not be done if they began now; other programs may have ended by then.
         allowed: Main memory that may be used, bytes.
-        room: On the disk.
+        disk: Most that they add to the disk, bytes.
+        room: On it.
         time_minutes: `budget.time_minutes`.
     """
 
+    needs: tuple[Need, ...]
     fits: tuple[Fit, ...]
-    refused: tuple[str, ...]
+    too_large: tuple[str, ...]
     doubtful: tuple[str, ...]
     allowed: int
+    disk: int
     room: Room
     time_minutes: float | None
 
     @property
-    def needs(self) -> list[Need]:
-        """Of the stages that can be done."""
-        return [fit.need for fit in self.fits]
+    def refused(self) -> list[str]:
+        """What cannot be done within the budget, one message each."""
+        full = [no_room(self.disk, "the run", self.room)] if self.disk > self.room.count else []
+        return [*self.too_large, *full]
 
     @property
     def seconds(self) -> float | None:
         """Of all stages on two CPU cores; None where one of them was never measured."""
         known = [need.seconds for need in self.needs if need.seconds is not None]
-        return sum(known) if len(known) == len(self.fits) else None
+        return sum(known) if len(known) == len(self.needs) else None
 
     def lines(self) -> list[str]:
         """In two lines, and one for each doubt."""
@@ -56,7 +63,7 @@ class Forecast:
         time = "time not known" if seconds is None else f"{duration(seconds)} on two CPU cores"
         lines = [
             f"estimate (to a factor of {UNSURE} in time): {size_text(largest.memory)} of main memory "
-            f"({largest.need.stage}; {size_text(self.allowed)} allowed), {size_text(most_on_disk(self.needs))} on the "
+            f"({largest.need.stage}; {size_text(self.allowed)} allowed), {size_text(self.disk)} on the "
             f"disk ({self.room.bound}), {time}"
         ]
         if self.time_minutes is not None and seconds is not None and seconds > 60 * self.time_minutes:
@@ -84,19 +91,60 @@ def forecast(
 ) -> Forecast | None:
     """What the named stages will need; None where their raw files cannot be read, which others report."""
     try:
-        material = find_material(config, scene_dir, run_dir)
+        material = find_material(config, scene_dir, run_dir, stages)
     except DevrfError:
         return None
-    cache, allowed = cache_of(config, scene_dir), allowed_bytes(config)
-    room = room_for(run_dir, config.budget.disk_gb, None if cache is None else cache.folder)
-    fits, refused, doubtful = [], [], []
-    for need in (n for n in stage_needs(config, material, device).values() if n.stage in stages):
+    needs = stage_needs(config, material, device, stages)
+    room = room_of(config, scene_dir, run_dir, stages)
+    replaced = replaced_by(needs, run_dir, room)
+    return forecast_of(needs, config, material, device, allowed_bytes(config), room, replaced)
+
+
+def room_of(config: SceneConfig, scene_dir: Path, run_dir: Path, stages: Collection[str]) -> Room:
+    """Room on the disk for stages that are about to run."""
+    cache = cache_of(config, scene_dir)
+    return room_for(run_dir, config.budget.disk_gb, None if cache is None else cache.folder, stages)
+
+
+def replaced_by(stages: Iterable[str], run_dir: Path, room: Room) -> dict[str, int]:
+    """Bytes of finished folders that go once a stage has been made again, by stage."""
+    return {} if room.kept else {stage: size_of(run_dir / stage) for stage in stages}
+
+
+def forecast_of(
+    needs: Mapping[str, Need],
+    config: SceneConfig,
+    material: Material,
+    device: str,
+    allowed: int,
+    room: Room,
+    replaced: Mapping[str, int],
+) -> Forecast:
+    """How stages can be done.
+
+    Args:
+        needs: Of the stages that are going to run, in their order.
+        config: The configuration.
+        material: What they work on.
+        device: cpu or cuda.
+        allowed: Main memory, bytes.
+        room: On the disk.
+        replaced: Bytes of finished folders that go once a stage has been made again, by stage.
+    """
+    fits, too_large, doubtful = [], [], []
+    for stage, need in needs.items():
         try:
             fits.append(fit(need, config, material, allowed, device))
         except BudgetError as error:
             later = bool(fits) and not bound_by_budget(config, allowed)
-            (doubtful if later else refused).append(str(error))
-    disk = most_on_disk(fit.need for fit in fits)
-    if disk > room.count:
-        refused.append(no_room(disk, "the run", room))
-    return Forecast(tuple(fits), tuple(refused), tuple(doubtful), allowed, room, config.budget.time_minutes)
+            (doubtful if later else too_large).append(f"{stage}: {error}")
+    return Forecast(
+        tuple(needs.values()),
+        tuple(fits),
+        tuple(too_large),
+        tuple(doubtful),
+        allowed,
+        most_on_disk(needs.values(), replaced),
+        room,
+        config.budget.time_minutes,
+    )

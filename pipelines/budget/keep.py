@@ -9,11 +9,12 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from devrf.capture.amounts import GB
 from devrf.capture.errors import DevrfError
 from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import no_room, room_for, watched
 from devrf.pipelines.budget.memory import allowed_bytes
-from devrf.pipelines.budget.need import GB, BudgetError, Need
+from devrf.pipelines.budget.need import BudgetError, Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
 from devrf.pipelines.stages import stage_names
@@ -22,7 +23,6 @@ from devrf.pipelines.stamps.cache import cache_of
 if TYPE_CHECKING:
     from devrf.pipelines.budget.material import Material
 
-TRAINING = ("canonical", "deformation")
 OPTIONAL = "render"  # nothing but the report reads it
 LAST = "report"  # takes seconds, and is wanted most where a run ends early
 
@@ -46,17 +46,18 @@ class Budget:
         allowed = allowed_bytes(self.config)
         gpu_gb = self.config.budget.gpu_memory_gb
         gpu = None if gpu_gb is None else int(gpu_gb * GB)
-        material, needs = self._known() if stage in stage_names() else (None, {})
+        material, needs = self._known([stage])
         need = needs.get(stage)
         if material is None or need is None:
             return Allowance(memory=allowed, gpu=gpu, until=self._until)
-        room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache)
+        room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache, [stage])
         if need.disk > room.count:
             raise BudgetError(no_room(need.disk, "it", room))
-        if stage in TRAINING:  # fits itself to the scene as it is then
-            return Allowance(memory=allowed, gpu=gpu, until=self._until)
         from devrf.pipelines.budget.fit import fit
+        from devrf.pipelines.budget.material import TRAINED
 
+        if stage in TRAINED:  # fits itself to the scene as it is then
+            return Allowance(memory=allowed, gpu=gpu, until=self._until)
         found = fit(need, self.config, material, allowed)
         if found.said is not None:
             say(f"  {found.said}")
@@ -78,7 +79,7 @@ class Budget:
         left_s = self._until - time.monotonic()
         if left_s > 0 and stage != OPTIONAL:
             return None
-        _, needs = self._known()
+        _, needs = self._known(rest)
         if left_s > 0 and (stage not in needs or left_s > (needs[stage].seconds or 0.0)):
             return None
         known = [needs[name].seconds for name in rest if name in needs]
@@ -89,17 +90,19 @@ class Budget:
             "what is done is kept: run again to go on, or give it more time"
         )
 
-    def _known(self) -> "tuple[Material | None, dict[str, Need]]":
-        """What the run works on, and what each stage needs of it.
+    def _known(self, stages: Sequence[str]) -> "tuple[Material | None, dict[str, Need]]":
+        """What the run works on, and what stages that have not begun need of it.
 
-        Nothing where raw files cannot be read, which the stages report, or where only the libraries are installed
-        that training a data set needs.
+        Nothing of stages that are not the pipeline's; nothing where raw files cannot be read, which the stages report,
+        or where only the libraries are installed that training a data set needs.
         """
+        if set(stages).isdisjoint(stage_names()):
+            return None, {}
         try:
             from devrf.pipelines.budget.estimate import stage_needs
             from devrf.pipelines.budget.material import find_material
 
-            material = find_material(self.config, self.scene_dir, self.run_dir)
+            material = find_material(self.config, self.scene_dir, self.run_dir, stages)
         except (DevrfError, ModuleNotFoundError):
             return None, {}
-        return material, stage_needs(self.config, material, self.device)
+        return material, stage_needs(self.config, material, self.device, stages)

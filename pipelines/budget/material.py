@@ -3,11 +3,12 @@
 Once `ingest` and `scene` are made their own files are read, which know better.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
@@ -22,6 +23,8 @@ from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.configured_dataset import configured_dataset
 from devrf.pipelines.stages.scene import MAX_PIXELS, auto_image_scale
+
+TRAINED = ("canonical", "deformation")  # stages that train
 
 STORED = (
     0.4  # bytes on disk for each pixel of a picture out of a clip: 0.22 to 0.36 at 1080p (docs/ingest.md)
@@ -77,6 +80,7 @@ class Material:
         full_pixels: Of the largest picture of a moving camera as it is.
         cameras: Cameras that are trained on.
         scene: The finished scene, where it is known.
+        trained: Stage -> what a finished training says of its model (`metrics.json`).
     """
 
     sources: Mapping[str, Source]
@@ -87,6 +91,7 @@ class Material:
     full_pixels: int
     cameras: int
     scene: Scene | None = None
+    trained: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def sweep(self) -> Source | None:
@@ -94,19 +99,26 @@ class Material:
         return self.sources.get(SWEEP)
 
 
-def find_material(config: SceneConfig, scene_dir: Path, run_dir: Path) -> Material:
+def find_material(
+    config: SceneConfig, scene_dir: Path, run_dir: Path, anew: Collection[str] = ()
+) -> Material:
     """Look at headers, or at what finished stages found.
 
+    Args:
+        config: The configuration.
+        scene_dir: Folder of scene.yaml.
+        run_dir: The run folder.
+        anew: Stages that are about to run: what they left before says nothing of what they will.
     Raises:
         DevrfError: A raw file or data set cannot be read.
     """
-    sources = {} if config.dataset is not None else find_sources(config, scene_dir, run_dir)
-    scene = _finished_scene(run_dir)
+    sources = {} if config.dataset is not None else find_sources(config, scene_dir, run_dir, anew)
+    scene = None if "scene" in anew else _finished_scene(run_dir)
     if scene is None and config.dataset is not None:
         scene = configured_dataset(config, scene_dir)
-    if scene is not None:
-        return _of_scene(config, scene, sources)
-    return planned_material(config, sources)
+    found = planned_material(config, sources) if scene is None else _of_scene(config, scene, sources)
+    made = {stage: _training(run_dir / stage) for stage in TRAINED if stage not in anew}
+    return replace(found, trained={stage: training for stage, training in made.items() if training})
 
 
 def planned_material(config: SceneConfig, sources: Mapping[str, Source]) -> Material:
@@ -154,15 +166,25 @@ def _finished_scene(run_dir: Path) -> Scene | None:
         return None
 
 
-def find_sources(config: SceneConfig, scene_dir: Path, run_dir: Path) -> dict[str, Source]:
-    """Every clip and folder of photos, by the name that it has in the ingest folder.
+def _training(folder: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads((folder / "metrics.json").read_text())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and {"grid", "options"} <= found.keys() else None
+
+
+def find_sources(
+    config: SceneConfig, scene_dir: Path, run_dir: Path, anew: Collection[str] = ()
+) -> dict[str, Source]:
+    """Every clip and folder of photos, by the name that it has in the ingest folder; arguments as `find_material`'s.
 
     Raises:
         DevrfError: One cannot be read.
     """
     session = capture_session(config, scene_dir)
     try:
-        frames = FrameSet.read(run_dir / "ingest")
+        frames = None if "ingest" in anew else FrameSet.read(run_dir / "ingest")
     except (DevrfError, OSError):
         frames = None
     sources = {}

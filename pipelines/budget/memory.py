@@ -9,8 +9,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from devrf.capture.amounts import GB, size_text
 from devrf.capture.processes import descendants, memory_of
-from devrf.pipelines.budget.need import GB, size_text
 from devrf.pipelines.config.scene import SceneConfig
 
 RESERVE = 0.1  # of what is there: other programs grow, too, ...

@@ -1,11 +1,9 @@
 """What a stage needs, and how many pictures it may work on at once so that it keeps within what is allowed."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from devrf.capture.errors import DevrfError
-
-GB = 1e9
 
 
 class BudgetError(DevrfError):
@@ -37,11 +35,6 @@ class Need:
     seconds: float | None = 0.0
 
     @property
-    def memory(self) -> int:
-        """Main memory at its quickest, bytes."""
-        return self.base + self.each * self.at_once
-
-    @property
     def least(self) -> int:
         """Main memory with one picture at a time, bytes."""
         return self.base + self.each
@@ -58,17 +51,15 @@ class Need:
         return max(0, min(self.at_once, (allowed - self.base) // self.each))
 
 
-def most_on_disk(needs: Iterable[Need]) -> int:
-    """Most that some stages, one after the other, add to the disk, bytes."""
+def most_on_disk(needs: Iterable[Need], replaced: Mapping[str, int] | None = None) -> int:
+    """Most that some stages, one after the other, add to the disk, bytes.
+
+    Args:
+        needs: Of the stages.
+        replaced: Bytes of finished folders that go once the stage has been made again, by stage.
+    """
     left = most = 0
     for need in needs:
         most = max(most, left + need.disk)
-        left += need.left
+        left += need.left - (replaced or {}).get(need.stage, 0)
     return most
-
-
-def size_text(count: int | float) -> str:
-    """Bytes for people: 12 MB, 0.36 GB, 19 GB."""
-    if count < 0.1 * GB:
-        return f"{max(0.0, count) / 1e6:.0f} MB"
-    return f"{count / GB:.2g} GB" if count < 99 * GB else f"{count / GB:.0f} GB"

@@ -1,5 +1,7 @@
-"""What training needs, as the reconstruction predicts it; before the scene is known, of what is planned."""
+"""What training needs, as the reconstruction predicts it; before scene and model are known, of what is planned."""
 
+import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from devrf.capture.errors import ReconstructError
@@ -13,7 +15,6 @@ from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 if TYPE_CHECKING:
     from devrf.reconstruct.footprint import SceneSize
 
-STAGES = ("canonical", "deformation")
 BASE = 420_000_000  # bytes: Python with NumPy, SciPy, OpenCV and PyTorch; 0.36 to 0.41 GB
 FLOAT = 4  # bytes
 SHELL_NUMBERS = 4  # of each of its vertices: density and colour
@@ -32,11 +33,10 @@ def training_need(stage: str, config: SceneConfig, material: Material, device: s
     from devrf.reconstruct.footprint import footprint
 
     held = footprint(_size(material), _options(stage, config, material), device, BASE)
-    read = _unpacking(stage, config)
-    numbers = model_numbers(config) if stage == "canonical" else motion_numbers(config, material)
+    numbers = rest_numbers(config, material) if stage == "canonical" else motion_numbers(config, material)
     return Need(
         stage,
-        held.main_bytes + read,
+        held.main_bytes,
         gpu=held.gpu_bytes,
         left=int(PACKED * numbers),
         passing=FLOAT * CHECKPOINT * numbers,
@@ -45,9 +45,9 @@ def training_need(stage: str, config: SceneConfig, material: Material, device: s
 
 
 def fitted_training(
-    stage: str, config: SceneConfig, material: Material, device: str, allowed: int
-) -> tuple[int, tuple[str, ...]]:
-    """Main memory, bytes, with options that keep within `allowed`, and what is changed for it, one line each.
+    need: Need, config: SceneConfig, material: Material, device: str, allowed: int
+) -> tuple[Need, tuple[str, ...]]:
+    """The need with options that keep within `allowed` bytes of main memory, and what is changed, one line each.
 
     Raises:
         BudgetError: Even the smallest training takes more.
@@ -55,26 +55,33 @@ def fitted_training(
     from devrf.reconstruct.footprint import footprint
     from devrf.reconstruct.memory_fit import Limits, fitted
 
-    size, options = _size(material), _options(stage, config, material)
+    size, limits = _size(material), Limits(allowed)
     try:
-        if isinstance(options, CanonicalOptions):
-            options, decisions = fitted(size, options, Limits(allowed), device, BASE)
-        else:
-            options, decisions = fitted(size, options, Limits(allowed), device, BASE)
+        options, decisions = fitted(size, _options(need.stage, config, material), limits, device, BASE)
     except ReconstructError as error:
-        raise BudgetError(f"{stage}: {error}") from None
-    held = footprint(size, options, device, BASE).main_bytes + _unpacking(stage, config)
-    return held, tuple(map(str, decisions))
+        raise BudgetError(str(error)) from None
+    if not decisions:
+        return need, ()
+    return replace(need, base=footprint(size, options, device, BASE).main_bytes), tuple(map(str, decisions))
 
 
-def model_numbers(config: SceneConfig) -> int:
+def rest_numbers(config: SceneConfig, material: Material) -> int:
     """Numbers in the grids of the scene at rest and of its surroundings."""
+    made = material.trained.get("canonical")
     rest = planned_options(config).canonical
-    return rest.resolution**3 * (1 + rest.channels) + rest.shell_resolution**3 * SHELL_NUMBERS
+    vertices = rest.resolution**3 if made is None else math.prod(made["grid"])
+    channels, around = rest.channels, rest.shell_resolution
+    if made is not None:
+        channels, around = made["options"]["channels"], made["options"]["shell_resolution"]
+    plain = material.scene is not None and material.scene.background != "shell"
+    return vertices * (1 + channels) + (0 if plain else around**3 * SHELL_NUMBERS)
 
 
 def motion_numbers(config: SceneConfig, material: Material) -> int:
     """Numbers in the finest field of motion, both ways."""
+    made = material.trained.get("deformation")
+    if made is not None:
+        return 2 * 3 * made["keys"] * math.prod(made["grid"])
     motion = planned_options(config).motion
     if not material.in_motion:
         return 0
@@ -85,18 +92,18 @@ def motion_numbers(config: SceneConfig, material: Material) -> int:
 def model_bytes(config: SceneConfig, material: Material) -> int:
     """The trained model in memory."""
     copies = 2 if planned_options(config).motion.fine_tuning and material.in_motion else 1
-    return FLOAT * (copies * model_numbers(config) + motion_numbers(config, material))
-
-
-def _unpacking(stage: str, config: SceneConfig) -> int:
-    """What the scene at rest takes twice while the motion's training reads it, bytes (measured: 1.03 GB, not 0.76)."""
-    return FLOAT * model_numbers(config) if stage == "deformation" else 0
+    return FLOAT * (copies * rest_numbers(config, material) + motion_numbers(config, material))
 
 
 def _options(stage: str, config: SceneConfig, material: Material) -> CanonicalOptions | MotionOptions:
     forward = material.scene is not None and material.scene.ndc is not None
     options = planned_options(config, forward=forward)
-    return options.canonical if stage == "canonical" else options.motion
+    if stage == "canonical":
+        return options.canonical
+    made = material.trained.get("canonical")
+    if made is None:
+        return options.motion
+    return replace(options.motion, resolution=round(math.prod(made["grid"]) ** (1 / 3)))
 
 
 def _size(material: Material) -> "Scene | SceneSize":

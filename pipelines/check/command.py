@@ -17,7 +17,7 @@ from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at_clip
 from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.budget.disk import room_for
+from devrf.pipelines.budget.forecast import room_of
 from devrf.pipelines.budget.material import find_sources
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.capture_session import capture_session
@@ -29,7 +29,7 @@ from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
 from devrf.pipelines.health.rig import scale_rows
 from devrf.pipelines.health.rows import HealthRow, Verdict, note, worst
-from devrf.pipelines.stages import ingest
+from devrf.pipelines.stages import ingest, stage_names
 
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
 RESOURCES, FILES = "disk and time", "files"
@@ -112,7 +112,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         run_dir,
         find_sources(config, scene_dir, run_dir),
         looks,
-        room_for(run_dir, config.budget.disk_gb),
+        room_of(config, scene_dir, run_dir, stage_names()),
         allowed_bytes(config),
     )
     return {title: rows for title, rows in sections.items() if rows}

@@ -2,19 +2,21 @@
 
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from devrf.capture.amounts import GB
 from devrf.capture.pictures import write_picture
 from devrf.capture.survey import Look, Picture
 from devrf.pipelines.budget.disk import Room
 from devrf.pipelines.budget.estimate import UNSURE, stage_needs
+from devrf.pipelines.budget.forecast import Forecast, forecast_of, replaced_by
 from devrf.pipelines.budget.material import Source, planned_material
-from devrf.pipelines.budget.need import GB, Need, most_on_disk
+from devrf.pipelines.budget.need import Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
-from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.rows import HealthRow, Verdict, row
 
 TRAINING = ("canonical", "deformation", "evaluate", "render", "report")
 
@@ -26,6 +28,7 @@ def estimate_rows(
     looks: Mapping[str, Look],
     room: Room,
     allowed: int,
+    device: str = "cpu",
 ) -> list[HealthRow]:
     """Rows about room on the disk, main memory and time.
 
@@ -41,9 +44,10 @@ def estimate_rows(
         name: source if name not in looks else replace(source, bytes_each=_stored_bytes(source, looks[name]))
         for name, source in sources.items()
     }
-    needs = list(stage_needs(config, planned_material(config, seen)).values())
-    need_gb = most_on_disk(needs) / GB
-    largest = max(needs, key=lambda need: need.least)
+    material = planned_material(config, seen)
+    needs = stage_needs(config, material, device)
+    found = forecast_of(needs, config, material, device, allowed, room, replaced_by(needs, run_dir, room))
+    need_gb = found.disk / GB
     return [
         row(
             f"room for the run folder, which needs about {need_gb:.2g} GB",
@@ -51,20 +55,30 @@ def estimate_rows(
             f"GB, because {room.bound}",
             warn=2 * need_gb,
             fail=need_gb,
-            remedy=f"Make room where {run_dir} lies, or set output to another disk.",
+            remedy=f"{room.remedy[0].upper()}{room.remedy[1:]}.",
         ),
-        row(
-            f"main memory, of which {largest.stage} needs about {largest.least / GB:.2g} GB",
-            allowed / GB,
-            "GB allowed",
-            warn=largest.least / GB,
-            remedy="Close other programs, take a larger machine, or raise budget.memory_gb.",
-        ),
-        time_row(config, needs),
+        _memory_row(found),
+        time_row(config, found.needs),
     ]
 
 
-def time_row(config: SceneConfig, needs: list[Need]) -> HealthRow:
+def _memory_row(found: Forecast) -> HealthRow:
+    """What `run` would refuse for its memory is a no-go; what it would doubt, or train coarser, a warning."""
+    largest = max(found.needs, key=lambda need: need.least)
+    coarser = [f"{fit.need.stage}: {line}" for fit in found.fits for line in fit.decided]
+    verdict: Verdict = "fail" if found.too_large else "warn" if found.doubtful or coarser else "ok"
+    return HealthRow(
+        f"main memory, of which {largest.stage} needs about {largest.least / GB:.2g} GB",
+        found.allowed / GB,
+        "GB allowed",
+        None,
+        None,
+        verdict,
+        "; ".join([*found.too_large, *found.doubtful, *coarser]),
+    )
+
+
+def time_row(config: SceneConfig, needs: Sequence[Need]) -> HealthRow:
     """How long a run takes without a GPU, against the budget."""
     early = sum(need.seconds or 0.0 for need in needs if need.stage not in TRAINING)
     late = [need.seconds for need in needs if need.stage in TRAINING]

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import devrf
+from devrf.capture.amounts import GB
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
@@ -57,7 +58,7 @@ def _execute(run: Run) -> int:
     ):
         start = time.monotonic()
         budget_gb = run.config.budget.memory_gb
-        memory_budget = None if budget_gb is None else int(budget_gb * 1e9)
+        memory_budget = None if budget_gb is None else int(budget_gb * GB)
         tell(run_dir=str(run.run_dir), run=run.name, memory_budget=memory_budget)
         logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
         run.talk.events = Events(run.run_dir, run.name)

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import devrf
+from devrf.capture.amounts import GB
 from devrf.capture.durable import write_json
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.runner.run import Run
@@ -57,4 +58,4 @@ def _peak_rss_gb() -> float:
     kilobytes = max(
         resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
-    return kilobytes * (1024 if sys.platform != "darwin" else 1) / 1e9
+    return kilobytes * (1024 if sys.platform != "darwin" else 1) / GB

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from devrf.capture.amounts import GB
 from devrf.capture.errors import DevrfError
 from devrf.capture.processes import adopt_orphans, descendants, die_with_parent, memory_of
 from devrf.pipelines.budget.memory import left_bytes
@@ -204,13 +205,13 @@ class _Supervisor:
             used = memory_of(self._tree, shared_once=True)
         self._peak, self._left = max(self._peak, used), min(left, limit - used)
         if used > limit:
-            why = f"more than budget.memory_gb allows ({limit / 1e9:g} GB); raise it"
+            why = f"more than budget.memory_gb allows ({limit / GB:g} GB); raise it"
         elif left < LAST_BYTES and used > left:
-            why = f"and the machine has only {left / 1e9:.2f} GB left; close other programs"
+            why = f"and the machine has only {left / GB:.2f} GB left; close other programs"
         else:
             return
         self._too_much = (
-            f"uses {used / 1e9:.2f} GB of memory, {why}, or lower reconstruct.image_scale, reconstruct.rays or "
+            f"uses {used / GB:.2f} GB of memory, {why}, or lower reconstruct.image_scale, reconstruct.rays or "
             "reconstruct.resolution"
         )
         self._kill()
@@ -246,7 +247,7 @@ class _Supervisor:
             sign = signal.Signals(os.WTERMSIG(status))
             why = "a native library crashed" if sign in CRASHES else "someone ended it"
             if sign == signal.SIGKILL:
-                why = f"out of memory, or someone killed it; it had taken {self._peak / 1e9:.1f} GB"
+                why = f"out of memory, or someone killed it; it had taken {self._peak / GB:.1f} GB"
             message = f"the program was ended by {sign.name} ({why}); finished stages are kept{log}"
         if stage and code == FAILED:
             message = f"{stage}: {message}"

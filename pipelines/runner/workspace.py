@@ -9,7 +9,7 @@ import errno
 import os
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from devrf.capture.durable import sync, sync_tree
@@ -152,25 +152,41 @@ def disk_full_message(folder: Path, what: str, written: int) -> str:
 
 
 def free_bytes(folder: Path) -> int | None:
-    """Free bytes where a folder lies or would lie."""
-    for place in (folder, *folder.parents):
-        try:
-            return shutil.disk_usage(place).free
-        except OSError:
-            continue
-    return None
+    """Free bytes where a folder lies or would lie; None where the disk does not tell."""
+    try:
+        return shutil.disk_usage(nearest(folder)).free
+    except OSError:
+        return None
 
 
-def size_of(folder: Path) -> int:
-    """Bytes of all files below a folder."""
+def nearest(folder: Path) -> Path:
+    """A folder, or the nearest one above it that is there."""
+    place = folder.absolute()
+    return next(above for above in (place, *place.parents) if above.exists())
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of all files below a folder."""
+    below = (os.path.join(root, name) for root, _, files in os.walk(path) for name in files)
     total = 0
-    for root, _, files in os.walk(folder):
-        for name in files:
-            try:
-                total += os.lstat(os.path.join(root, name)).st_size
-            except OSError:
-                pass
+    for file in below if path.is_dir() else [path]:
+        try:
+            total += os.lstat(file).st_size
+        except OSError:
+            pass
     return total
+
+
+def unfinished(run_dir: Path, stages: Iterable[str]) -> int:
+    """Bytes of unfinished work that the next run removes before it begins, or that these stages go on from."""
+    patterns = [
+        f"{NEW}*",
+        ".*.tmp",
+        *(pattern for stage in stages for pattern in (f".{stage}", f".{stage}.*")),
+    ]
+    left = {path for pattern in patterns for path in run_dir.glob(pattern)}
+    left |= {old for old in run_dir.glob(f"{OLD}*") if (run_dir / _stage_of(old, OLD)).exists()}
+    return sum(map(size_of, left))
 
 
 def _stage_of(folder: Path, prefix: str) -> str:

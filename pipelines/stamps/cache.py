@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from devrf.capture.amounts import GB
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.digests import file_digest
@@ -23,7 +24,6 @@ from devrf.pipelines.stamps.stamp import STAMP, identity_key, read_stamp, size_i
 USERS = "DEVRF_CACHE"  # environment variable: folder of scenes that name none
 NEW, OLD = ".new-", ".old-"
 ABANDONED_S = 24 * 3600.0  # folders of that age that nobody finished were left by a killed run
-GB = 1e9
 
 
 @dataclass(frozen=True)

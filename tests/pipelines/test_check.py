@@ -353,6 +353,9 @@ def test_a_full_disk_and_a_short_time_are_said(tmp_path: Path) -> None:
     assert verdict(rows(10e6), "room") == "fail"
     assert verdict(rows(100e9, memory=1e9), "memory") == "warn"
     assert verdict(rows(100e9, time_minutes=1.0), "time") == "warn"
+    no_go = next(row for row in rows(100e9, memory=0.5e9, memory_gb=0.5) if "memory" in row.check)
+    assert no_go.verdict == "fail" and "budget.memory_gb is 0.5; raise it" in no_go.remedy
+    assert verdict(rows(100e9, memory=1.3e9, memory_gb=1.3), "memory") == "warn"  # trained coarser
 
 
 @pytest.mark.parametrize("preset", ["tiny", "fast"])

@@ -11,11 +11,12 @@ import pytest
 import torch
 from tests.reconstruct.conftest import REST
 
+from devrf.capture.amounts import GB
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
 from devrf.reconstruct.footprint import SceneSize, footprint
 from devrf.reconstruct.grids import GridTrainer
-from devrf.reconstruct.memory_fit import GB, Limits, fitted
+from devrf.reconstruct.memory_fit import Limits, fitted
 from devrf.reconstruct.options import CanonicalOptions, preset
 from devrf.reconstruct.train_canonical import train_canonical
 
