@@ -1,10 +1,12 @@
 """Budgets: estimates against what was measured, what is decided within them, what is refused, what is stopped."""
 
+import json
 import re
 import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,6 +150,7 @@ def test_disk_counts_what_stays_and_what_passes() -> None:
     needs = [Need("a", 0, left=10, passing=5), Need("b", 0, left=1, passing=20), Need("c", 0, left=3)]
     assert [most_on_disk(needs[:n]) for n in (1, 2, 3)] == [15, 31, 31]
     assert most_on_disk([]) == 0
+    assert most_on_disk(needs, {"a": 10, "c": 100}) == 21  # the old folder of a goes before b begins
     assert [size_text(n) for n in (5e6, 0.36e9, 19e9, 250e9)] == ["5 MB", "0.36 GB", "19 GB", "250 GB"]
 
 
@@ -197,6 +200,71 @@ def test_what_cannot_fit_is_named(clips: Path, budget: str, expected: str) -> No
     config = load_scene(clips / "scene.yaml", [f"budget.{budget}"])
     found = forecast.forecast(config, clips, clips / "run", "cpu", MEASURED)
     assert found is not None and any(re.search(expected, text) for text in found.refused)
+
+
+def leave(path: Path, size: int) -> None:
+    """A file of a size, without writing it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        file.truncate(size)
+
+
+def test_what_a_killed_run_has_left_does_not_stop_the_next(clips: Path, tmp_path: Path) -> None:
+    config, stages = load_scene(clips / "scene.yaml", ["budget.disk_gb=1"]), list(MEASURED)
+
+    def refused(made: Collection[str] = ()) -> list[str]:
+        to_do = [stage for stage in stages if stage not in made]
+        found = forecast.forecast(config, clips, tmp_path, "cpu", to_do)
+        assert found is not None
+        return [text for text in found.refused if "disk" in text]
+
+    assert not refused()
+    for name in (".canonical.safetensors", ".canonical.coarse.safetensors", ".new-ingest-7-abc/frames/0.jpg"):
+        leave(tmp_path / name, 495_000_000)
+    assert not refused() and refused(made=["canonical"])  # nobody goes on from that checkpoint
+    (tmp_path / ".canonical.safetensors").unlink()
+    leave(tmp_path / "canonical" / "model.safetensors", 900_000_000)
+    assert refused(made=["canonical"]) and refused()  # until it is replaced it takes its room
+    (tmp_path / "canonical" / "model.safetensors").unlink()
+    leave(tmp_path / "ingest" / "frames" / "0.jpg", 600_000_000)
+    assert not refused() and refused(made=["ingest"])
+
+
+def test_unfinished_work_counts_as_room_for_those_who_go_on_from_it(tmp_path: Path) -> None:
+    for name, size in (
+        (".flow/cam0/1.npz", 1),
+        (".canonical.box.safetensors", 2),
+        (".digests.json.7.tmp", 4),
+    ):
+        leave(tmp_path / name, size * 10**6)
+    for name, size in ((".new-flow-7-abc/1.npz", 8), (".old-rig-abc/rig.json", 16), ("rig/rig.json", 32)):
+        leave(tmp_path / name, size * 10**6)
+    left = 100 - 63
+    assert room_for(tmp_path, 0.1).count == left * 10**6
+    for stages, back in ((["flow"], 29), (["canonical"], 30), (["flow", "canonical"], 31), (["rig"], 28)):
+        assert room_for(tmp_path, 0.1, None, stages).count == (left + back) * 10**6
+
+
+def test_later_stages_are_estimated_with_the_model_that_was_trained(clips: Path, tmp_path: Path) -> None:
+    config = load_scene(clips / "scene.yaml", [])
+
+    def memory(anew: Collection[str] = ()) -> dict[str, int]:
+        material = find_material(config, clips, tmp_path, anew)
+        return {name: need.least for name, need in stage_needs(config, material).items()}
+
+    def trained(stage: str, **metrics: object) -> None:
+        (tmp_path / stage).mkdir()
+        (tmp_path / stage / "metrics.json").write_text(json.dumps(metrics))
+
+    planned = memory()
+    trained("canonical", grid=[50, 40, 60], options={"channels": 12, "shell_resolution": 64})
+    made = memory()
+    for stage in ("deformation", "evaluate", "render"):
+        assert made[stage] < planned[stage], stage
+    assert made["canonical"] == planned["canonical"] and memory(["canonical"]) == planned
+    trained("deformation", grid=[80, 80, 80], keys=100, options={})
+    assert memory()["evaluate"] > made["evaluate"] + 4 * 2 * 3 * 100 * 70**3
+    assert memory(["deformation"]) == made
 
 
 def test_what_training_will_do_with_less_memory_is_said_before(clips: Path) -> None:
