@@ -7,6 +7,7 @@ Each training is a process of its own on the CPU, a few iterations through all r
 """
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,7 @@ import cv2
 import numpy as np
 from tests.reconstruct import conftest as ball
 
+from devrf.capture.processes import memory_of
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import CameraFlow
 from devrf.pipelines.bench.rows import Row, with_goal, write_rows
@@ -77,16 +79,17 @@ def _train(case: dict[str, Any]) -> tuple[int, int]:
         options = preset(case.get("preset", "fast"), resolution=case["R"], adapt=False)
         rest, motion = _few_iterations(case, options.canonical, options.motion)
         if not scene.dynamic:
-            predicted = footprint(scene, rest).main_bytes
+            held = _forget_peak()
+            predicted = footprint(scene, rest, held=held).main_bytes
             train_canonical(scene, rest, checkpoint=state)
             return predicted, _peak()
         model = Path(folder) / "rest.safetensors"
         at_rest = train_canonical(scene, replace(rest, rays=500))
         save_rest(model, at_rest)
         del at_rest
-        _forget_peak()
+        held = _forget_peak()
         trained = load_rest(model)
-        predicted = footprint(scene, motion).main_bytes
+        predicted = footprint(scene, motion, held=held).main_bytes
         train_deformation(scene, trained, _flows(scene) if case.get("flow") else {}, motion, checkpoint=state)
         return predicted, _peak()
 
@@ -149,9 +152,10 @@ def _peak() -> int:
     return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM"))
 
 
-def _forget_peak() -> None:
-    """Training the scene at rest that is needed first must not be counted."""
+def _forget_peak() -> int:
+    """Making pictures, and the scene at rest that is needed first, must not be counted; bytes held now."""
     Path("/proc/self/clear_refs").write_text("5")
+    return memory_of([os.getpid()])
 
 
 if __name__ == "__main__":

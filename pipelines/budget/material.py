@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
@@ -26,12 +26,9 @@ from devrf.pipelines.stages.scene import MAX_PIXELS, auto_image_scale
 
 TRAINED = ("canonical", "deformation")  # stages that train
 
-STORED = (
-    0.4  # bytes on disk for each pixel of a picture out of a clip: 0.22 to 0.36 at 1080p (docs/ingest.md)
-)
-DEVELOPED = (
-    2.0  # and for each pixel of a developed RAW photo, a PNG: 3 bytes of colour, of which it saves a third
-)
+# Bytes on disk for each pixel of a picture
+STORED = 0.4  # out of a clip: 0.22 to 0.36 at 1080p (docs/ingest.md)
+DEVELOPED = 2.0  # of a developed RAW photo, a PNG: 3 bytes of colour, of which it saves a third
 LINEAR = 6.0  # more, where the photo is kept in linear light: 16 bits, whose noise no PNG makes smaller
 USUAL_FPS = 30.0  # where a file announces neither the number of its pictures nor their rate
 UNKNOWN_S = 60.0  # length of a clip that announces none
@@ -69,6 +66,23 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Trained:
+    """A trained model, as its metrics.json has it.
+
+    Attributes:
+        vertices: Of the finest grid; of the motion at one key time.
+        keys: Key times of the motion.
+        channels: Features of a vertex at rest.
+        around: Vertices along an axis of the surroundings.
+    """
+
+    vertices: int
+    keys: int
+    channels: int
+    around: int
+
+
+@dataclass(frozen=True)
 class Material:
     """All that a run works on.
 
@@ -80,7 +94,7 @@ class Material:
         full_pixels: Of the largest picture of a moving camera as it is.
         cameras: Cameras that are trained on.
         scene: The finished scene, where it is known.
-        trained: Stage -> what a finished training says of its model (`metrics.json`).
+        trained: Stage -> what it has trained, where that is finished.
     """
 
     sources: Mapping[str, Source]
@@ -91,7 +105,7 @@ class Material:
     full_pixels: int
     cameras: int
     scene: Scene | None = None
-    trained: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    trained: Mapping[str, Trained] = field(default_factory=dict)
 
     @property
     def sweep(self) -> Source | None:
@@ -117,8 +131,8 @@ def find_material(
     if scene is None and config.dataset is not None:
         scene = configured_dataset(config, scene_dir)
     found = planned_material(config, sources) if scene is None else _of_scene(config, scene, sources)
-    made = {stage: _training(run_dir / stage) for stage in TRAINED if stage not in anew}
-    return replace(found, trained={stage: training for stage, training in made.items() if training})
+    made = {stage: _trained(run_dir / stage) for stage in TRAINED if stage not in anew}
+    return replace(found, trained={stage: model for stage, model in made.items() if model is not None})
 
 
 def planned_material(config: SceneConfig, sources: Mapping[str, Source]) -> Material:
@@ -166,12 +180,15 @@ def _finished_scene(run_dir: Path) -> Scene | None:
         return None
 
 
-def _training(folder: Path) -> dict[str, Any] | None:
+def _trained(folder: Path) -> Trained | None:
     try:
         found = json.loads((folder / "metrics.json").read_text())
-    except (OSError, ValueError):
+        x, y, z = map(int, found["grid"])
+        options = found["options"]
+        numbers = (found.get("keys", 0), options.get("channels", 0), options.get("shell_resolution", 0))
+        return Trained(x * y * z, *map(int, numbers))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return None
-    return found if isinstance(found, dict) and {"grid", "options"} <= found.keys() else None
 
 
 def find_sources(

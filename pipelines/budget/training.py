@@ -1,12 +1,11 @@
 """What training needs, as the reconstruction predicts it; before scene and model are known, of what is planned."""
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
-from devrf.pipelines.budget.material import Material
+from devrf.pipelines.budget.material import Material, Trained
 from devrf.pipelines.budget.need import BudgetError, Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.training_options import planned_options
@@ -67,21 +66,18 @@ def fitted_training(
 
 def rest_numbers(config: SceneConfig, material: Material) -> int:
     """Numbers in the grids of the scene at rest and of its surroundings."""
-    made = material.trained.get("canonical")
     rest = planned_options(config).canonical
-    vertices = rest.resolution**3 if made is None else math.prod(made["grid"])
-    channels, around = rest.channels, rest.shell_resolution
-    if made is not None:
-        channels, around = made["options"]["channels"], made["options"]["shell_resolution"]
+    planned = Trained(rest.resolution**3, 0, rest.channels, rest.shell_resolution)
+    made = material.trained.get("canonical", planned)
     plain = material.scene is not None and material.scene.background != "shell"
-    return vertices * (1 + channels) + (0 if plain else around**3 * SHELL_NUMBERS)
+    return made.vertices * (1 + made.channels) + (0 if plain else made.around**3 * SHELL_NUMBERS)
 
 
 def motion_numbers(config: SceneConfig, material: Material) -> int:
     """Numbers in the finest field of motion, both ways."""
     made = material.trained.get("deformation")
     if made is not None:
-        return 2 * 3 * made["keys"] * math.prod(made["grid"])
+        return 2 * 3 * made.keys * made.vertices
     motion = planned_options(config).motion
     if not material.in_motion:
         return 0
@@ -103,7 +99,7 @@ def _options(stage: str, config: SceneConfig, material: Material) -> CanonicalOp
     made = material.trained.get("canonical")
     if made is None:
         return options.motion
-    return replace(options.motion, resolution=round(math.prod(made["grid"]) ** (1 / 3)))
+    return replace(options.motion, resolution=round(made.vertices ** (1 / 3)))
 
 
 def _size(material: Material) -> "Scene | SceneSize":
