@@ -391,7 +391,7 @@ class BudgetConfig(_Section):
     memory_gb: float | None = Field(default=None, gt=0)
     """Main memory of a run and of all processes it starts; never more than the machine and its cgroups leave."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
-    """Memory of the GPU; what would take more ends with a message."""
+    """Memory of the GPU: training is fitted to it; what would take more all the same ends with a message."""
     disk_gb: float | None = Field(default=None, gt=0)
     """Size of the run folder; checked before each stage and watched while it writes."""
     time_minutes: float | None = Field(default=None, gt=0)
