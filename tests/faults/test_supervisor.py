@@ -108,7 +108,7 @@ def test_the_parent_may_sleep(tiny: Tiny) -> None:
         started.send_signal(signal.SIGCONT)
         assert not ends(started.pid, 0.3)
     started.terminate()
-    started.communicate(timeout=10)
+    started.end(timeout=10)
     assert started.returncode == STOPPED
 
 
