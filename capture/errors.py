@@ -29,5 +29,9 @@ class ReconstructError(DevrfError):
     """A model that cannot be trained, loaded or rendered."""
 
 
+class OutOfTime(DevrfError):
+    """Work that ends because its time is over, and goes on from there when it is begun again."""
+
+
 class HealthError(DevrfError):
     """A stage's own check refused its result (board never seen, sweep not registered, ...)."""

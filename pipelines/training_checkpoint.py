@@ -13,9 +13,11 @@ def training_checkpoint(
 ) -> Checkpoint:
     """Of one training: its fingerprint is of all that the stage is made from, the options asked for and the device.
 
-    The file stays until the stage's folder has its name.
+    The file stays until the stage's folder has its name. The training ends, and can go on, when the run's time is over.
     """
     of = {"made_from": context.made_from, "options": asdict(asked), "device": context.device}
-    checkpoint = Checkpoint(context.run_dir / f".{stage}.safetensors", identity_key(stage, of))
+    checkpoint = Checkpoint(
+        context.run_dir / f".{stage}.safetensors", identity_key(stage, of), until=context.allowance.until
+    )
     context.afterwards.append(checkpoint.remove)
     return checkpoint

@@ -20,6 +20,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from devrf.capture.durable import sync
+from devrf.capture.errors import OutOfTime
 from devrf.reconstruct.training_log import TrainingLog
 
 FIRST_S = 5.0  # of training before the first checkpoint
@@ -48,12 +49,19 @@ class Checkpoint:
         fingerprint: Of everything the training depends on that was asked for.
         every_s: Seconds between two writings; 0 writes after every step; None: as often as costs little.
         chosen: What else it depends on, such as options that fit into the memory of that moment, as JSON has it.
+        until: When the training has to end, done or not, on the clock of `time.monotonic`, seconds.
     """
 
     def __init__(
-        self, path: Path | None, fingerprint: str = "", every_s: float | None = None, chosen: Any = None
+        self,
+        path: Path | None,
+        fingerprint: str = "",
+        every_s: float | None = None,
+        chosen: Any = None,
+        until: float | None = None,
     ) -> None:
         self.path, self.fingerprint, self.every_s, self.chosen = path, fingerprint, every_s, chosen
+        self.until = until
         self._gap_s = FIRST_S  # where `every_s` leaves it open
         self._timed = every_s is not None
         self._written = time.monotonic()
@@ -63,7 +71,7 @@ class Checkpoint:
         if self.path is None:
             return self
         path = self.path.with_name(f"{self.path.stem}.{name}{self.path.suffix}")
-        return type(self)(path, self.fingerprint, self.every_s, self.chosen)
+        return type(self)(path, self.fingerprint, self.every_s, self.chosen, self.until)
 
     def begun(self) -> Any:
         """What was chosen for a training of this fingerprint that has not ended; None where there is none."""
@@ -72,7 +80,15 @@ class Checkpoint:
         )
 
     def keep(self, done: int, log: TrainingLog, state: Callable[[], State]) -> None:
-        """Write the state after `done` steps and the log, if it is time to."""
+        """Write the state after `done` steps and the log, if it is time to.
+
+        Raises:
+            OutOfTime: The training has to end; the state is written.
+        """
+        if self.path is not None and self.until is not None and time.monotonic() >= self.until:
+            tensors, numbers = state()
+            self.write(Saved(done, tensors, numbers | {"log": log.state()}))
+            raise OutOfTime(f"its time is over after step {done}")
         gap_s = self._gap_s if self.every_s is None else self.every_s
         if self.path is None or time.monotonic() - self._written < gap_s:
             return

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import devrf
 from devrf.capture.amounts import GB
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import DevrfError, InputError, OutOfTime
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
@@ -251,7 +251,8 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
         run.talk.health(stage.name, rows)
         run.talk.event("stage_failed", stage=stage.name, code=code, logs=[str(log) for log in logs])
         run.talk.error(message)
-        remember_error(run.run_dir, stage.name, message, code)
+        if not isinstance(error, OutOfTime):
+            remember_error(run.run_dir, stage.name, message, code)
         return code
 
 

@@ -4,7 +4,7 @@ import errno
 import logging
 import traceback
 
-from devrf.capture.errors import DevrfError, HealthError
+from devrf.capture.errors import DevrfError, HealthError, OutOfTime
 from devrf.pipelines.exit_codes import FAILED, UNHEALTHY
 from devrf.pipelines.logs import LOG_FILE
 from devrf.pipelines.runner.run import Run
@@ -32,6 +32,11 @@ def explain(run: Run, stage: Stage, error: BaseException, written: int, free: in
         return FAILED, f"{name}: {disk_full_message(run.run_dir, name, written)}"
     if isinstance(error, HealthError):
         return UNHEALTHY, f"{name}: {error}"
+    if isinstance(error, OutOfTime):
+        return (
+            FAILED,
+            f"{name}: {error} (budget.time_minutes); run again to go on there, or give it more time",
+        )
     if isinstance(error, DevrfError):
         return FAILED, f"{name}: {error}"
     if is_no_memory(error):

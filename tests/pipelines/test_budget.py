@@ -302,20 +302,28 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
         "peak = re.search(r'VmHWM:\\s+(\\d+)', Path('/proc/self/status').read_text())[1]\n"
         "print(allowance.at_once, peak, *said)\n"
     )
-    peaks, pictures = [], []
-    for name, budget in (("free", []), ("tight", ["budget.memory_gb=0.5"])):
+
+    def ingested(name: str, *budget: str) -> tuple[int, int, dict[Path, bytes]]:
+        """Threads, most kilobytes, files."""
         out = tmp_path / name
-        done = subprocess.run(
-            [sys.executable, "-c", program, str(clips), str(out), *budget], capture_output=True, text=True
-        )
+        command = [sys.executable, "-c", program, str(clips), str(out), *budget]
+        done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         at_once, kilobytes, *said = done.stdout.split()
-        peaks.append(int(kilobytes))
-        pictures.append({p.relative_to(out): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()})
-        assert ("instead" in said) == (name == "tight") and (int(at_once) < 16) == (name == "tight")
-    assert pictures[0] == pictures[1] and len(pictures[0]) > 40
-    # 16 decoders and 17 pictures being written, of 1920x1080 at 7 bytes a pixel, are 0.2 GB
-    assert peaks[1] < peaks[0] - 60_000, peaks
+        assert ("instead" in said) == bool(budget)
+        files = {p.relative_to(out): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+        return int(at_once), int(kilobytes), files
+
+    at_once, tight, pictures = ingested("tight", "budget.memory_gb=0.5")
+    assert at_once < 16 and tight < 500_000 and len(pictures) > 40
+    # 16 decoders and 17 pictures being written, of 1920x1080 at 7 bytes a pixel, are 0.2 GB; on a busy machine they may
+    # for once not all be at work at the same time
+    peaks = []
+    while not peaks or (len(peaks) < 5 and max(peaks) < tight + 60_000):
+        at_once, most, same = ingested(f"free{len(peaks)}")
+        assert at_once == 16 and same == pictures
+        peaks.append(most)
+    assert max(peaks) > tight + 60_000, (tight, peaks)
 
 
 def test_a_stage_is_stopped_before_the_disk_is_full(

@@ -1,6 +1,7 @@
 """A stage's checkpoint: there until the stage is finished, taken up only by the same training."""
 
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE, STOPPED
+from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
@@ -83,6 +84,24 @@ def test_it_goes_on_and_is_removed_once_the_stage_is_finished(folder: Path) -> N
     assert (folder / "run/.learn.safetensors").exists()
     assert run(folder) == [2]
     assert not list((folder / "run").glob(".learn*"))
+
+
+def test_without_time_it_ends_says_so_and_goes_on(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    def train(context: StageContext) -> None:
+        checkpoint, log = training_checkpoint(context, "learn", OPTIONS), TrainingLog("cpu", 1)
+        saved = checkpoint.found(log)
+        for step in range(0 if saved is None else saved.done, 3):
+            time.sleep(0.4)
+            checkpoint.keep(step + 1, log, lambda: ({"grid": torch.zeros(2)}, {}))
+        (context.out / "model").write_text("learned")
+
+    stage = Stage("learn", (), ("reconstruct.seed",), lambda config: None, train)
+    config = load_scene(folder / "scene.yaml", ("budget.time_minutes=0.01",))
+    for code in (FAILED, DONE):
+        job = Run(config, folder, (stage,), Choice(), Talk("quiet"))
+        assert execute(job) == code and job.standing(stage).error is None
+    said = capsys.readouterr().err
+    assert "learn: its time is over after step 2 (budget.time_minutes); run again to go on there" in said
 
 
 def test_with_another_key_or_other_options_it_begins_anew(folder: Path) -> None:

@@ -18,6 +18,7 @@ from tests.reconstruct.conftest import REST
 from tests.reconstruct.deaths import until_done
 from torch import Tensor
 
+from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import Scene
 from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.checkpoint import Checkpoint
@@ -108,6 +109,24 @@ def test_motion_and_fine_tuning(
     assert tuned is not None and tuned_again is not None
     _assert_same(_tensors(tuned), _tensors(tuned_again))
     assert _timeless(metrics) == _timeless(metrics_again)
+
+
+def test_without_time_it_does_a_step_and_goes_on(ball, tmp_path: Path) -> None:
+    options = replace(SHORT, iterations=6)
+    undisturbed = train_canonical(ball.scene, options)
+    stops = 0
+    while True:
+        try:
+            state = Checkpoint(tmp_path / "state", "this training", until=time.monotonic())
+            resumed = train_canonical(ball.scene, options, checkpoint=state)
+        except OutOfTime as error:
+            stops += 1
+            assert "time is over after step" in str(error)
+            continue
+        break
+    assert stops == options.iterations
+    _assert_same(_tensors(undisturbed), _tensors(resumed))
+    assert _timeless(undisturbed.metrics) == _timeless(resumed.metrics)
 
 
 def _cut(path: Path) -> None:
