@@ -25,6 +25,7 @@ from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.runner.plan import Standing
 from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stamps import digests
 
 LONG = 100_000  # iterations: it will not come to its end
 
@@ -122,6 +123,20 @@ def test_the_files_of_a_fresh_scene_are_not_opened(whole: Path, monkeypatch: pyt
     assert scene.to_do == [] and len(scene.stages) == 5 and scene.problem is None
     stand(scene, options, whole / "empty")
     assert scene.problem == "looked at"
+
+
+def test_what_a_look_has_read_nobody_reads_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny_scene(tmp_path, "a")
+    (tmp_path / "a/run").mkdir()
+    read: list[Path] = []
+    entry = digests._entry
+    monkeypatch.setattr(digests, "RACY_S", 0.0)  # the files were only just written
+    monkeypatch.setattr(digests, "_entry", lambda path: (read.append(path), entry(path))[1])
+    for expected in (10, 0):
+        (scene,) = look([tmp_path / "a"], Options())
+        stand(scene, Options(), tmp_path / "a/run")
+        assert len(read) == expected
+        read.clear()
 
 
 def test_scenes_that_collide_are_refused(tmp_path: Path) -> None:
