@@ -4,7 +4,7 @@ import subprocess
 import time
 from collections.abc import Callable
 
-POLL_S = 0.02
+POLL_S = 0.01
 
 
 def wait_for(

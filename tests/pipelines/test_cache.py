@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from tests.pipelines.small_stages import ALL, SCENE, job, small_stages, write
+from tests.waiting import wait_for
 
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
@@ -236,9 +237,7 @@ def test_runs_share_a_cache_while_others_empty_it(tmp_path: Path) -> None:
         folders.append(folder)
     command = [sys.executable, "-m", "tests.pipelines.test_cache"]
     runs = [subprocess.Popen([*command, str(folder)], stderr=subprocess.PIPE) for folder in folders]
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "kept").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for((tmp_path / "kept").exists, 60)
     for n, run in enumerate(runs[:3]):
         time.sleep(0.05 * n)
         run.kill()

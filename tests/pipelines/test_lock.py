@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.waiting import wait_for
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.runner import lock
@@ -96,10 +97,7 @@ def test_a_holder_touches_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     taken = Lock(tmp_path)
     taken.take()
     os.utime(tmp_path / LOCK, (1, 1))
-    deadline = time.monotonic() + 5
-    while (tmp_path / LOCK).stat().st_mtime == 1 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert (tmp_path / LOCK).stat().st_mtime > 1
+    wait_for(lambda: (tmp_path / LOCK).stat().st_mtime > 1, 5)
     taken.release()
 
 

@@ -15,6 +15,7 @@ import pytest
 import torch
 import typer
 from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage, write
+from tests.waiting import wait_for
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
 from devrf.pipelines.cli import render, say_where
@@ -255,9 +256,7 @@ def program(folder: Path, work_s: float) -> int:
 def test_killed_at_any_point_the_next_run_goes_on(folder: Path, after: str) -> None:
     started = subprocess.Popen([sys.executable, "-m", "tests.pipelines.test_runner", str(folder), "0.3"])
     done = folder / "run" / after / "stamp.json"
-    deadline = time.monotonic() + 60
-    while not done.exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(done.exists, 60)
     time.sleep(0.1)  # in the middle of the next stage
     started.send_signal(signal.SIGKILL)
     started.wait()
@@ -274,9 +273,7 @@ def test_terminated_it_cleans_up(folder: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
     )
-    deadline = time.monotonic() + 60
-    while not list((folder / "run").glob(".new-*")) and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(lambda: list((folder / "run").glob(".new-*")), 60)
     started.terminate()
     _, err = started.communicate(timeout=30)
     assert started.returncode == STOPPED
