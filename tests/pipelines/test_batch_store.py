@@ -184,14 +184,19 @@ def test_what_is_no_stamp_is_none(url: str, text: str) -> None:
     assert store.stamps("a", ["scene"]) == {}
 
 
-def test_a_store_that_does_not_answer_is_an_error(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*arguments: object) -> None:
+def test_a_store_that_does_not_answer_is_an_error(
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*arguments: object, **options: object) -> None:
         raise OSError("the network is down")
 
     store = Store(url)
-    monkeypatch.setattr(store._fs, "cat_file", fails)
-    with pytest.raises(StoreError, match="the network is down"):
-        store.stamps("a", ["scene"])
+    store.push("a", *finished(tmp_path / "run/scene", "x", "1"))
+    for ask in ("cat_file", "ls"):
+        monkeypatch.setattr(store._fs, ask, fails)
+        with pytest.raises(StoreError, match="the network is down"):
+            store.stamps("a", ["scene"])
+        monkeypatch.undo()
 
 
 def test_raw_files_are_read_once(tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
