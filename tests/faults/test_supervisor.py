@@ -108,8 +108,7 @@ def test_the_parent_may_sleep(tiny: Tiny) -> None:
         started.send_signal(signal.SIGCONT)
         assert not ends(started.pid, 0.3)
     started.terminate()
-    started.end(timeout=10)
-    assert started.returncode == STOPPED
+    assert started.end(timeout=10).returncode == STOPPED
 
 
 def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
