@@ -33,7 +33,7 @@ class Limits:
     def hold(self, need: Footprint) -> bool:
         """Whether a training surely stays below."""
         pairs = ((need.main_bytes, self.main), (need.gpu_bytes, self.gpu))
-        return all(limit is None or _surely(bytes_) <= limit for bytes_, limit in pairs)
+        return all(limit is None or surely(bytes_) <= limit for bytes_, limit in pairs)
 
 
 def fitted(
@@ -56,6 +56,11 @@ def fitted(
         if limits.hold(need):
             return smaller, _decisions(options, smaller, wanted, limits)
     raise ReconstructError(_too_little(need, limits))
+
+
+def surely(predicted: int) -> int:
+    """What a training takes at most whose peak is predicted, bytes."""
+    return round((1 + UNSURE) * predicted)
 
 
 def _smaller_and_smaller(options: Options) -> Iterator[Options]:
@@ -111,12 +116,12 @@ def _excess(need: Footprint, limits: Limits) -> list[str]:
             ("main memory", need.main_bytes, limits.main),
             ("GPU memory", need.gpu_bytes, limits.gpu),
         )
-        if limit is not None and _surely(bytes_) > limit
+        if limit is not None and surely(bytes_) > limit
     ]
 
 
 def _too_little(need: Footprint, limits: Limits) -> str:
-    key = "memory_gb" if limits.main is not None and _surely(need.main_bytes) > limits.main else ""
+    key = "memory_gb" if limits.main is not None and surely(need.main_bytes) > limits.main else ""
     key = key or "gpu_memory_gb"
     pictures = sum(
         (need.gpu or need.main).get(name, 0) for name in ("pictures", "flow", "sweep", "surroundings")
@@ -125,8 +130,3 @@ def _too_little(need: Footprint, limits: Limits) -> str:
         f"budget.{key}: the smallest training does not fit ({'; '.join(_excess(need, limits))}); raise it, close "
         f"other programs, or lower reconstruct.image_scale (its pictures and flow take {pictures / GB:.2f} GB)"
     )
-
-
-def _surely(predicted: int) -> int:
-    """What a training takes at most whose peak is predicted, bytes."""
-    return round((1 + UNSURE) * predicted)

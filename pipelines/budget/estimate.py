@@ -1,7 +1,8 @@
 """What every stage needs, from the configuration and the pictures' sizes. Rough, and said to be (docs/budgets.md).
 
 Memory is that of the whole process, with the libraries and the processes it starts. Each rate was measured with the
-stage, or what takes its memory, in a process of its own; docs/budgets.md has estimates beside what was measured.
+stage, or what takes its memory, in a process of its own, none on a GPU; docs/budgets.md has estimates beside what was
+measured.
 Times are those of the example session (72 sweep pictures, five cameras with 43 pictures each, 480x360) on two CPU
 cores beside other jobs; other sessions and machines differ by a factor of `UNSURE` or more.
 """

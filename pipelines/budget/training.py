@@ -52,15 +52,15 @@ def fitted_training(
         BudgetError: Even the smallest training takes more.
     """
     from devrf.reconstruct.footprint import footprint
-    from devrf.reconstruct.memory_fit import Limits, fitted
+    from devrf.reconstruct.memory_fit import Limits, fitted, surely
 
+    if surely(need.base) <= allowed:
+        return need, ()
     size, limits = _size(material), Limits(allowed)
     try:
         options, decisions = fitted(size, _options(need.stage, config, material), limits, device, BASE)
     except ReconstructError as error:
         raise BudgetError(str(error)) from None
-    if not decisions:
-        return need, ()
     return replace(need, base=footprint(size, options, device, BASE).main_bytes), tuple(map(str, decisions))
 
 
