@@ -75,22 +75,24 @@ class Checkpoint:
 
     def begun(self) -> Any:
         """What was chosen for a training of this fingerprint that has not ended; None where there is none."""
-        return next(
-            (saved.numbers.get("chosen") for path in self._files() if (saved := self._read(path))), None
-        )
+        found = (self._numbers(path) for path in self._files())
+        return next((numbers.get("chosen") for numbers in found if numbers is not None), None)
 
-    def keep(self, done: int, log: TrainingLog, state: Callable[[], State]) -> None:
-        """Write the state after `done` steps and the log, if it is time to.
+    def keep(self, done: int, of: int, log: TrainingLog, state: Callable[[], State]) -> None:
+        """Write the state after `done` of all steps and the log, if it is time to.
 
         Raises:
-            OutOfTime: The training has to end; the state is written.
+            OutOfTime: The training has to end before its last step; the state is written.
         """
-        if self.path is not None and self.until is not None and time.monotonic() >= self.until:
+        if self.path is None:
+            return
+        if self.until is not None and time.monotonic() >= self.until and done < of:
             tensors, numbers = state()
-            self.write(Saved(done, tensors, numbers | {"log": log.state()}))
-            raise OutOfTime(f"its time is over after step {done}")
+            kept = self.write(Saved(done, tensors, numbers | {"log": log.state()}))
+            but = "" if kept else ", which could not be kept (devrf.log says why)"
+            raise OutOfTime(f"its time is over after step {done} of {of}{but}")
         gap_s = self._gap_s if self.every_s is None else self.every_s
-        if self.path is None or time.monotonic() - self._written < gap_s:
+        if time.monotonic() - self._written < gap_s:
             return
         tensors, numbers = state()
         likely_s = sum(tensor.nbytes for tensor in tensors.values()) / SLOW_DISK
@@ -99,10 +101,14 @@ class Checkpoint:
             return
         self.write(Saved(done, tensors, numbers | {"log": log.state()}))
 
-    def write(self, saved: Saved) -> None:
-        """Replace the file, whole or not at all, even if the power goes; where that fails, say so and go on."""
+    def write(self, saved: Saved) -> bool:
+        """Replace the file, whole or not at all, even if the power goes; where that fails, say so and go on.
+
+        Returns:
+            Whether it was written.
+        """
         assert self.path is not None
-        start = time.monotonic()
+        start, written = time.monotonic(), False
         ready = {name: tensor.detach().cpu().contiguous() for name, tensor in saved.tensors.items()}
         numbers = json.dumps(
             saved.numbers | {"done": saved.done, "of": self.fingerprint, "chosen": self.chosen}
@@ -113,6 +119,7 @@ class Checkpoint:
             sync(new)
             new.replace(self.path)
             sync(self.path.parent)
+            written = True
         except BaseException as error:
             new.unlink(missing_ok=True)
             if not isinstance(error, OSError | SafetensorError):
@@ -121,6 +128,7 @@ class Checkpoint:
             logger.warning("%s: the checkpoint cannot be written (%s)", self.path, error)
         self._written = time.monotonic()
         self._gap_s, self._timed = max(FIRST_S, (self._written - start) / SHARE), True
+        return written
 
     def found(self, log: TrainingLog) -> Saved | None:
         """What was written last, the log taken up; None where nothing was, for something else, or not whole."""
@@ -144,6 +152,15 @@ class Checkpoint:
         if self.path is None:
             return []
         return [self.path, *self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")]
+
+    def _numbers(self, path: Path) -> dict[str, Any] | None:
+        """The numbers of a checkpoint of this training, read without its tensors and unproven."""
+        try:
+            with safe_open(str(path), framework="pt", device="cpu") as file:
+                numbers = json.loads((file.metadata() or {}).get("devrf", "{}"))
+        except (OSError, SafetensorError, ValueError):
+            return None
+        return numbers if isinstance(numbers, dict) and numbers.get("of") == self.fingerprint else None
 
     def _read(self, path: Path) -> Saved | None:
         if not path.exists():

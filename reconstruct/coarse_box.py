@@ -89,7 +89,7 @@ def find_subject(
         features.update(lr)
         density.update(lr)
         model.density.sub_(before).mul_(share).add_(before)  # each voxel at its own rate
-        checkpoint.keep(iteration + 1, log, state)
+        checkpoint.keep(iteration + 1, options.coarse_iterations, log, state)
     per_voxel = 1 - torch.exp(-F.softplus(model.density[..., 0] + model.shift))
     return (per_voxel > SUBJECT_ALPHA).cpu()
 

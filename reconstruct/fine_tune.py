@@ -91,7 +91,7 @@ def fine_tune(
         log.add(2 * options.rays, recipe.step(iteration))
         if iteration % 10 == 0:
             progress(iteration / iterations, f"fine-tuning, iteration {iteration} of {iterations}")
-        checkpoint.keep(iteration + 1, log, recipe.state)
+        checkpoint.keep(iteration + 1, iterations, log, recipe.state)
     log.close_row()
     model = recipe.model()
     before, after = recipe.held_before, recipe.held_error()

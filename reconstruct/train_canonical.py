@@ -116,7 +116,7 @@ def train_canonical(
             progress(done, f"iteration {iteration} of {options.iterations}{last}")
             if watch is not None:
                 watch(log, lambda: recipe.model({}))
-        checkpoint.keep(iteration + 1, log, lambda: recipe.state(generator))
+        checkpoint.keep(iteration + 1, options.iterations, log, lambda: recipe.state(generator))
     recipe.finish()
     log.close_row()
     progress(1.0, "scene at rest learned")

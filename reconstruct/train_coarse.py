@@ -76,7 +76,7 @@ def train_coarse(
             trainer.visit(model.rebuild_occupancy())
         _loss(model, rays, options, generator, trainer.grad).backward()
         trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
-        checkpoint.keep(step + 1, log, state)
+        checkpoint.keep(step + 1, per_size * len(sizes), log, state)
     return model
 
 

@@ -116,7 +116,7 @@ def train_motion(
         recipe.leave_key()
         last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
         progress(0.05 + 0.95 * log.iteration / total, f"level {level + 1}, key {key}{last}")
-        checkpoint.keep(n + 1, log, recipe.state)
+        checkpoint.keep(n + 1, len(visits), log, recipe.state)
         if watch is not None:
             watch(log, lambda: recipe.motion)
     recipe.leave_level()

@@ -136,10 +136,9 @@ def _value(node: Any) -> Any:
         found = {key: _value(node.getNode(key)) for key in node.keys()}
         rows, cols, data = (found.get(key) for key in ("rows", "cols", "data"))
         if isinstance(rows, int) and isinstance(cols, int) and isinstance(data, list):
-            values = np.array(data, dtype=object)
-            return (
-                values.reshape(rows, cols) if min(rows, cols) > 0 and values.shape == (rows * cols,) else data
-            )
+            nested = any(isinstance(value, list | dict | np.ndarray) for value in data)
+            whole = min(rows, cols) > 0 and len(data) == rows * cols and not nested
+            return np.array(data, dtype=object).reshape(rows, cols) if whole else data
         return found
     if node.isSeq():
         return [_value(node.at(n)) for n in range(node.size())]

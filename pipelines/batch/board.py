@@ -28,14 +28,15 @@ class Board:
         out: Folder of the summary.
         rows: One per scene.
         engine: What carries out the tasks, in words.
+    Attributes:
+        written: Whether the files are as the rows were when they were last written.
     """
 
     def __init__(self, talk: Talk, out: Path, rows: list[SceneRow], engine: str) -> None:
-        self.rows = rows
+        self.rows, self.written = rows, True
         self._talk, self._out, self._engine = talk, out, engine
         self._started, self._start = time.strftime("%Y-%m-%d %H:%M:%S"), time.monotonic()
-        self._written = -WRITE_EVERY_S
-        self._said = False  # that the files cannot be written
+        self._written_s = -WRITE_EVERY_S
         live = talk.out.is_terminal and talk.loudness != "quiet"
         self._live = Live(console=talk.out, refresh_per_second=2, transient=True) if live else None
 
@@ -68,24 +69,25 @@ class Board:
         """Bring the table up to date, and now and then the files."""
         if self._live is not None:
             self._live.update(self._table())
-        if time.monotonic() - self._written > WRITE_EVERY_S:
+        if time.monotonic() - self._written_s > WRITE_EVERY_S:
             self.write()
 
     def write(self) -> None:
         """batch.json and batch.html, each whole or not at all; a disk that is full does not stop the scenes."""
-        self._written = time.monotonic()
+        self._written_s = time.monotonic()
         now = summary(self.rows, self._engine, self._started, time.monotonic() - self._start)
         try:
             write_json(self._out / JSON_FILE, now)
             whole = self._out / f".{HTML_FILE}.tmp"
             whole.write_text(page(now, self._out.resolve()), encoding="utf-8")
             whole.replace(self._out / HTML_FILE)
+            self.written = True
         except OSError as error:
-            if not self._said:
+            if self.written:
                 self._talk.error(
                     f"{self._out}: the summary cannot be written ({error.strerror}); make room there"
                 )
-            self._said = True
+            self.written = False
 
     def _table(self) -> Group:
         """What runs now, and how many stand where."""

@@ -95,8 +95,8 @@ def batch(
             tell(grace_s=STOP_S)
             work_through(_jobs(scenes, rows, options, engine, place, board), engine, board)
     done = sum(row.code == DONE for row in rows)
-    talk.say(f"{done} of {len(rows)} scenes done; {out / HTML_FILE}")
-    return exit_code(rows)
+    talk.say(f"{done} of {len(rows)} scenes done{f'; {out / HTML_FILE}' if board.written else ''}")
+    return exit_code(rows) or (DONE if board.written else FAILED)
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,20 @@ class _Place:
     store: Store | None
 
     def refresh(self, config: SceneConfig, scene_dir: Path) -> Path:
-        """A folder with the stamps of a scene's stages, brought up to date."""
+        """A folder with the stamps of a scene's stages, brought up to date.
+
+        Raises:
+            DevrfError: The store does not answer, or the folder cannot be written.
+        """
         if self.store is None:
             return config.run_dir(scene_dir)
         folder = (self.out / "scenes" / config.folder_name).resolve()
-        mirror(self.store, config, scene_dir, folder)
+        try:
+            mirror(self.store, config, scene_dir, folder)
+        except OSError as error:
+            raise DevrfError(
+                f"{folder}: cannot be written ({error.strerror or error}); make room there"
+            ) from None
         return folder
 
 

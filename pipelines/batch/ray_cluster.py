@@ -53,10 +53,12 @@ class RayCluster:
                 "--memory"
             )
         cpus = [int(node["CPU"]) for node in able]
-        gpus = int(sum(node.get("GPU", 0) for node in nodes))
+        gpus = int(sum(node.get("GPU", 0) for node in able))
         if device == "cuda" and not gpus:
             ray.shutdown()
-            raise InputError("--device cuda: no node of the cluster has a GPU; use --device cpu, or auto")
+            raise InputError(
+                "--device cuda: no node of the cluster that has a CPU and memory has a GPU; use --device cpu, or auto"
+            )
         self.threads = max(1, min(cores if jobs is None else sum(cpus) // jobs, *cpus))
         per_core = min(node["memory"] / node["CPU"] for node in able)
         self.memory_gb = per_core * self.threads / GB

@@ -99,7 +99,9 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
             task = replace(task, path=scratch.scene, run_dir=scratch.run_dir)
         if task.attempt > 1:
             _wait_for_lock(task.run_dir, stop)
-        if scratch is None:
+        if stop():
+            ended = Ended(task.scene, STOPPED)
+        elif scratch is None:
             ended = _run(task, stop, lambda: None, gpu)
         else:
             scratch.fetch(task.stages)

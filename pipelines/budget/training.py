@@ -75,12 +75,12 @@ def rest_numbers(config: SceneConfig, material: Material) -> int:
 
 def motion_numbers(config: SceneConfig, material: Material) -> int:
     """Numbers in the finest field of motion, both ways."""
+    if not material.in_motion:
+        return 0
     made = material.trained.get("deformation")
     if made is not None:
         return 2 * 3 * made.keys * made.vertices
     motion = planned_options(config).motion
-    if not material.in_motion:
-        return 0
     keys = motion.keys or min(motion.most_keys, max(2, _times(material)))
     return 2 * 3 * keys * motion.levels[-1] ** 3
 

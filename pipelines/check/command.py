@@ -27,6 +27,7 @@ from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.estimate import estimate_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
+from devrf.pipelines.device import resolve_device
 from devrf.pipelines.health.rig import scale_rows
 from devrf.pipelines.health.rows import HealthRow, Verdict, note, worst
 from devrf.pipelines.stages import ingest, stage_names
@@ -114,6 +115,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         looks,
         room_of(config, scene_dir, run_dir, stage_names()),
         allowed_bytes(config),
+        resolve_device("auto"),
     )
     return {title: rows for title, rows in sections.items() if rows}
 

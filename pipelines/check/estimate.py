@@ -28,7 +28,7 @@ def estimate_rows(
     looks: Mapping[str, Look],
     room: Room,
     allowed: int,
-    device: str = "cpu",
+    device: str,
 ) -> list[HealthRow]:
     """Rows about room on the disk, main memory and time.
 
@@ -39,6 +39,7 @@ def estimate_rows(
         looks: Those that were looked into: their own pictures tell how large stored ones will be.
         room: On the disk.
         allowed: Main memory that may be used, bytes.
+        device: What a run would train on, cpu or cuda.
     """
     seen = {
         name: source if name not in looks else replace(source, bytes_each=_stored_bytes(source, looks[name]))
@@ -58,7 +59,7 @@ def estimate_rows(
             remedy=f"{room.remedy[0].upper()}{room.remedy[1:]}.",
         ),
         _memory_row(found),
-        time_row(config, found.needs),
+        time_row(config, list((needs if device == "cpu" else stage_needs(config, material)).values())),
     ]
 
 

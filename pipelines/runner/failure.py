@@ -35,7 +35,7 @@ def explain(run: Run, stage: Stage, error: BaseException, written: int, free: in
     if isinstance(error, OutOfTime):
         return (
             FAILED,
-            f"{name}: {error} (budget.time_minutes); run again to go on there, or give it more time",
+            f"{name}: {error} (budget.time_minutes); run again to go on, or give it more time",
         )
     if isinstance(error, DevrfError):
         return FAILED, f"{name}: {error}"

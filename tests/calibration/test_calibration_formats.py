@@ -418,6 +418,13 @@ OPENCV_FILE = "%YAML:1.0\n---\ncamera_matrix: {rows: ROWS, cols: COLS, data: [1.
             OPENCV_FILE.replace("ROWS", "2").replace("COLS", "2").replace("4.", "[4., 5.]"),
             "expected 3x3",
         ),
+        (
+            "c.yml",
+            OPENCV_FILE.replace("ROWS", "1")
+            .replace("COLS", "2")
+            .replace("1., 2., 3., 4.", "{rows: 1, cols: 1, data: [1.]}, {rows: 1, cols: 2, data: [1., 2.]}"),
+            "expected 3x3",
+        ),
         ("c.yaml", ROS.replace("[538.63, 0,", "["), "camera_matrix has 7 number"),
         ("c.qca.txt", QUALISYS, "camera a: transform.x is None"),
         ("c.yml", EASYMOCAP.replace("{K}", "1., 0., 0., 0., 1., 0., 0., 1."), "K_a"),

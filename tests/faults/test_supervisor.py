@@ -9,6 +9,7 @@ import time
 
 import pytest
 from tests.faults.harness import Tiny, children_of, ends
+from tests.waiting import wait_for
 
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 
@@ -49,7 +50,7 @@ def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
     started = tiny.start("fault=sleep", "stage=big")
     tiny.at_work(started, "big")
     started.send_signal(sign)
-    ended = started.end(timeout=10)
+    ended = started.end()
     assert ended.returncode == STOPPED
     assert ended.stderr == "stopped; finished stages are kept, the next run goes on from there\n"
     assert not list(tiny.run_dir.glob(".new-*"))
@@ -66,14 +67,13 @@ def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
     started = tiny.start("fault=deaf", "stage=big")
     tiny.at_work(started, "big")
     (child,) = children_of(started.pid)
-    while not ignores(child, signal.SIGTERM):
-        time.sleep(0.005)
+    wait_for(lambda: ignores(child, signal.SIGTERM))
     started.terminate()
     assert not ends(child, 0.5)
     started.terminate()
-    ended = started.end(timeout=10)
+    ended = started.end(timeout=10)  # before the time to end by itself is over
     assert ended.returncode == STOPPED and "stopped; finished stages are kept" in ended.stderr
-    assert ends(child, 1)
+    assert ends(child, 30)
     assert not list(tiny.run_dir.glob(".new-*")) and not (tiny.run_dir / ".lock").exists()
 
 
@@ -82,21 +82,20 @@ def test_ctrl_z_stops_the_child_too(tiny: Tiny) -> None:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rsplit(")", 1)[1].split()[0]
 
-    def becomes(pid: int, states: str) -> bool:
-        deadline = time.monotonic() + 5
-        while state(pid) not in states and time.monotonic() < deadline:
-            time.sleep(0.01)
-        return state(pid) in states
+    def becomes(pid: int, states: str) -> None:
+        wait_for(lambda: state(pid) in states)
 
     started = tiny.start("fault=sleep", "stage=big")
     tiny.at_work(started, "big")
     (child,) = children_of(started.pid)
     started.send_signal(signal.SIGTSTP)
-    assert becomes(child, "T") and becomes(started.pid, "T")
+    becomes(child, "T")
+    becomes(started.pid, "T")
     started.send_signal(signal.SIGCONT)
-    assert becomes(child, "RS") and becomes(started.pid, "RS")
+    becomes(child, "RS")
+    becomes(started.pid, "RS")
     started.terminate()
-    assert started.end(timeout=10).returncode == STOPPED
+    assert started.end().returncode == STOPPED
 
 
 def test_the_parent_may_sleep(tiny: Tiny) -> None:
@@ -108,7 +107,7 @@ def test_the_parent_may_sleep(tiny: Tiny) -> None:
         started.send_signal(signal.SIGCONT)
         assert not ends(started.pid, 0.3)
     started.terminate()
-    assert started.end(timeout=10).returncode == STOPPED
+    assert started.end().returncode == STOPPED
 
 
 def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
@@ -117,7 +116,7 @@ def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
     (child,) = children_of(started.pid)
     started.kill()
     started.end()
-    assert ends(child, 2)
+    assert ends(child, 30)
     assert tiny.run().returncode == DONE
 
 
@@ -125,12 +124,11 @@ def test_what_the_child_started_ends_with_it(tiny: Tiny) -> None:
     started = tiny.start("fault=orphan", "stage=big")
     tiny.at_work(started, "big")
     note = tiny.folder / "orphan.pid"
-    while not (note.exists() and note.read_text()):
-        time.sleep(0.01)
+    wait_for(lambda: note.exists() and note.read_text())
     (child,) = children_of(started.pid)
     os.kill(child, signal.SIGKILL)
-    assert started.end(timeout=10).returncode == FAILED
-    assert ends(int(note.read_text()), 2)
+    assert started.end().returncode == FAILED
+    assert ends(int(note.read_text()), 30)
 
 
 def test_more_memory_than_allowed_ends_the_run_before_the_system_does(tiny: Tiny) -> None:

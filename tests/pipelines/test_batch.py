@@ -262,7 +262,7 @@ def test_killed_it_leaves_no_run_behind(tmp_path: Path) -> None:
     process = batch_in_course(tmp_path)
     process.kill()
     process.communicate()
-    wait_for(lambda: not list(tmp_path.glob("*/run/.lock")), 30)
+    wait_for(lambda: not list(tmp_path.glob("*/run/.lock")))
     assert not list(tmp_path.glob("*/run/.new-*"))
 
 

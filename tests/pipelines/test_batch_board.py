@@ -62,6 +62,7 @@ def test_a_summary_that_cannot_be_written_stops_nothing(
         shutil.rmtree(out)
         board.write()
         board.write()
+    assert not board.written
     assert capsys.readouterr().err.count("the summary cannot be written (No such file or directory)") == 1
 
 

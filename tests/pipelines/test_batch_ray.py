@@ -155,7 +155,7 @@ def test_shares_follow_the_nodes_that_can_work(monkeypatch: pytest.MonkeyPatch) 
         {"CPU": 4.0, "memory": 16e9, "GPU": 1.0},
         {"CPU": 8.0, "memory": 24e9},
         {"CPU": 2.0},
-        {"memory": 4e9},
+        {"memory": 4e9, "GPU": 1.0},
     )
     monkeypatch.setattr(ray_cluster, "_connected", lambda address: Nothing(*nodes))
     cluster = RayCluster("auto", None, 2, "auto")

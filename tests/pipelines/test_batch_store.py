@@ -10,6 +10,7 @@ import fsspec
 import pytest
 from tests.pipelines.tiny_scenes import tiny_scene
 
+from devrf.capture.errors import DevrfError
 from devrf.pipelines.batch import command
 from devrf.pipelines.batch.inputs import OUTSIDE, inputs_of
 from devrf.pipelines.batch.scenes import Options
@@ -74,6 +75,19 @@ def stored_task(
     Store(url).put_inputs(inputs.here)
     stored = Stored(url, name, path.name, inputs.files)
     return Task(scene, path, folder / name / "run", stages, ("--device", "cpu"), 1, False, stored=stored)
+
+
+def test_a_full_disk_where_stages_are_looked_at_is_an_error_of_the_scene(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(command, "mirror", full)
+    scene = tiny_scene(tmp_path, "a")
+    place = command._Place(tmp_path / "out", Store(url))
+    with pytest.raises(DevrfError, match="scenes/a: cannot be written .No space left on device.; make room"):
+        place.refresh(load_scene(scene), scene.parent)
 
 
 def test_scenes_come_and_results_go(tmp_path: Path, scratch: Path, url: str) -> None:

@@ -240,42 +240,39 @@ def test_a_swap_half_done_is_finished_or_undone(folder: Path) -> None:
 # --- killed ---
 
 
-def program(folder: Path, work_s: float) -> int:
-    def slow(name: str) -> Callable[[StageContext], None]:
-        def work(context: StageContext) -> None:
-            for n in range(20):
-                (context.out / f"{n}.txt").write_text(name)
-                time.sleep(work_s / 20)
+def program(folder: Path, hangs: str) -> int:
+    """A run that never comes to the end of one stage."""
 
-        return work
+    def hang(context: StageContext) -> None:
+        (context.out / "half.txt").write_text("half")
+        time.sleep(600)
 
-    return execute(job(folder, small_stages(**{name: slow(name) for name in ALL})))
+    return execute(job(folder, small_stages(**{hangs: hang})))
 
 
-@pytest.mark.parametrize("after", ["first", "second", "other"])
-def test_killed_at_any_point_the_next_run_goes_on(folder: Path, after: str) -> None:
-    started = subprocess.Popen([sys.executable, "-m", "tests.pipelines.test_runner", str(folder), "0.3"])
-    done = folder / "run" / after / "stamp.json"
-    wait_for(done.exists, 60)
-    time.sleep(0.1)  # in the middle of the next stage
-    started.send_signal(signal.SIGKILL)
-    started.wait()
+def hanging(folder: Path, stage: str) -> "subprocess.Popen[str]":
+    """A run in a process of its own, in the middle of a stage."""
+    command = [sys.executable, "-m", "tests.pipelines.test_runner", str(folder), stage]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: list((folder / "run").glob(f".new-{stage}-*/half.txt")), process=process)
+    return process
+
+
+@pytest.mark.parametrize("at", ALL)
+def test_killed_at_any_point_the_next_run_goes_on(folder: Path, at: str) -> None:
+    started = hanging(folder, at)
+    started.kill()
+    started.communicate()
     finished = [name for name in ALL if (folder / "run" / name).exists()]
-    assert finished == ALL[: ALL.index(after) + 1]
-    assert list((folder / "run").glob(".new-*"))  # it was in the middle
+    assert finished == ALL[: ALL.index(at)]
     assert executed(folder) == ALL[len(finished) :]
     assert not list((folder / "run").glob(".new-*"))
 
 
 def test_terminated_it_cleans_up(folder: Path) -> None:
-    started = subprocess.Popen(
-        [sys.executable, "-m", "tests.pipelines.test_runner", str(folder), "5"],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(lambda: list((folder / "run").glob(".new-*")), 60)
+    started = hanging(folder, "first")
     started.terminate()
-    _, err = started.communicate(timeout=30)
+    _, err = started.communicate(timeout=90)
     assert started.returncode == STOPPED
     assert "finished stages are kept" in err
     assert not list((folder / "run").glob(".new-*"))
@@ -310,4 +307,4 @@ def test_reads_of_leaves_out_what_does_not_apply(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(program(Path(sys.argv[1]), float(sys.argv[2])))
+    sys.exit(program(Path(sys.argv[1]), sys.argv[2]))

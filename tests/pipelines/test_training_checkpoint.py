@@ -1,7 +1,6 @@
 """A stage's checkpoint: there until the stage is finished, taken up only by the same training."""
 
 import os
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,7 +68,7 @@ def run(
             if len(steps) == stop_after:
                 raise KeyboardInterrupt
             steps.append(step)
-            checkpoint.keep(step + 1, log, lambda: ({"grid": torch.zeros(2)}, {}))
+            checkpoint.keep(step + 1, 3, log, lambda: ({"grid": torch.zeros(2)}, {}))
         (context.out / "model").write_text("learned")
 
     stage = Stage("learn", (), ("reconstruct.seed",), lambda config: None, train)
@@ -87,21 +86,27 @@ def test_it_goes_on_and_is_removed_once_the_stage_is_finished(folder: Path) -> N
 
 
 def test_without_time_it_ends_says_so_and_goes_on(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    steps: list[int] = []
+
     def train(context: StageContext) -> None:
         checkpoint, log = training_checkpoint(context, "learn", OPTIONS), TrainingLog("cpu", 1)
+        assert checkpoint.until == context.allowance.until is not None
         saved = checkpoint.found(log)
         for step in range(0 if saved is None else saved.done, 3):
-            time.sleep(0.4)
-            checkpoint.keep(step + 1, log, lambda: ({"grid": torch.zeros(2)}, {}))
+            steps.append(step)
+            if steps == [0, 1]:  # time is over in the middle of the first run
+                checkpoint.until = 0.0
+            checkpoint.keep(step + 1, 3, log, lambda: ({"grid": torch.zeros(2)}, {}))
         (context.out / "model").write_text("learned")
 
     stage = Stage("learn", (), ("reconstruct.seed",), lambda config: None, train)
-    config = load_scene(folder / "scene.yaml", ("budget.time_minutes=0.01",))
+    config = load_scene(folder / "scene.yaml", ("budget.time_minutes=60",))
     for code in (FAILED, DONE):
         job = Run(config, folder, (stage,), Choice(), Talk("quiet"))
         assert execute(job) == code and job.standing(stage).error is None
+    assert steps == [0, 1, 2]
     said = capsys.readouterr().err
-    assert "learn: its time is over after step 2 (budget.time_minutes); run again to go on there" in said
+    assert "learn: its time is over after step 2 of 3 (budget.time_minutes); run again to go on" in said
 
 
 def test_with_another_key_or_other_options_it_begins_anew(folder: Path) -> None:

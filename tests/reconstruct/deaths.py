@@ -29,11 +29,12 @@ class DiesAfter(Checkpoint):
         assert path is not None
         return DiesAfter(path, self.deaths, name)
 
-    def write(self, saved: Saved) -> None:
-        super().write(saved)
+    def write(self, saved: Saved) -> bool:
+        written = super().write(saved)
         if (self.phase, saved.done) in self.deaths:
             self.deaths.remove((self.phase, saved.done))
             raise KeyboardInterrupt
+        return written
 
 
 def until_done(train: Callable[[Checkpoint], T], folder: Path, deaths: set[tuple[str, int]]) -> T:

@@ -26,7 +26,7 @@ def test_what_was_written_is_found(tmp_path: Path) -> None:
     log = _log()
     for _ in range(5):
         log.add(10, {"mse": torch.tensor(0.1)})
-    Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(5, log, _state)
+    Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(5, 500, log, _state)
     again = _log()
     saved = Checkpoint(tmp_path / "state", "one").found(again)
     assert saved is not None and saved.done == 5 and saved.numbers["share"] == 1 / 3
@@ -39,14 +39,14 @@ def test_what_was_written_is_found(tmp_path: Path) -> None:
 
 def test_that_of_another_training_is_not_taken_up(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, _log(), _state)
+    Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, 500, _log(), _state)
     assert Checkpoint(tmp_path / "state", "other").found(_log()) is None
     assert "of another training" in caplog.text
 
 
 def test_no_byte_of_it_can_change_unnoticed(tmp_path: Path) -> None:
     path = tmp_path / "state"
-    Checkpoint(path, "one", every_s=0.0).keep(1, _log(), _state)
+    Checkpoint(path, "one", every_s=0.0).keep(1, 500, _log(), _state)
     content = path.read_bytes()
     for at in range(len(content)):
         path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
@@ -60,7 +60,7 @@ def test_parts_are_removed_with_the_whole(tmp_path: Path) -> None:
     whole = Checkpoint(tmp_path / ".motion.safetensors", "one", every_s=0.0)
     part, other = whole.part("box"), Checkpoint(tmp_path / ".motions.safetensors", "one", every_s=0.0)
     for checkpoint in (whole, part, other):
-        checkpoint.keep(1, _log(), _state)
+        checkpoint.keep(1, 500, _log(), _state)
     assert (tmp_path / ".motion.box.safetensors").exists()
     assert whole.found(_log()) is not None and part.found(_log()) is not None
     whole.remove()
@@ -68,8 +68,8 @@ def test_parts_are_removed_with_the_whole(tmp_path: Path) -> None:
 
 
 def test_without_a_place_nothing_is_kept() -> None:
-    NOWHERE.keep(1, _log(), _state)
-    NOWHERE.part("box").keep(1, _log(), _state)
+    NOWHERE.keep(1, 500, _log(), _state)
+    NOWHERE.part("box").keep(1, 500, _log(), _state)
     assert NOWHERE.found(_log()) is None
     NOWHERE.remove()
 
@@ -78,14 +78,14 @@ def test_a_full_disk_leaves_the_one_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     checkpoint = Checkpoint(tmp_path / "state", "one", every_s=0.0)
-    checkpoint.keep(1, _log(), _state)
+    checkpoint.keep(1, 500, _log(), _state)
 
     def full(tensors: object, path: str, **_: object) -> None:
         Path(path).write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(checkpoints, "save_file", full)
-    checkpoint.keep(2, _log(), _state)
+    checkpoint.keep(2, 500, _log(), _state)
     assert "cannot be written" in caplog.text
     saved = Checkpoint(tmp_path / "state", "one").found(_log())
     assert saved is not None and saved.done == 1
@@ -104,7 +104,7 @@ def test_what_stops_it_while_it_writes_leaves_nothing_half_made(
 
     monkeypatch.setattr(checkpoints, "save_file", half)
     with pytest.raises(stopped):
-        Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, _log(), _state)
+        Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, 500, _log(), _state)
     assert not list(tmp_path.iterdir())
 
 
@@ -120,7 +120,7 @@ def test_they_are_as_frequent_as_they_are_quick(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(checkpoints, "save_file", slow)
     checkpoint, log = Checkpoint(tmp_path / "state", "large fields"), _log()
     for done in range(500):
-        checkpoint.keep(done, log, lambda: ({"grid": torch.empty(1)}, {}))
+        checkpoint.keep(done, 500, log, lambda: ({"grid": torch.empty(1)}, {}))
         now[0] += 1.0
     assert written == [5.0, 215.0, 425.0]  # each takes 10 seconds, so the next follows 200 seconds later
 
@@ -132,5 +132,5 @@ def test_the_first_of_a_large_training_waits(tmp_path: Path, monkeypatch: pytest
     checkpoint = Checkpoint(tmp_path / "state", "one")
     for done, there in ((6, False), (19, False), (21, True)):
         now[0] = done
-        checkpoint.keep(done, _log(), lambda: ({"grid": torch.zeros(12)}, {}))
+        checkpoint.keep(done, 500, _log(), lambda: ({"grid": torch.zeros(12)}, {}))
         assert (tmp_path / "state").exists() == there
