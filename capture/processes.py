@@ -10,7 +10,19 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
+RUN_MODULE = (
+    "import sys; sys.path = [folder for folder in sys.path if folder]; sys.argv.pop(0); "
+    "from runpy import run_module; run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
+)
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
+
+
+def run_module(name: str, *arguments: str) -> list[str]:
+    """A command that runs a module of this program, whatever lies in the folder that it is called from.
+
+    `python -m` looks there first: a capture that comes with a json.py would have it run.
+    """
+    return [sys.executable, "-c", RUN_MODULE, name, *arguments]
 
 
 def die_with_parent(parent: int, sign: signal.Signals = signal.SIGKILL) -> None:

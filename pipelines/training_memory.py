@@ -46,8 +46,8 @@ def fit_to_memory(
         ReconstructError: Even the smallest training takes more.
     """
     begun = checkpoint.begun()
-    options = asked if begun is None else _with(asked, begun["options"])
-    lines = [] if begun is None else begun["decisions"]
+    options = asked if begun is None else _with(asked, begun.chosen["options"])
+    lines = [] if begun is None else begun.chosen["decisions"]
     if begun is None or not memory.limits.hold(footprint(scene, options, context.device, memory.held)):
         options, decisions = fitted(scene, asked, memory.limits, context.device, memory.held)
         lines = [str(decision) for decision in decisions]

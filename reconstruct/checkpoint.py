@@ -41,6 +41,13 @@ class Saved(NamedTuple):
     numbers: dict[str, Any]
 
 
+class Begun(NamedTuple):
+    """A training that has not ended: steps that were done (of its last phase), and what was chosen for it."""
+
+    done: int
+    chosen: Any
+
+
 class Checkpoint:
     """A place for one training's state.
 
@@ -73,10 +80,10 @@ class Checkpoint:
         path = self.path.with_name(f"{self.path.stem}.{name}{self.path.suffix}")
         return type(self)(path, self.fingerprint, self.every_s, self.chosen, self.until)
 
-    def begun(self) -> Any:
-        """What was chosen for a training of this fingerprint that has not ended; None where there is none."""
+    def begun(self) -> Begun | None:
+        """Of a training of this fingerprint that has not ended; None where there is none."""
         found = (self._numbers(path) for path in self._files())
-        return next((numbers.get("chosen") for numbers in found if numbers is not None), None)
+        return next((Begun(n["done"], n.get("chosen")) for n in found if n is not None), None)
 
     def keep(self, done: int, of: int, log: TrainingLog, state: Callable[[], State]) -> None:
         """Write the state after `done` of all steps and the log, if it is time to.
@@ -160,7 +167,8 @@ class Checkpoint:
                 numbers = json.loads((file.metadata() or {}).get("devrf", "{}"))
         except (OSError, SafetensorError, ValueError):
             return None
-        return numbers if isinstance(numbers, dict) and numbers.get("of") == self.fingerprint else None
+        whole = isinstance(numbers, dict) and numbers.get("of") == self.fingerprint and "done" in numbers
+        return numbers if whole else None
 
     def _read(self, path: Path) -> Saved | None:
         if not path.exists():

@@ -4,13 +4,13 @@ import json
 import os
 import re
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 from devrf.capture.errors import CalibrationError
+from devrf.capture.processes import run_module
 from devrf.capture.progress import Progress, no_progress
 
 GRACE_S = 5.0  # pycolmap's SIGTERM handler can dead-lock after a heap fault: then SIGKILL
@@ -44,7 +44,7 @@ def run_job(
     """
     job_file = work / "job.json"
     job_file.write_text(json.dumps(job | {"parent": os.getpid()}))
-    command = command or [sys.executable, "-m", "devrf.calibration.sweep.sfm_worker", str(job_file)]
+    command = command or run_module("devrf.calibration.sweep.sfm_worker", str(job_file))
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "w", buffering=1) as log_file:  # line by line: what was said last is what counts

@@ -1,4 +1,4 @@
-"""`python -m devrf.pipelines.batch.child PARENT run SCENE …`: devrf-pipeline, told to end when its parent has ended.
+"""`devrf.pipelines.batch.child PARENT run SCENE …`: devrf-pipeline, told to end when its parent has ended.
 
 A batch that is killed, or a node whose scheduler dies, must not leave runs behind that hold their folders.
 """

@@ -6,13 +6,13 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.processes import run_module
 from devrf.pipelines.batch.scratch import Scratch, Stored
 from devrf.pipelines.batch.store import StoreError
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
@@ -127,7 +127,7 @@ def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gp
         return Ended(task.scene, STOPPED)
     started_s = time.time()
     process = subprocess.Popen(
-        [sys.executable, "-m", "devrf.pipelines.batch.child", str(os.getpid()), *_command(task)],
+        run_module("devrf.pipelines.batch.child", str(os.getpid()), *_command(task)),
         env=_environment(task, gpu),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

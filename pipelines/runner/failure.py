@@ -25,18 +25,18 @@ logger = logging.getLogger(__name__)
 
 def explain(run: Run, stage: Stage, error: BaseException, written: int, free: int | None) -> tuple[int, str]:
     """Exit code and message of a stage's failure; the trace goes to the log."""
-    trace = "".join(traceback.format_exception(error))
-    logger.debug("%s", trace)
     name = stage.name
-    if is_disk_full(error) or (free is not None and free < NO_ROOM and not isinstance(error, HealthError)):
-        return FAILED, f"{name}: {disk_full_message(run.run_dir, name, written)}"
-    if isinstance(error, HealthError):
-        return UNHEALTHY, f"{name}: {error}"
     if isinstance(error, OutOfTime):
         return (
             FAILED,
             f"{name}: {error} (budget.time_minutes); run again to go on, or give it more time",
         )
+    trace = "".join(traceback.format_exception(error))
+    logger.debug("%s", trace)
+    if is_disk_full(error) or (free is not None and free < NO_ROOM and not isinstance(error, HealthError)):
+        return FAILED, f"{name}: {disk_full_message(run.run_dir, name, written)}"
+    if isinstance(error, HealthError):
+        return UNHEALTHY, f"{name}: {error}"
     if isinstance(error, DevrfError):
         return FAILED, f"{name}: {error}"
     if is_no_memory(error):

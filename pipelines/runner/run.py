@@ -11,7 +11,7 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.logs import new_run_name
 from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standing, standings
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamps.cache import Cache, cache_of
+from devrf.pipelines.stamps.cache import Cache, cache_of, check_cache
 from devrf.pipelines.stamps.digests import Digests
 
 NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
@@ -57,8 +57,15 @@ class Run:
 
     @cached_property
     def cache(self) -> Cache | None:
-        """Where finished stages are kept."""
-        return cache_of(self.config, self.scene_dir)
+        """Where finished stages are kept.
+
+        Raises:
+            InputError: The folder is no cache.
+        """
+        cache = cache_of(self.config, self.scene_dir)
+        if cache is not None:
+            check_cache(cache, self.run_dir)
+        return cache
 
     def standings(self) -> list[Standing]:
         """Where every stage stands."""

@@ -4,7 +4,8 @@ Every stage that is finished, or about to be replaced, is kept as `<cache>/<stag
 it. A stage whose key is there is taken from the cache instead of run. Files are hard links where the cache lies on the
 run folder's disk, else copies. As in the run folder, an entry appears and vanishes by one renaming; whatever is taken
 is compared with the digests in its stamp first, so that no torn, damaged or half removed entry is ever used. Runs may
-share a cache at the same time without locks.
+share a cache at the same time without locks. A cache carries the tag by which backups know one; a folder that holds
+something else is refused, because what is old is removed from a cache.
 """
 
 import os
@@ -16,11 +17,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.capture.amounts import GB
+from devrf.capture.errors import InputError
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamps.digests import file_digest
+from devrf.pipelines.stamps.digests import CACHE_TAG, file_digest
 from devrf.pipelines.stamps.stamp import STAMP, identity_key, read_stamp, size_in
 
+TAG_TEXT = (
+    "Signature: 8a477f597d28d172789f06886806bc55\n"  # Cache Directory Tagging Specification, bford.info/cachedir
+    "# Finished stages, kept by devrf-pipeline; may be deleted at any time.\n"
+)
 USERS = "DEVRF_CACHE"  # environment variable: folder of scenes that name none
 NEW, OLD = ".new-", ".old-"
 ABANDONED_S = 24 * 3600.0  # folders of that age that nobody finished were left by a killed run
@@ -82,7 +88,11 @@ class Cache:
             return
         self._remove(entry)  # a damaged one, if there is one
         if size > self.max_gb * GB:
+            self._trim()
             return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if not (self.folder / CACHE_TAG).exists():
+            (self.folder / CACHE_TAG).write_text(TAG_TEXT)
         new = entry.with_name(f"{NEW}{secrets.token_hex(6)}")
         new.mkdir(parents=True)
         try:
@@ -105,11 +115,12 @@ class Cache:
                 used = path.stat().st_mtime
             except OSError:
                 continue  # another run removed it
-            stamp = None if path.name.startswith((NEW, OLD)) else read_stamp(path)
+            half_made = path.name.startswith((NEW, OLD))
+            stamp = None if half_made else read_stamp(path)
             size = None if stamp is None else size_in(stamp)
             if size is not None:
                 entries.append((used, size, path))
-            elif used < time.time() - ABANDONED_S:
+            elif half_made and used < time.time() - ABANDONED_S:
                 shutil.rmtree(path, ignore_errors=True)
         too_much = sum(size for _, size, _ in entries) - self.max_gb * GB
         for _, size, path in sorted(entries):
@@ -132,6 +143,26 @@ def cache_of(config: SceneConfig, scene_dir: Path) -> Cache | None:
     wish = config.cache
     folder = wish.folder or os.environ.get(USERS)
     return Cache(config.path(scene_dir, folder), wish.max_gb) if folder and wish.max_gb > 0 else None
+
+
+def check_cache(cache: Cache, run_dir: Path) -> None:
+    """Refuse a folder that is no cache, or that is mixed up with the run folder.
+
+    Raises:
+        InputError: Says what is in the way.
+    """
+    folder, where = cache.folder, f"cache.folder (or {USERS}): {cache.folder}"
+    if folder.is_dir():
+        foreign = not (folder / CACHE_TAG).exists() and next(folder.iterdir(), None)
+        if foreign:
+            raise InputError(
+                f"{where}: holds something else ({foreign.name}), and old things are removed from a cache; name a new "
+                "or an empty folder"
+            )
+    elif folder.exists():
+        raise InputError(f"{where}: is a file; name a folder")
+    if run_dir == folder or run_dir in folder.parents or folder in run_dir.parents:
+        raise InputError(f"{where}: lies in the run folder {run_dir}, or holds it; name a folder beside it")
 
 
 def _used(entry: Path) -> None:

@@ -19,6 +19,7 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.logs import LOG_FILE
 
 DIGESTS = ".digests.json"  # in the run folder
+CACHE_TAG = "CACHEDIR.TAG"  # in a cache
 BLOCK = 1 << 20  # bytes per read: as quick as larger ones, and stays in the processor's cache
 READERS = 4  # files read side by side: hashing releases the interpreter, and disks like a queue
 FEW = 8  # files that are read one by one: threads would cost more than they save
@@ -176,10 +177,14 @@ def _read(path: Path) -> dict[str, list]:
 
 
 def raw_files(folder: Path) -> list[Path]:
-    """All files below a folder, in order, but those of run folders, which are known by their log."""
+    """All files below a folder, in order, but those of run folders, known by their log, and of caches, by their tag."""
     found = []
     for root, folders, files in os.walk(folder):
         here = Path(root)
-        folders[:] = [name for name in folders if not (here / name / LOG_FILE).is_file()]
+        folders[:] = [
+            name
+            for name in folders
+            if not any((here / name / mark).is_file() for mark in (LOG_FILE, CACHE_TAG))
+        ]
         found += [file for name in files if (file := here / name).is_file()]
     return sorted(found)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from devrf.capture.processes import descendants, memory_of
+from devrf.capture.processes import descendants, memory_of, run_module
 
 TIED = """
 import os, sys, time
@@ -72,6 +72,18 @@ def test_a_process_ends_with_its_parent(started: list["subprocess.Popen[str]"]) 
 def test_one_whose_parent_is_gone_already_ends_at_once(started: list["subprocess.Popen[str]"]) -> None:
     assert start(TIED, started, "1")[1] == ""
     assert started[0].wait() == -9
+
+
+def test_a_module_is_not_looked_for_where_it_is_called(tmp_path: Path) -> None:
+    for name in ("json", "devrf", "runpy", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('code of a capture was run')")
+    words = ["-c", "import sys, json; print(json.loads('[1]'), sys.argv)"]
+    assert b"was run" in subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True).stderr
+    (tmp_path / "in.json").write_text("[1]")
+    done = subprocess.run(run_module("json.tool", "in.json"), cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.split() == ["[", "1", "]"], done.stderr
+    worker = run_module("devrf.calibration.sweep.sfm_worker", "in.json")
+    assert "was run" not in subprocess.run(worker, cwd=tmp_path, capture_output=True, text=True).stderr
 
 
 def test_the_worker_of_structure_from_motion_is_tied(tmp_path: Path) -> None:

@@ -40,6 +40,8 @@ def complaints(source: str, file: str) -> Iterator[str]:
             for top in {name.split(".")[0] for name in names}:
                 if top in NEVER or (top in ONLY_IN and file not in ONLY_IN[top]):
                     yield f"{line}: imports {top}"
+        elif isinstance(node, ast.Constant) and node.value == "-m":
+            yield f"{line}: python -m, which looks for modules in the working folder (capture.processes.run_module)"
         elif isinstance(node, ast.Call):
             called = ast.unparse(node.func)
             given = {k.arg: ast.unparse(k.value) for k in node.keywords}
@@ -74,6 +76,7 @@ def test_no_file_is_code_and_no_port_is_opened() -> None:
         "subprocess.run(text, shell=True)", "torch.load(path)", "torch.load(path, weights_only=False)",
         "archive.extractall(folder)", "npy.read_array(file, allow_pickle=True)", "from xml.dom import minidom",
         "Image.open(path)", "cv2.imread(str(path))", "cv2.imdecode(data, 1)", "npy.read_array(file)",
+        "run([sys.executable, '-m', 'devrf.worker'])",
     ],
 )  # fmt: skip
 def test_the_search_finds_what_it_is_for(line: str) -> None:

@@ -16,13 +16,14 @@ from tests.waiting import wait_for
 
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run, dry_run
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamps import cache as cache_module
 from devrf.pipelines.stamps.cache import Cache, cache_of
+from devrf.pipelines.stamps.digests import CACHE_TAG
 
 CACHE = "cache.folder=kept"
 
@@ -180,7 +181,9 @@ def test_what_is_larger_than_the_cache_is_not_kept(folder: Path) -> None:
 
 
 def test_a_cache_that_cannot_be_written_stops_nothing(folder: Path, capsys: pytest.CaptureFixture) -> None:
-    (folder / "kept").write_text("a file in the way")
+    (folder / "kept").mkdir()
+    (folder / "kept" / CACHE_TAG).touch()
+    (folder / "kept" / "first").write_text("a file in the way")
     run = job(folder, small_stages(), CACHE)
     run.talk = Talk("normal")
     assert execute(run) == DONE
@@ -198,6 +201,32 @@ def test_another_disk_gets_copies(folder: Path, monkeypatch: pytest.MonkeyPatch)
     assert (entry / "made_of.txt").stat().st_ino != (folder / "run/second/made_of.txt").stat().st_ino
     ran(folder, "reconstruct.rays=200")
     assert ran(folder) == ([], ["second", "third"])
+
+
+def test_what_is_no_cache_is_left_alone(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    precious = folder / "photos/holiday/a.jpg"
+    precious.parent.mkdir(parents=True)
+    precious.write_text("dear")
+    os.utime(precious.parent, (1, 1))
+    ran(folder)
+    for place, said in (("photos", "holds something else (holiday)"), ("run", "holds something else"),
+                        ("scene.yaml", "is a file"), ("run/kept", "lies in the run folder"),
+                        (".", "holds something else")):  # fmt: skip
+        for choice in (Choice(), Choice(force=("all",))):
+            assert execute(job(folder, small_stages(), f"cache.folder={place}", choice=choice)) == BAD_INPUT
+        assert said in capsys.readouterr().err
+    other = folder / "kept/first/mine"
+    other.mkdir()
+    os.utime(other, (1, 1))
+    ran(folder, "reconstruct.rays=300")
+    assert precious.exists() and other.exists()
+
+
+def test_with_less_room_than_a_stage_needs_it_shrinks(folder: Path) -> None:
+    ran(folder)
+    assert len(entries(folder)) == 4
+    ran(folder, "cache.max_gb=0.000000001", "reconstruct.rays=300")
+    assert entries(folder) == []
 
 
 def test_where_it_is(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
