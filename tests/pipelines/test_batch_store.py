@@ -314,6 +314,18 @@ def test_files_outside_of_the_scenes_folder_come_too(tmp_path: Path) -> None:
     assert len(found.files) == 1 + 1 + 9
 
 
+def test_a_data_set_beside_its_scene_file_comes(tmp_path: Path, scratch: Path) -> None:
+    scene = tiny_scene(tmp_path, "a")
+    for path in (tmp_path / "a/data").iterdir():
+        path.rename(tmp_path / "a" / path.name)
+    scene.write_text(scene.read_text().replace("path: data", "path: ."))  # as `simulate` writes it
+    found = inputs_of(load_scene(scene), scene, Digests(tmp_path / "run"))
+    assert len(found.files) == 1 + 1 + 9 and not found.overrides
+    code, rows = run(tmp_path, ["a"], f"file://{tmp_path}/store")
+    assert code == DONE, rows
+    assert run(tmp_path, ["a"], f"file://{tmp_path}/store")[1]["a"]["nodes"] == []
+
+
 def test_what_is_reached_through_a_link_comes_too(tmp_path: Path) -> None:
     scene = tiny_scene(tmp_path, "a")
     (tmp_path / "a/data").rename(tmp_path / "a/disk")
