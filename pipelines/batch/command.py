@@ -2,7 +2,7 @@
 
 import signal
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -80,7 +80,7 @@ def batch(
     check_folder(out, "--out")
     out.mkdir(parents=True, exist_ok=True)
     scenes = look(paths, options, unique_names=store is not None)
-    place = _Place(out, None if store is None else Store(store))
+    place = _Place(out, None if store is None else Store(store), talk.say)
     rows = [_row(scene, options, place) for scene in scenes]
     with ExitStack() as stack:
         engine = None
@@ -105,6 +105,7 @@ class _Place:
 
     out: Path
     store: Store | None
+    say: Callable[[str], None]
 
     def refresh(self, config: SceneConfig, scene_dir: Path) -> Path:
         """A folder with the stamps of a scene's stages, brought up to date.
@@ -116,7 +117,7 @@ class _Place:
             return config.run_dir(scene_dir)
         folder = (self.out / "scenes" / config.folder_name).resolve()
         try:
-            mirror(self.store, config, scene_dir, folder)
+            mirror(self.store, config, scene_dir, folder, self.say)
         except OSError as error:
             raise DevrfError(
                 f"{folder}: cannot be written ({error.strerror or error}); make room there"

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import devrf
@@ -67,6 +68,7 @@ class RayCluster:
         self._remote = ray.remote(num_returns="streaming", max_retries=0)(_carry_out)
         self._waiting: deque[Task] = deque()
         self._running: dict[Any, Task] = {}
+        self._begun_s: dict[Any, float] = {}  # when a task was seen to begin
         self.stopping = self._cancelled = False
 
     def submit(self, task: Task) -> None:
@@ -130,8 +132,13 @@ class RayCluster:
             event = Ended(task.scene, FAILED, f"{task.path}: cannot be run there: {error.cause}")
         except errors.RayError as error:  # the node or its worker died, or Ray ended it to save memory
             event = Ended(task.scene, None, f"a node was lost ({type(error).__name__})")
-        if isinstance(event, Ended):
-            del self._running[stream]
+        if isinstance(event, Started):
+            self._begun_s[stream] = time.monotonic()
+            return event
+        del self._running[stream]
+        begun_s = self._begun_s.pop(stream, None)
+        if begun_s is not None and not event.seconds:  # it could not say how long it took
+            event = replace(event, seconds=time.monotonic() - begun_s)
         return event
 
 

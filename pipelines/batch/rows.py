@@ -19,6 +19,7 @@ STATE_OF: dict[int, State] = {
     STOPPED: "stopped",
 }
 WORST_FIRST = (STOPPED, FAILED, UNHEALTHY, BAD_INPUT)  # which code speaks for a batch (docs/batch.md)
+STOPPED_MESSAGE = "finished stages are kept; the next batch goes on from there"
 MEASURES = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
 
 
@@ -62,6 +63,8 @@ class SceneRow:
 
     def end(self, code: int, message: str | None = None) -> None:
         """It will not be gone on with; a code that none of ours is (a library's, a signal's) counts as a failure."""
+        if code == STOPPED:
+            message = STOPPED_MESSAGE
         self.code, self.message = (
             (code, message) if code in STATE_OF else (FAILED, message or f"exit code {code}")
         )

@@ -108,6 +108,8 @@ def _goes_on(job: Job, ended: Ended, board: Board) -> bool:
         return True
     job.attempt = 1
     job.todo.popleft()
+    if ended.code == DONE and ended.message:
+        board.say(job.row, ended.message)
     if ended.code != DONE or not job.todo:
         job.row.end(ended.code, ended.message)
         return False

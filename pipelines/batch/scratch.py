@@ -15,7 +15,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from devrf.pipelines.batch.store import SizeAndDigest, Store
+from devrf.pipelines.batch.store import DamagedError, SizeAndDigest, Store
 from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stamps.stamp import read_stamp, stamp_id
@@ -53,23 +53,21 @@ class Scratch:
         self._base = scratch_dir(stored.url) / "scenes" / stored.name
         self.scene = self._base / "scene" / stored.scene
         self.run_dir = self._base / "run"
+        self.damaged: dict[str, str] = {}  # stage -> what is wrong with it in the store
         self._pushed: set[str] = set()
 
-    def fetch(self, stages: tuple[str, ...]) -> None:
+    def fetch(self, stages: tuple[str, ...]) -> tuple[str, ...]:
         """Get the raw files, and the stages that these stages are or read, as far as they are stored.
 
+        Returns:
+            Stages to run: these, begun earlier where what they read is damaged in the store and has to be made anew.
         Raises:
             InputError: A run works here.
-            StoreError: The store does not give what was put into it.
+            StoreError: The store does not answer, or not with the raw files that were put into it.
         """
-        read = {name for stage in STAGES if stage.name in stages for name in stage.reads}
-        wanted = [stage.name for stage in STAGES if stage.name in read.union(stages)]
         with Workspace(self.run_dir) as workspace:
             self._fetch_inputs()
-            for stage, stamp in self._store.stamps(self._stored.name, wanted).items():
-                self._pushed.add(stamp["id"])
-                if stamp_id(self.run_dir / stage) != stamp["id"]:
-                    self._store.pull(self._stored.name, stage, stamp, workspace)
+            return self._fetch_stages(stages, workspace)
 
     def push(self, stages: tuple[str, ...]) -> None:
         """Store what has been finished since."""
@@ -86,6 +84,22 @@ class Scratch:
             with contextlib.suppress(FileNotFoundError):
                 if file.stat().st_nlink == 1:
                     file.unlink()
+
+    def _fetch_stages(self, stages: tuple[str, ...], workspace: Workspace) -> tuple[str, ...]:
+        names = [stage.name for stage in STAGES]
+        read = {name for stage in STAGES if stage.name in stages for name in stage.reads}
+        wanted = [name for name in names if name in read.union(stages) and name not in self.damaged]
+        for stage, stamp in self._store.stamps(self._stored.name, wanted).items():
+            try:
+                if stamp_id(self.run_dir / stage) != stamp["id"]:
+                    self._store.pull(self._stored.name, stage, stamp, workspace)
+                self._pushed.add(stamp["id"])
+            except DamagedError as error:
+                self.damaged[stage] = str(error)
+        first, last = min(map(names.index, (stages[0], *self.damaged))), names.index(stages[-1])
+        if first == names.index(stages[0]):
+            return stages
+        return self._fetch_stages(tuple(names[first : last + 1]), workspace)
 
     def _fetch_inputs(self) -> None:
         """Lay out the scene's folder anew: links to what is here already; what is not comes and is shared then."""

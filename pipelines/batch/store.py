@@ -29,6 +29,10 @@ class StoreError(DevrfError):
     """The store cannot be used, or gave back something else than was put into it."""
 
 
+class DamagedError(StoreError):
+    """A file in the store is missing, or is not what was put there."""
+
+
 class Store:
     """A store at a URL.
 
@@ -64,9 +68,14 @@ class Store:
         """Fetch raw files.
 
         Raises:
-            StoreError: One is not there, or is not what it was.
+            DamagedError: One is not there, or is not what it was.
         """
-        self._get([(f"inputs/{digest}", path, (size, digest)) for (size, digest), path in files.items()])
+        try:
+            self._get([(f"inputs/{digest}", path, (size, digest)) for (size, digest), path in files.items()])
+        except DamagedError as error:  # the batch stores what is missing
+            raise DamagedError(
+                f"{error}; remove it there, if it is there, and run the batch again"
+            ) from error
 
     def stamps(self, scene: str, stages: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Stamps of those of a scene's stages that are finished, asked for side by side."""
@@ -109,7 +118,7 @@ class Store:
         """Put a finished stage into a run folder, whole or not at all.
 
         Raises:
-            StoreError: It is not what was stored.
+            DamagedError: It is not what was stored.
         """
         folder = workspace.fresh_folder(stage)
         try:
@@ -131,7 +140,7 @@ class Store:
         """Fetch files of a stage (None: all) into a folder.
 
         Raises:
-            StoreError: One is not there, or is not what was stored.
+            DamagedError: One is not there, or is not what was stored.
         """
         wanted = [name for name in stamp["files"] if names is None or name in names]
         where = f"runs/{scene}/{stage}/{stamp['id']}"
@@ -139,7 +148,7 @@ class Store:
         for _, path, _ in files:
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise StoreError(
-                    f"{self.url}/{where}: names a file outside of the stage ({path}); remove it there"
+                    f"{self.url}/runs/{scene}/{stage}.json: names a file outside of the stage ({path}); remove it there"
                 )
         self._get(files)
 
@@ -165,14 +174,13 @@ class Store:
             with self._errors():
                 self._fs.get([self._path(name) for name, _, _ in files], [str(path) for _, path, _ in files])
         except FileNotFoundError as error:
-            raise StoreError(f"{self.url}: a file is missing ({error}); run the batch again") from error
+            raise DamagedError(f"{self.url}: a file is missing ({error})") from error
         for name, path, (size, digest) in files:
             there = path.stat().st_size
             if there != size or file_digest(path) != digest:
                 path.unlink()
-                raise StoreError(
-                    f"{self.url}/{name}: is not what was stored ({there} bytes, expected {size} and digest {digest}); "
-                    "remove it there and run the batch again"
+                raise DamagedError(
+                    f"{self.url}/{name}: is not what was stored ({there} bytes, expected {size} and digest {digest})"
                 )
 
     def _list(self, folder: str) -> list[dict[str, Any]]:

@@ -74,7 +74,7 @@ class Ended:
     Attributes:
         scene: Number of the scene.
         code: Exit code of the run; None where the node was lost.
-        message: What went wrong.
+        message: What went wrong; of one that is done, what it mended. Of one that was stopped there is none.
         seconds: Time it took.
     """
 
@@ -104,15 +104,19 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
         elif scratch is None:
             ended = _run(task, stop, lambda: None, gpu)
         else:
-            scratch.fetch(task.stages)
+            task = replace(task, stages=scratch.fetch(task.stages))
             ended = _run(task, stop, lambda: _push(scratch, task), gpu)
             scratch.push(task.stages)
             if ended.code == DONE:
                 scratch.remove()
+                anew = [f"{stage} was made anew: {why}" for stage, why in scratch.damaged.items()]
+                ended = replace(ended, message="\n".join(anew) or None)
     except InputError as error:
         ended = Ended(task.scene, BAD_INPUT, str(error))
-    except (DevrfError, OSError) as error:
-        ended = Ended(task.scene, FAILED, f"{task.path.name}: {error}")
+    except DevrfError as error:
+        ended = Ended(task.scene, FAILED, str(error))
+    except OSError as error:
+        ended = Ended(task.scene, FAILED, f"{task.path}: cannot be run on {node_name()}: {error}")
     return replace(ended, seconds=time.monotonic() - start)
 
 
@@ -140,7 +144,7 @@ def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gp
     code = process.returncode
     if stopped and code < 0:  # before it could listen, or because it did not
         code = STOPPED
-    message = None if code == DONE else _message(task, started_s, code, said)
+    message = None if code in (DONE, STOPPED) else _message(task, started_s, code, said)
     return Ended(task.scene, code if code >= 0 else FAILED, message)
 
 
@@ -193,8 +197,6 @@ def _end(process: subprocess.Popen) -> str:
 
 def _message(task: Task, started_s: float, code: int, said: str) -> str:
     """Why a run failed: what it left beside the stage, else what it said."""
-    if code == STOPPED:
-        return "stopped; finished stages are kept, the next batch goes on from there"
     for stage in task.stages:
         path = error_path(task.run_dir, stage)
         if path.is_file() and path.stat().st_mtime >= started_s and (text := last_error(task.run_dir, stage)):

@@ -248,8 +248,10 @@ def batch_in_course(folder: Path) -> subprocess.Popen:
 def test_terminated_it_ends_what_runs_and_begins_nothing_more(tmp_path: Path) -> None:
     process = batch_in_course(tmp_path)
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=60)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == STOPPED
+    assert "b: stopped: finished stages are kept" in said
+    assert all("goes on from there" in row["message"] for row in by_name(tmp_path / "o").values())
     assert {name: row["state"] for name, row in by_name(tmp_path / "o").items()} == {
         "a": "stopped",
         "b": "stopped",

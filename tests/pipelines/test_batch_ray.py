@@ -104,6 +104,8 @@ def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path)
     said, _ = batch.communicate(timeout=90)
     assert batch.returncode == STOPPED, said
     assert {row["state"] for row in rows(tmp_path)} == {"stopped"}
+    assert all("the next batch goes on from there" in row["message"] for row in rows(tmp_path))
+    assert sorted(row["seconds"] > 0 for row in rows(tmp_path)) == [False, True, True]
     assert not list(tmp_path.glob("*/run/.lock")) and not list(tmp_path.glob("*/run/.new-*"))
 
 

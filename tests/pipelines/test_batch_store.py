@@ -85,7 +85,7 @@ def test_a_full_disk_where_stages_are_looked_at_is_an_error_of_the_scene(
 
     monkeypatch.setattr(command, "mirror", full)
     scene = tiny_scene(tmp_path, "a")
-    place = command._Place(tmp_path / "out", Store(url))
+    place = command._Place(tmp_path / "out", Store(url), print)
     with pytest.raises(DevrfError, match="scenes/a: cannot be written .No space left on device.; make room"):
         place.refresh(load_scene(scene), scene.parent)
 
@@ -164,17 +164,33 @@ def test_nothing_is_laid_out_where_a_run_works(tmp_path: Path, scratch: Path) ->
         assert (here.scene.parent / "in use").exists()
 
 
-def test_a_damaged_stage_in_the_store_stops_no_other_scene(tmp_path: Path, scratch: Path) -> None:
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_stage_that_is_damaged_in_the_store_is_made_anew(
+    tmp_path: Path, scratch: Path, missing: bool
+) -> None:
     for name in ("a", "b"):
         tiny_scene(tmp_path, name)
     url = f"file://{tmp_path}/store"
     assert run(tmp_path, ["a", "b"], url)[0] == DONE
     (health,) = tmp_path.glob("store/runs/a/scene/*/health.json")
-    health.write_bytes(b"x" * health.stat().st_size)
+    health.unlink() if missing else health.write_bytes(b"x" * health.stat().st_size)
     shutil.rmtree(tmp_path / "out")
     code, rows = run(tmp_path, ["a", "b"], url)
-    assert code == FAILED and rows["b"]["state"] == "done"
-    assert rows["a"]["state"] == "failed" and "is not what was stored" in rows["a"]["message"]
+    assert code == DONE and rows["a"]["made"] == ["scene"] and rows["b"]["made"] == []
+    assert "scene was made anew" in rows["a"]["message"]
+    assert ("is missing" if missing else "is not what was stored") in rows["a"]["message"]
+    code, rows = run(tmp_path, ["a", "b"], url)
+    assert code == DONE and rows["a"]["made"] == [] == rows["a"]["nodes"]
+
+
+def test_damage_that_only_the_next_stage_meets_is_mended_too(tmp_path: Path, scratch: Path) -> None:
+    tiny_scene(tmp_path, "a")
+    url = f"file://{tmp_path}/store"
+    assert run(tmp_path, ["a"], url)[0] == DONE
+    (stored,) = tmp_path.glob("store/runs/a/scene/*/scene.json")
+    stored.unlink()
+    code, rows = run(tmp_path, ["a"], url, "canonical")  # the batch takes the stage for fresh
+    assert code == DONE and rows["a"]["made"] == ["scene", "canonical"], rows
 
 
 @pytest.mark.parametrize(
