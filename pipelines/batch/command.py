@@ -78,9 +78,16 @@ def batch(
     if machines.address is not None and machines.engine != "ray":
         raise InputError("--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
-    out.mkdir(parents=True, exist_ok=True)
-    scenes = look(paths, options, unique_names=store is not None)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
+        ) from None
     place = _Place(out, None if store is None else Store(store), talk.say)
+    if place.store is not None:
+        place.store.check()
+    scenes = look(paths, options, unique_names=store is not None)
     rows = [_row(scene, options, place) for scene in scenes]
     with ExitStack() as stack:
         engine = None

@@ -10,6 +10,7 @@ with sizes and digests: of the stamp, or of the batch that named the input.
 
 import json
 import os
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -39,7 +40,7 @@ class Store:
     Args:
         url: `s3://bucket/path`, `file:///path`, …; credentials are found as each protocol's library does.
     Raises:
-        InputError: No such protocol, or its library is not installed.
+        InputError: No such protocol, its library is not installed, or no place is named.
     """
 
     def __init__(self, url: str) -> None:
@@ -51,7 +52,26 @@ class Store:
             self._fs, self._root = fsspec.core.url_to_fs(url)
         except (ImportError, ValueError) as error:
             raise InputError(f"--store {url}: {error}") from None
+        if not self._root.strip("/"):
+            raise InputError(f"--store {url}: names no bucket or folder; expected one, such as {url}NAME")
         self.url = url
+
+    def check(self) -> None:
+        """Write a file and remove it again: where that does not succeed, no scene could be stored.
+
+        Raises:
+            InputError: Says why.
+        """
+        trial = self._path(f"trial-{secrets.token_hex(4)}")
+        try:
+            self._make_folders([trial])
+            self._fs.pipe_file(trial, b"trial")
+            self._fs.rm(trial)
+        except Exception as error:  # each protocol's library has errors of its own
+            raise InputError(
+                f"--store {self.url}: cannot be written ({type(error).__name__}: {error}); check address, credentials "
+                "and network"
+            ) from error
 
     def put_inputs(self, files: Mapping[str, Path]) -> None:
         """Store raw files that are not there yet.

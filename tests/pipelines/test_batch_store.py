@@ -10,7 +10,7 @@ import fsspec
 import pytest
 from tests.pipelines.tiny_scenes import tiny_scene
 
-from devrf.capture.errors import DevrfError
+from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.batch import command
 from devrf.pipelines.batch.inputs import OUTSIDE, inputs_of
 from devrf.pipelines.batch.scenes import Options
@@ -353,6 +353,23 @@ def test_what_is_reached_through_a_link_comes_too(tmp_path: Path) -> None:
     assert {Path(name).parts[0] for name in found.files} == {"scene.yaml", "disk", "ground_truth.json"}
 
 
-def test_a_store_that_cannot_be_used_is_named(tmp_path: Path) -> None:
-    with pytest.raises(command.InputError, match="--store nonsense://x"):
-        Store("nonsense://x")
+@pytest.mark.parametrize(
+    "wrong", ["nonsense://x", "s3://", "memory://", "file:///", "file:///proc/nope", "file://{}/file"]
+)
+def test_a_store_that_cannot_be_used_is_a_mistake_of_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrong: str
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(command, "look", lambda *arguments, **options: pytest.fail("looked"))
+    with pytest.raises(InputError, match=f"^--store {wrong.format(tmp_path)}: "):
+        run(tmp_path, ["a"], wrong.format(tmp_path))
+
+
+def test_the_store_is_left_as_it_was_by_the_look_at_it(tmp_path: Path) -> None:
+    Store(f"file://{tmp_path}/store").check()
+    assert not list((tmp_path / "store").iterdir())
+
+
+def test_a_summary_that_cannot_be_made_is_a_mistake_of_the_command(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="^--out /proc/x: cannot be"):
+        command.batch(Talk("quiet"), [tmp_path], Options(), command.Machines(), Path("/proc/x"), None)
