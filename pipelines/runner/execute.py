@@ -56,31 +56,35 @@ def _execute(run: Run) -> int:
         log_file(run.run_dir, run.name),
         crash_log(run.run_dir),
     ):
-        start = time.monotonic()
-        budget_gb = run.config.budget.memory_gb
-        memory_budget = None if budget_gb is None else int(budget_gb * GB)
-        tell(run_dir=str(run.run_dir), run=run.name, memory_budget=memory_budget)
-        logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
-        run.talk.events = Events(run.run_dir, run.name)
-        run.talk.event(
-            "run_started",
-            scene=run.config.name,
-            preset=run.config.preset,
-            device=run.device,
-            version=devrf.__version__,
-            host=socket.gethostname(),
-            pid=os.getpid(),
-        )
-        code = _answered(run, lambda: _run_stages(run, workspace))
-        run.digests.save()
-        run.talk.event(
-            "run_finished",
-            code=code,
-            seconds=round(time.monotonic() - start, 3),
-            executed=run.executed,
-            taken=run.taken,
-        )
-        return code
+        return _answered(run, lambda: _run_logged(run, workspace))  # while the log is open: it gets the trace
+
+
+def _run_logged(run: Run, workspace: Workspace) -> int:
+    start = time.monotonic()
+    budget_gb = run.config.budget.memory_gb
+    memory_budget = None if budget_gb is None else int(budget_gb * GB)
+    tell(run_dir=str(run.run_dir), run=run.name, memory_budget=memory_budget)
+    logger.info("devrf %s, %s, output %s", devrf.__version__, run.config.name, run.run_dir)
+    run.talk.events = Events(run.run_dir, run.name)
+    run.talk.event(
+        "run_started",
+        scene=run.config.name,
+        preset=run.config.preset,
+        device=run.device,
+        version=devrf.__version__,
+        host=socket.gethostname(),
+        pid=os.getpid(),
+    )
+    code = _answered(run, lambda: _run_stages(run, workspace))
+    run.digests.save()
+    run.talk.event(
+        "run_finished",
+        code=code,
+        seconds=round(time.monotonic() - start, 3),
+        executed=run.executed,
+        taken=run.taken,
+    )
+    return code
 
 
 def _answered(run: Run, work: Callable[[], int]) -> int:

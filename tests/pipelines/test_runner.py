@@ -155,6 +155,15 @@ def test_a_failure_keeps_what_was_there(
     assert executed(folder, "reconstruct.rays=200") == ["second", "third"]
 
 
+def test_an_error_before_the_first_stage_leaves_its_trace(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.delattr("devrf.__version__")  # a library that is found by half
+    assert execute(job(folder, small_stages())) == FAILED
+    assert "the whole trace is in" in capsys.readouterr().err
+    assert "Traceback" in (folder / "run/devrf.log").read_text()
+
+
 def test_more_than_the_gpus_budget_is_said_to_be_that(folder: Path, capsys: pytest.CaptureFixture) -> None:
     error = torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 3.00 GiB")
     run = job(folder, small_stages(second=fail(error)), "budget.gpu_memory_gb=2")
