@@ -18,13 +18,14 @@ from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at_clip
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.budget.forecast import room_of
-from devrf.pipelines.budget.material import find_sources
+from devrf.pipelines.budget.material import Material, find_sources
+from devrf.pipelines.budget.material import find_material as find_run_material
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clips import CLIP_PICTURES, camera_rows, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
-from devrf.pipelines.check.estimate import estimate_rows
+from devrf.pipelines.check.estimate import estimate_rows, seen_material
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
 from devrf.pipelines.device import resolve_device
@@ -49,6 +50,8 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     begin = time.monotonic()
     if config.kind == "dataset":
         sections = {FILES: [note("data set", "can be read; there are no raw files to look at")]}
+        material = find_run_material(config, scene_dir, run_dir, stage_names())
+        sections[RESOURCES] = _resources(config, scene_dir, run_dir, material)
     else:
         with talk.progress("checking") as progress:
             sections = look_at_capture(config, scene_dir, run_dir, progress)
@@ -108,16 +111,16 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     sections["scale"] = _scale(config)
     sections[FILES] = left_out(config, session, scene_dir)
     progress(0.95, RESOURCES)
-    sections[RESOURCES] = estimate_rows(
-        config,
-        run_dir,
-        find_sources(config, scene_dir, run_dir),
-        looks,
-        room_of(config, scene_dir, run_dir, stage_names()),
-        allowed_bytes(config),
-        resolve_device("auto"),
-    )
+    material = seen_material(config, find_sources(config, scene_dir, run_dir), looks)
+    sections[RESOURCES] = _resources(config, scene_dir, run_dir, material)
     return {title: rows for title, rows in sections.items() if rows}
+
+
+def _resources(config: SceneConfig, scene_dir: Path, run_dir: Path, material: Material) -> list[HealthRow]:
+    """Rows about what a run needs and what there is."""
+    room = room_of(config, scene_dir, run_dir, stage_names())
+    device = resolve_device("auto")
+    return estimate_rows(config, run_dir, material, room, allowed_bytes(config), device)
 
 
 def _scale(config: SceneConfig) -> list[HealthRow]:

@@ -12,7 +12,7 @@ from devrf.capture.survey import Look, Picture
 from devrf.pipelines.budget.disk import Room
 from devrf.pipelines.budget.estimate import UNSURE, stage_needs
 from devrf.pipelines.budget.forecast import Forecast, forecast_of, replaced_by
-from devrf.pipelines.budget.material import Source, planned_material
+from devrf.pipelines.budget.material import Material, Source, planned_material
 from devrf.pipelines.budget.need import Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
@@ -24,8 +24,7 @@ TRAINING = ("canonical", "deformation", "evaluate", "render", "report")
 def estimate_rows(
     config: SceneConfig,
     run_dir: Path,
-    sources: Mapping[str, Source],
-    looks: Mapping[str, Look],
+    material: Material,
     room: Room,
     allowed: int,
     device: str,
@@ -35,17 +34,11 @@ def estimate_rows(
     Args:
         config: The configuration.
         run_dir: The run folder.
-        sources: What its clips' headers say.
-        looks: Those that were looked into: their own pictures tell how large stored ones will be.
+        material: What a run works on.
         room: On the disk.
         allowed: Main memory that may be used, bytes.
         device: What a run would train on, cpu or cuda.
     """
-    seen = {
-        name: source if name not in looks else replace(source, bytes_each=_stored_bytes(source, looks[name]))
-        for name, source in sources.items()
-    }
-    material = planned_material(config, seen)
     needs = stage_needs(config, material, device)
     found = forecast_of(needs, config, material, device, allowed, room, replaced_by(needs, run_dir, room))
     need_gb = found.disk / GB
@@ -61,6 +54,21 @@ def estimate_rows(
         _memory_row(found),
         time_row(config, list((needs if device == "cpu" else stage_needs(config, material)).values())),
     ]
+
+
+def seen_material(config: SceneConfig, sources: Mapping[str, Source], looks: Mapping[str, Look]) -> Material:
+    """What a run of a capture works on.
+
+    Args:
+        config: The configuration.
+        sources: What its clips' headers say.
+        looks: Those that were looked into: their own pictures tell how large stored ones will be.
+    """
+    seen = {
+        name: source if name not in looks else replace(source, bytes_each=_stored_bytes(source, looks[name]))
+        for name, source in sources.items()
+    }
+    return planned_material(config, seen)
 
 
 def _memory_row(found: Forecast) -> HealthRow:

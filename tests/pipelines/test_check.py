@@ -9,6 +9,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.field.fixed import FixedGlance, glance_at_fixed
@@ -30,7 +31,7 @@ from devrf.pipelines.check import rows as check_rows
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.command import left_out
-from devrf.pipelines.check.estimate import estimate_rows, time_row
+from devrf.pipelines.check.estimate import estimate_rows, seen_material, time_row
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 
@@ -347,7 +348,8 @@ def test_a_full_disk_and_a_short_time_are_said(tmp_path: Path) -> None:
         )
         sources = find_sources(config, tmp_path, tmp_path / "run")
         room = Room(int(free), "so much is free", "free some")
-        return estimate_rows(config, tmp_path / "run", sources, looks, room, int(memory), "cpu")
+        material = seen_material(config, sources, looks)
+        return estimate_rows(config, tmp_path / "run", material, room, int(memory), "cpu")
 
     assert [row.verdict for row in rows(100e9)] == ["ok", "ok", "ok"]
     assert verdict(rows(10e6), "room") == "fail"
@@ -356,6 +358,21 @@ def test_a_full_disk_and_a_short_time_are_said(tmp_path: Path) -> None:
     no_go = next(row for row in rows(100e9, memory=0.5e9, memory_gb=0.5) if "memory" in row.check)
     assert no_go.verdict == "fail" and "budget.memory_gb is 0.5; raise it" in no_go.remedy
     assert verdict(rows(100e9, memory=1.3e9, memory_gb=1.3), "memory") == "warn"  # trained coarser
+
+
+@pytest.mark.parametrize("budget", [None, "disk_gb=0.001", "memory_gb=0.1"])
+def test_a_data_set_that_run_would_refuse_is_a_no_go(
+    devrf: Callable, tmp_path: Path, budget: str | None
+) -> None:
+    scene = tiny_scene(tmp_path, "ball")
+    said = [] if budget is None else ["--set", f"budget.{budget}"]
+    ran, checked = devrf("run", scene, "--dry-run", *said), devrf("check", scene, *said)
+    if budget is None:
+        assert (ran.code, checked.code) == (0, 0), ran.said + checked.said
+        assert "time of a run" in checked.out and "room for the run folder" in checked.out
+    else:
+        assert (ran.code, checked.code) == (2, 3), ran.said + checked.said
+        assert "NO-GO" in checked.out and f"budget.{budget.replace('=', ' is ')}" in checked.out
 
 
 @pytest.mark.parametrize("preset", ["tiny", "fast"])
