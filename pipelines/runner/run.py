@@ -106,6 +106,12 @@ def check_choice(config: SceneConfig, stages: Sequence[Stage], choice: Choice) -
             reason = next((s.applies(config) for s in stages if s.name == name), None)
             if reason and not (option == "--until" and config.kind != "cameras"):
                 mistakes.append(f"{option} {name}: the stage does not apply: {reason}")
+        if not mistakes:
+            mistakes += [
+                f"--force {name}: lies outside of --from and --until and would not run; leave it out, or widen them"
+                for name in choice.force
+                if name in names and not is_chosen(name, stages, choice)
+            ]
         until = choice.last or names[-1]
         if config.kind == "cameras" and NEEDS_SWEEP in names and not mistakes:
             if names.index(until) >= names.index(NEEDS_SWEEP):

@@ -95,11 +95,21 @@ def test_a_film_of_a_scene_that_never_ran_is_refused(folder: Path, capsys: pytes
         (Choice(last="x"), "--until x: no such stage"),
         (Choice(force=("x", "y")), "--force y: no such stage"),
         (Choice(first="third", last="first"), "the first comes after the last"),
+        (
+            Choice(first="second", force=("first", "third")),
+            "^--force first: .* outside of --from and --until.*",
+        ),
+        (Choice(last="first", force=("third",)), "--force third: .* outside of --from and --until"),
     ],
 )
 def test_choice_is_checked(folder: Path, choice: Choice, expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         check_choice(load_scene(folder / "scene.yaml"), small_stages(), choice)
+
+
+def test_what_is_forced_may_lie_within_the_range(folder: Path) -> None:
+    for force in ("second", "third", "all"):
+        check_choice(load_scene(folder / "scene.yaml"), small_stages(), Choice("second", "third", (force,)))
 
 
 def test_dry_run_touches_nothing(folder: Path, capsys: pytest.CaptureFixture) -> None:
