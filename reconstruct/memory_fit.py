@@ -4,11 +4,12 @@ First what leaves the result as it is in expectation: an iteration's rays in par
 (of the motion, whose losses are not sums over rays) and no fine-tuning, then coarser grids.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
 
-from devrf.capture.amounts import GB
+from devrf.capture.amounts import GB, size_text
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
 from devrf.reconstruct.footprint import Footprint, SceneSize, footprints
@@ -21,6 +22,8 @@ UNSURE = 0.1  # by how much a training may take more than is predicted (docs/rel
 MOST_PARTS = 16
 COARSER = 0.9  # resolution from one try to the next
 COARSEST, COARSEST_MOTION = 24, 6  # vertices along an axis: below, nothing is recovered
+OF_PICTURES = ("pictures", "flow", "sweep", "surroundings")  # parts of a footprint that are so much a pixel
+MATTERS = 0.1  # share of a need below which smaller pictures are no help
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ def _in_motion(options: MotionOptions) -> Iterator[MotionOptions]:
 
 
 def _decisions(wanted: Options, chosen: Options, need: Footprint, limits: Limits) -> list[Decision]:
-    reason = "; ".join(_excess(need, limits))
+    reason = "; ".join(map(str, _short(need, limits)))
     named: list[tuple[str, Callable[[Options], object]]] = [
         ("parts of an iteration's rays", lambda o: getattr(o, "parts", 1)),
         ("resolution at rest", lambda o: o.resolution),
@@ -108,25 +111,49 @@ def _decisions(wanted: Options, chosen: Options, need: Footprint, limits: Limits
     ]
 
 
-def _excess(need: Footprint, limits: Limits) -> list[str]:
-    """Which memory is short, in words."""
+@dataclass(frozen=True)
+class _Short:
+    """A memory of which a training takes more than its limit.
+
+    Attributes:
+        key: Of `budget`.
+        name: In words.
+        parts: Bytes by what they are for.
+        limit: Bytes.
+    """
+
+    key: str
+    name: str
+    parts: dict[str, int]
+    limit: int
+
+    def __str__(self) -> str:
+        # Rounded apart: what is short never looks as if it fitted.
+        needed = math.ceil(100 * surely(sum(self.parts.values())) / GB) / 100
+        allowed = math.floor(100 * self.limit / GB + 1e-6) / 100
+        return f"about {needed:.2f} GB of {self.name} needed with a tenth to spare, {allowed:.2f} GB allowed"
+
+
+def _short(need: Footprint, limits: Limits) -> list[_Short]:
+    """Which memory is short."""
+    kinds = (
+        ("memory_gb", "main memory", need.main, limits.main),
+        ("gpu_memory_gb", "GPU memory", need.gpu, limits.gpu),
+    )
     return [
-        f"about {bytes_ / GB:.2f} GB of {name} needed, {limit / GB:.2f} GB allowed"
-        for name, bytes_, limit in (
-            ("main memory", need.main_bytes, limits.main),
-            ("GPU memory", need.gpu_bytes, limits.gpu),
-        )
-        if limit is not None and surely(bytes_) > limit
+        _Short(key, name, parts, limit)
+        for key, name, parts, limit in kinds
+        if limit is not None and surely(sum(parts.values())) > limit
     ]
 
 
 def _too_little(need: Footprint, limits: Limits) -> str:
-    key = "memory_gb" if limits.main is not None and surely(need.main_bytes) > limits.main else ""
-    key = key or "gpu_memory_gb"
-    pictures = sum(
-        (need.gpu or need.main).get(name, 0) for name in ("pictures", "flow", "sweep", "surroundings")
-    )
+    short = _short(need, limits)
+    first = short[0]
+    remedies = "raise it, or close other programs where it is the machine that has no more"
+    pictures = sum(first.parts.get(name, 0) for name in OF_PICTURES)
+    if pictures >= MATTERS * sum(first.parts.values()):
+        remedies += f", or lower reconstruct.image_scale (its pictures and flow take {size_text(pictures)})"
     return (
-        f"budget.{key}: the smallest training does not fit ({'; '.join(_excess(need, limits))}); raise it, close "
-        f"other programs, or lower reconstruct.image_scale (its pictures and flow take {pictures / GB:.2f} GB)"
+        f"budget.{first.key}: the smallest training does not fit ({'; '.join(map(str, short))}); {remedies}"
     )

@@ -15,9 +15,10 @@ from devrf.calibration.sweep.static_poses import FINE_OCTAVE_BELOW, MAX_IMAGE_SI
 from devrf.capture.cores import usable_cores
 from devrf.pipelines.budget.material import Material, Source
 from devrf.pipelines.budget.need import Need
-from devrf.pipelines.budget.training import BASE, model_bytes, training_need
+from devrf.pipelines.budget.training import BASE, FEW_S, model_bytes, training_need
 from devrf.pipelines.clock_check import MOST_FRAMES
 from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.stages.flow import is_brought, training_clips
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.trained_model import PIECES
 from devrf.reconstruct.options import CHUNK
@@ -63,7 +64,6 @@ SCENE_S_PER_PICTURE = 0.15
 FLOW_S_PER_MEGAPIXEL = 0.45
 VIEW_S_PER_MEGAPIXEL = 13.0  # of test pictures, rendered in motion and at rest
 FILM_S_PER_MEGAPIXEL = 20.0
-FEW_S = 5.0  # loading libraries, reading, writing
 
 
 def stage_needs(
@@ -180,7 +180,7 @@ def _scene(material: Material) -> Need:
 
 def _flow(config: SceneConfig, material: Material, device: str) -> Need:
     full = material.full_pixels
-    raft = config.flow.method == "raft"
+    raft = finds_by_raft(config, material)
     there = device == "cuda" and raft
     work = RAFT_VOLUMES + RAFT_FLOW * full if raft else 0
     return Need(
@@ -192,6 +192,12 @@ def _flow(config: SceneConfig, material: Material, device: str) -> Need:
         left=int(FLOW_STORED * material.pixels * material.in_motion) + SMALL,
         seconds=None if raft else FEW_S + FLOW_S_PER_MEGAPIXEL * full * material.in_motion / 1e6,
     )
+
+
+def finds_by_raft(config: SceneConfig, material: Material) -> bool:
+    """Whether flow is RAFT's: where a data set brings it, none has to be found."""
+    brought = material.scene is not None and is_brought(training_clips(material.scene))
+    return config.flow.method == "raft" and not brought
 
 
 def _evaluate(config: SceneConfig, material: Material, device: str) -> Need:

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from devrf.calibration.sweep.static_poses import MAX_IMAGE_SIZE
 from devrf.capture.amounts import size_text
-from devrf.pipelines.budget.estimate import static_poses_need
+from devrf.pipelines.budget.estimate import finds_by_raft, static_poses_need
 from devrf.pipelines.budget.material import TRAINED, Material
 from devrf.pipelines.budget.memory import memory_bound
 from devrf.pipelines.budget.need import BudgetError, Need
-from devrf.pipelines.budget.training import fitted_training
+from devrf.pipelines.budget.training import BASE, fitted_training
 from devrf.pipelines.config.scene import SceneConfig
 
 SIDES_PX = (
@@ -70,23 +70,32 @@ def fit(need: Need, config: SceneConfig, material: Material, allowed: int, devic
             if smaller.each < need.each and (at_once := smaller.fitted(allowed)):
                 return Fit(smaller, at_once, side_px)
         need = static_poses_need(config, material, SIDES_PX[-1])
-    raise BudgetError(no_memory(need, config, allowed))
+    raise BudgetError(_no_memory(need, config, material, allowed))
 
 
-def no_memory(need: Need, config: SceneConfig, allowed: int) -> str:
+def _no_memory(need: Need, config: SceneConfig, material: Material, allowed: int) -> str:
     """What is said of a stage that does not fit."""
+    remedy = _remedy(need.stage, config, material) if allowed > BASE else None  # libraries stay what they are
     return (
-        f"needs about {size_text(need.least)} of main memory at the least, and "
-        f"{memory_bound(config, allowed)}, or use {REMEDIES.get(need.stage, 'smaller pictures')}"
+        f"needs about {size_text(need.least)} of main memory at the least, and {memory_bound(config, allowed)}"
+        + (f", or use {remedy}" if remedy else "")
     )
 
 
-SMALLER_MODEL = "--preset tiny, or lower reconstruct.resolution or reconstruct.image_scale"
+def _remedy(stage: str, config: SceneConfig, material: Material) -> str | None:
+    """What can be asked for, so that a stage takes less; None where nothing would."""
+    if stage in ("evaluate", "render"):
+        model = "a lower reconstruct.resolution or reconstruct.image_scale"
+        return model if config.preset == "tiny" else f"--preset tiny, or {model}"
+    if stage == "flow" and finds_by_raft(config, material):
+        return "flow.method: dis, or smaller pictures"
+    return REMEDIES.get(stage, "smaller pictures")
+
+
 REMEDIES = {
     "ingest": "smaller pictures or shorter clips (capture.range_s)",
     "static_poses": "fewer pictures in the sweep",
     "sync": "shorter clips, or calibration.sync.method: timestamps",
-    "flow": "flow.method: dis, or smaller pictures",
-    "evaluate": SMALLER_MODEL,
-    "render": SMALLER_MODEL,
+    "scene": "shorter clips (capture.range_s)",
+    "report": None,
 }

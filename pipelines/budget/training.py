@@ -9,7 +9,7 @@ from devrf.pipelines.budget.material import Material, Trained
 from devrf.pipelines.budget.need import BudgetError, Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.training_options import planned_options
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.options import PRESETS, CanonicalOptions, MotionOptions, PresetName
 
 if TYPE_CHECKING:
     from devrf.reconstruct.footprint import SceneSize
@@ -20,18 +20,23 @@ SHELL_NUMBERS = 4  # of each of its vertices: density and colour
 CHECKPOINT = 3  # copies of a grid in a checkpoint: values and two moments
 PACKED = 0.35  # bytes on disk of each number of a model; the example's 0.32
 
-# Seconds on two CPU cores beside other jobs, of the example session; `reference` was never measured
+FEW_S = 5.0  # loading libraries, reading, writing
+
+# Seconds on two CPU cores beside other jobs, of the example session with all that the preset has; `reference` was
+# never measured
 SECONDS: dict[str, dict[str, float]] = {
     "canonical": {"tiny": 200.0, "fast": 890.0},
     "deformation": {"tiny": 130.0, "fast": 1140.0},
 }
+EXAMPLE_TIMES = 43  # pictures of each of its cameras
 
 
 def training_need(stage: str, config: SceneConfig, material: Material, device: str) -> Need:
     """Of stage canonical or deformation, with the options that scene.yaml asks for."""
     from devrf.reconstruct.footprint import footprint
 
-    held = footprint(_size(material), _options(stage, config, material), device, BASE)
+    options = _options(stage, config, material)
+    held = footprint(_size(material), options, device, BASE)
     numbers = rest_numbers(config, material) if stage == "canonical" else motion_numbers(config, material)
     return Need(
         stage,
@@ -39,7 +44,7 @@ def training_need(stage: str, config: SceneConfig, material: Material, device: s
         gpu=held.gpu_bytes,
         left=int(PACKED * numbers),
         passing=FLOAT * CHECKPOINT * numbers,
-        seconds=None if device == "cuda" else SECONDS[stage].get(config.preset),
+        seconds=None if device == "cuda" else _seconds(stage, config.preset, options, _times(material)),
     )
 
 
@@ -81,14 +86,36 @@ def motion_numbers(config: SceneConfig, material: Material) -> int:
     if made is not None:
         return 2 * 3 * made.keys * made.vertices
     motion = planned_options(config).motion
-    keys = motion.keys or min(motion.most_keys, max(2, _times(material)))
-    return 2 * 3 * keys * motion.levels[-1] ** 3
+    return 2 * 3 * _keys(motion, _times(material)) * motion.levels[-1] ** 3
 
 
 def model_bytes(config: SceneConfig, material: Material) -> int:
     """The trained model in memory."""
     copies = 2 if planned_options(config).motion.fine_tuning and material.in_motion else 1
     return FLOAT * (copies * rest_numbers(config, material) + motion_numbers(config, material))
+
+
+def _seconds(
+    stage: str, preset: PresetName, options: CanonicalOptions | MotionOptions, times: int
+) -> float | None:
+    """What the preset took for the example, in proportion to the work that is asked for (docs/budgets.md)."""
+    measured = SECONDS[stage].get(preset)
+    if measured is None:
+        return None
+    usual = PRESETS[preset].canonical if stage == "canonical" else PRESETS[preset].motion
+    return FEW_S + (measured - FEW_S) * _work(options, times) / _work(usual, EXAMPLE_TIMES)
+
+
+def _work(options: CanonicalOptions | MotionOptions, times: int) -> int:
+    """What the time of a training grows with: iterations; of the motion, whose samples nothing bounds, rays drawn."""
+    if isinstance(options, CanonicalOptions):
+        return options.iterations
+    return options.rays * (_keys(options, times) * sum(options.iterations) + options.fine_tuning)
+
+
+def _keys(motion: MotionOptions, times: int) -> int:
+    """Key times of the motion, before pictures may show that fewer do."""
+    return motion.keys or min(motion.most_keys, max(2, times))
 
 
 def _options(stage: str, config: SceneConfig, material: Material) -> CanonicalOptions | MotionOptions:

@@ -6,7 +6,7 @@ was stopped finds only those that are missing.
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def run(context: StageContext) -> None:
     """Write `<camera>/<index>.npz` of every pair, and `flow.json` with what the flow says about itself."""
     scene = read_scene(context.run_dir / "scene")
     clips = training_clips(scene)
-    brought = bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
+    brought = is_brought(clips)
     estimator = None if brought else _estimator(context)
     unfinished = _unfinished(context)
     checks: dict[str, FlowChecks] = {}
@@ -114,6 +114,11 @@ def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
         if frame.split == "train":
             clips.setdefault(frame.camera_name, []).append(frame)
     return {camera: sorted(frames, key=_time) for camera, frames in clips.items()}
+
+
+def is_brought(clips: Mapping[str, Sequence[PosedFrame]]) -> bool:
+    """Whether the data set has the flow of all pairs of its training cameras."""
+    return bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
 
 
 def _time(frame: PosedFrame) -> float:

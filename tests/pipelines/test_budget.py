@@ -18,6 +18,8 @@ from tests.pipelines.small_stages import job, small_stages, write
 from tests.reconstruct.test_model_io import _camera, _model
 
 from devrf.capture.amounts import size_text
+from devrf.capture.camera import Camera
+from devrf.capture.scene import PosedFrame, Scene
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.budget import disk, forecast, keep
 from devrf.pipelines.budget.allowance import Allowance
@@ -27,8 +29,9 @@ from devrf.pipelines.budget.fit import SIDES_PX, Fit, fit
 from devrf.pipelines.budget.keep import Budget
 from devrf.pipelines.budget.material import Material, Source, find_material, planned_material
 from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk
+from devrf.pipelines.budget.training import BASE, FEW_S, SECONDS
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
+from devrf.pipelines.config.scene import FlowConfig, SceneConfig, StaticPosesConfig
 from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
@@ -83,6 +86,24 @@ def test_estimates_of_the_example_are_near_what_was_measured(
         assert need.seconds is not None and seconds / 3 < need.seconds < 3 * seconds, name
 
 
+def test_the_time_of_a_training_follows_what_is_asked_for() -> None:
+    def seconds(stage: str, *asked: str) -> float | None:
+        config = load_scene(EXAMPLE / "scene.yaml", [f"reconstruct.{text}" for text in asked])
+        return stage_needs(config, find_material(config, EXAMPLE, EXAMPLE / "none"))[stage].seconds
+
+    def share(stage: str, *asked: str) -> float:
+        found = seconds(stage, *asked)
+        assert found is not None
+        return (found - FEW_S) / (SECONDS[stage]["tiny"] - FEW_S)
+
+    assert share("canonical") == share("deformation") == 1
+    assert share("canonical", "canonical_iterations=200") == pytest.approx(1 / 3)
+    assert share("canonical", "rays=1024", "motion_iterations=40") == 1  # samples bound what rays cost
+    assert share("deformation", "motion_iterations=40") == pytest.approx(0.4)
+    assert share("deformation", "rays=3072", "canonical_iterations=200") == pytest.approx(2)
+    assert share("deformation", "key_times=5") == pytest.approx(5 / 25)
+
+
 def source(**changes: object) -> Source:
     made = Source("camera", "clip", 3840, 2160, 300, 300, 3e6)
     return replace(made, **changes)  # type: ignore[arg-type]
@@ -115,11 +136,36 @@ def test_large_pictures_cost_what_was_measured(
 
 def test_what_fits_is_done_with_fewer_at_once(config: SceneConfig) -> None:
     need = Need("flow", GB, GB, 8)
+    config = config.model_copy(update={"flow": FlowConfig(method="raft", weights="raft.pth")})
     found = [fit(need, config, planned(config, static=source(role="sweep")), n * GB) for n in (20, 9, 4, 2)]
     assert [f.at_once for f in found] == [8, 8, 3, 1]
     assert found[1].said is None and "3 instead of 8 at once" in (found[2].said or "")
     with pytest.raises(BudgetError, match="^needs about 2 GB.*left on this machine; close.*flow.method: dis"):
         fit(need, config, planned(config, static=source(role="sweep")), 2 * GB - 1)
+
+
+def test_only_remedies_that_can_help_are_named(config: SceneConfig) -> None:
+    material = planned(config, static=source(role="sweep"), cam0=source())
+    camera = Camera(64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), np.eye(4)[:3])
+    first = PosedFrame(Path("0.png"), camera, "cam0", 0, 0.0, 0.0, "train")
+    second = replace(first, index=1, time_s=1.0, time=1.0, flow=Path("1.npz"))
+    box = np.array([[-1.0, -1, -1], [1, 1, 1]])
+    scene = Scene((), (first, second), np.eye(4), box, 0.1, 3.0, "inward", "white", 0.0, 1.0, None, 1.0)
+    brought = replace(material, scene=scene)
+
+    def said(stage: str, material: Material = material, **changes: object) -> str:
+        changed = config.model_copy(update=changes)
+        with pytest.raises(BudgetError) as refused:
+            fit(Need(stage, GB, GB), changed, material, GB)
+        return str(refused.value).partition("or use ")[2]
+
+    raft = FlowConfig(method="raft", weights="raft.pth")
+    assert said("flow", flow=raft) == "flow.method: dis, or smaller pictures"
+    assert said("flow") == said("flow", brought, flow=raft) == "smaller pictures"
+    assert "--preset tiny" in said("render") and "--preset" not in said("render", preset="tiny")
+    assert not said("report")
+    with pytest.raises(BudgetError, match="larger machine$"):
+        fit(Need("ingest", BASE, 1), config, material, BASE)  # libraries alone fill it
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
@@ -188,7 +234,10 @@ def test_a_run_says_what_it_needs_before_it_starts(clips: Path, devrf: Command) 
             "memory_gb=0.2",
             "ingest: needs about .* of main memory at the least, and budget.memory_gb is 0.2; raise it",
         ),
-        ("memory_gb=0.8", "evaluate: needs about .* budget.memory_gb is 0.8; raise it, or use --preset tiny"),
+        (
+            "memory_gb=0.8",
+            "evaluate: needs about .* budget.memory_gb is 0.8; raise it, or use a lower reconstruct.resolution",
+        ),
         ("memory_gb=0.5", "canonical: budget.memory_gb: the smallest training does not fit"),
         (
             "disk_gb=0.001",

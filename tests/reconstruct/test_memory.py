@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,8 +17,8 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
 from devrf.reconstruct.footprint import SceneSize, footprint
 from devrf.reconstruct.grids import GridTrainer
-from devrf.reconstruct.memory_fit import Limits, fitted
-from devrf.reconstruct.options import CanonicalOptions, preset
+from devrf.reconstruct.memory_fit import COARSER, Limits, fitted, surely
+from devrf.reconstruct.options import CanonicalOptions, preset, resized_whole
 from devrf.reconstruct.train_canonical import train_canonical
 
 ROOM = SceneSize(
@@ -99,6 +100,24 @@ def test_what_cannot_fit_is_refused_with_the_key_and_the_remedy(options) -> None
         fitted(ROOM, options, Limits(int(0.7 * GB)))
     with pytest.raises(ReconstructError, match=r"budget\.gpu_memory_gb.*0\.10 GB allowed"):
         fitted(ROOM, options, Limits(10**11, int(0.1 * GB)), "cuda")
+
+
+def test_a_refusal_says_what_is_short_and_what_can_help() -> None:
+    """What is said to be needed has the tenth on top; pictures are named only where they take much."""
+    options, small = preset("tiny").canonical, SceneSize(still_pixels=10**5)
+    least = surely(footprint(small, resized_whole(replace(options, parts=16), COARSER**14)).main_bytes)
+    for limit in (int(0.57 * GB), int(0.99 * least), least - 1):
+        with pytest.raises(ReconstructError) as refused:
+            fitted(small, options, Limits(limit))
+        said = str(refused.value)
+        needed, allowed = (
+            float(n) for n in re.findall(r"(\d\.\d\d) GB (?:of main memory needed|allowed)", said)
+        )
+        assert allowed <= limit / GB < least / GB <= needed < least / GB + 0.01
+        assert "image_scale" not in said
+    large = replace(small, still_pixels=10**8)
+    with pytest.raises(ReconstructError, match=r"image_scale \(its pictures and flow take 0\.4 GB\)"):
+        fitted(large, options, Limits(int(0.8 * GB)))
 
 
 def test_on_a_gpu_what_is_trained_lies_there() -> None:
