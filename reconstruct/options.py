@@ -289,6 +289,7 @@ def preset(
     motion_iterations: int | None = None,
     fine_tuning_iterations: int | None = None,
     key_times: int | None = None,
+    learning_rate: float = 1.0,
     learn_clocks: bool = False,
     adapt: bool | None = None,
     seed: int = 0,
@@ -304,6 +305,7 @@ def preset(
         motion_iterations: Of stage 2, per key time, over all levels; fine-tuning's keep their proportion to it.
         fine_tuning_iterations: Of the scene at rest, once its motion is known.
         key_times: How many, where it is not to be decided by the scene.
+        learning_rate: Of both stages, relative to the preset's.
         learn_clocks: Whether offsets of the cameras' clocks are learned, too.
         adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
@@ -349,5 +351,18 @@ def preset(
         )
     if fine_tuning_iterations is not None:
         motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
-    motion = replace(motion, keys=key_times, learn_clocks=learn_clocks, seed=seed)
-    return Options(replace(canonical, seed=seed), motion)
+    canonical = replace(
+        canonical,
+        lr_grid=learning_rate * canonical.lr_grid,
+        lr_mlp=learning_rate * canonical.lr_mlp,
+        seed=seed,
+    )
+    motion = replace(
+        motion,
+        lr=learning_rate * motion.lr,
+        fine_tuning_lr=learning_rate * motion.fine_tuning_lr,
+        keys=key_times,
+        learn_clocks=learn_clocks,
+        seed=seed,
+    )
+    return Options(canonical, motion)

@@ -192,6 +192,48 @@ def reference(
 
 
 @bench.command()
+def stability(
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            help="scene.yaml with test cameras; default: a small simulated session, rendered first"
+        ),
+    ] = None,
+    axes: Annotated[str | None, typer.Option(help="Some of the axes, by name; default: all")] = None,
+    severities: Annotated[
+        int | None, typer.Option(min=1, help="How many of each axis, the worst among them; default: all")
+    ] = None,
+    seeds: SeedsOption = 1,
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """Where the pipeline breaks: the scene along one axis of damage at a time, and what the pipeline says there.
+
+    A suite that was stopped goes on where it was, with the same --out.
+    """
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.stability.axes import AXES
+        from devrf.pipelines.bench.stability.stability import run_stability
+
+        chosen = list(AXES) if axes is None else _names("--axes", axes, list(AXES))
+        run_stability(run, folder, chosen, severities, range(seeds), json or folder / "stability.json")
+
+    if scene is None:
+        from devrf.pipelines.bench.stability.session import SETTINGS, session
+
+        out, talk = out or Path("bench-stability"), talk_of(quiet)
+        with errors_told(talk):
+            _check_places(out, json)
+            scene = session(out, talk)
+        overrides = [*SETTINGS, *(overrides or [])]
+    _measure("stability", measure, scene, None, overrides, out, json, device, quiet)
+
+
+@bench.command()
 def calibration(
     data: DataOption = None,
     only: Annotated[str | None, typer.Option(help=PARTS_HELP + "boards,colour,sweeps,rigs")] = None,

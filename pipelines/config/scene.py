@@ -377,6 +377,8 @@ class ReconstructConfig(_Section):
     """Iterations in which the scene at rest follows the moving pictures too; 0: none."""
     key_times: int | None = Field(default=None, ge=2, le=10_000)
     """Number of key times of the motion."""
+    learning_rate: float = Field(default=1.0, gt=0, le=1000)
+    """Learning rates of both trainings, relative to the preset's; smaller where a training diverges."""
     learn_clocks: bool = False
     """Learn an offset of each camera's clock with the motion, within what sync leaves open."""
     adapt: bool | None = None

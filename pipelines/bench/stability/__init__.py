@@ -1,0 +1,1 @@
+"""`bench stability`: where the pipeline breaks, one axis of damage at a time, and what it says there."""

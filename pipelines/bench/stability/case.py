@@ -1,0 +1,191 @@
+"""One case: the real pipeline on a damaged scene, in a run folder of its own, and what came of it.
+
+What cases have in common is made once: all keep their stages in one cache, and a stage behind which damage is done has
+the damage among its inputs, so that stamps and cache tell it from the real one. A stage that fails is a result.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.scene import Scene
+from devrf.pipelines.bench.stability import damage
+from devrf.pipelines.bench.stability.axes import AXES
+from devrf.pipelines.bench.stability.damage import Damage, Intact
+from devrf.pipelines.config.scene import CacheConfig
+from devrf.pipelines.console import Talk
+from devrf.pipelines.exit_codes import DONE, STOPPED
+from devrf.pipelines.health.rows import HealthRow, Verdict
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice, read_health
+from devrf.pipelines.runner.run import Run
+from devrf.pipelines.stage import Stage
+from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
+from devrf.pipelines.stamps.code_version import code_version
+from devrf.pipelines.stamps.stamp import read_stamp
+
+LAST = "evaluate"  # what follows shows the result and does not change it
+UNDISTURBED = "undisturbed"
+CACHE_GB = 100.0
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """A health row that warns or fails, of a kind that people in the field would see too."""
+
+    stage: str
+    check: str
+    verdict: Verdict
+    value: float | str | None
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of one case.
+
+    Attributes:
+        axis, severity, seed: Which case; the axis of the undisturbed one is `UNDISTURBED`.
+        stopped: What was said where a stage failed ("rig: ..."); None where the result is whole.
+        psnr, lpips: Of the test views.
+        psnr_moving: Of the test views, where they differ from the scene at rest.
+        baseline: The scene at rest in place of the test views, there too.
+        rotation_deg, position_m, sync_ms: Largest errors of the fixed cameras and of the clocks; None without a truth.
+        seconds: That its stages took, whether they were made for this case or for another.
+        complaints: All health rows that warn or fail and need no answer to compare with.
+    """
+
+    axis: str
+    severity: float
+    seed: int
+    stopped: str | None = None
+    psnr: float | None = None
+    lpips: float | None = None
+    psnr_moving: float | None = None
+    baseline: float | None = None
+    rotation_deg: float | None = None
+    position_m: float | None = None
+    sync_ms: float | None = None
+    seconds: float = 0.0
+    complaints: tuple[Complaint, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """As written to the JSON of results."""
+        return asdict(self)
+
+
+class _Listener(Talk):
+    """Says nothing and remembers what went wrong; the run folder's log has the rest."""
+
+    def __init__(self) -> None:
+        super().__init__("quiet")
+        self.errors: list[str] = []
+
+    def error(self, text: str) -> None:
+        self.errors.append(text)
+        self.event("error", message=text)
+
+    def health(self, stage: str, rows: list[HealthRow]) -> None:
+        for row in rows:
+            self.event("health", stage=stage, **row.as_dict())
+
+
+def run_case(
+    base: Run, out: Path, axis: str, severity: float, seed: int, undisturbed: Scene | None = None
+) -> tuple[Result, Path]:
+    """Run one case, or go on with it.
+
+    Args:
+        base: The scene; its configuration is the undisturbed case's.
+        out: Folder of all cases.
+        axis, severity, seed: Which.
+        undisturbed: What the undisturbed case of the same seed made; None for that case itself.
+    Returns:
+        What came of it, and its run folder.
+    Raises:
+        DoesNotApply: The axis means nothing for this scene.
+    """
+    folder = out / f"{axis}-{severity:g}" / f"seed{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    config = base.config.model_copy(
+        update={
+            "output": str((folder / "run").resolve()),
+            "cache": CacheConfig(folder=str((out / "cache").resolve()), max_gb=CACHE_GB),
+            "reconstruct": base.config.reconstruct.model_copy(update={"seed": seed}),
+        }
+    )
+    done = Damage(config)
+    if undisturbed is not None:
+        intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
+        done = AXES[axis].damaging(intact)
+    stages = [_damaged(s, done, folder, axis, severity, seed) if s.name == done.stage else s for s in STAGES]
+    heard = _Listener()
+    run = Run(
+        done.config, base.scene_dir, stages, Choice(last=LAST, allow_unhealthy=True), heard, base.device
+    )
+    code = execute(run)
+    if code == STOPPED:
+        raise typer.Exit(code)
+    stopped = None if code == DONE else heard.errors[-1]
+    return read_result(run.run_dir, axis, severity, seed, stopped, stages), run.run_dir
+
+
+def read_result(
+    run_dir: Path,
+    axis: str,
+    severity: float,
+    seed: int,
+    stopped: str | None,
+    stages: Sequence[Stage] = STAGES,
+) -> Result:
+    """What a run folder says of a case."""
+    complaints = tuple(
+        Complaint(stage.name, row.check, row.verdict, row.value)
+        for stage in stages
+        for row in read_health(run_dir / stage.name)
+        if row.verdict != "ok" and not row.check.startswith(NEEDS_TEST_VIEWS)
+    )
+    stamps = [read_stamp(run_dir / stage.name) or {} for stage in stages]
+    seconds = sum(stamp.get("seconds") or 0.0 for stamp in stamps)
+    result = Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints)
+    if stopped is not None:
+        return result
+    metrics = json.loads((run_dir / LAST / "metrics.json").read_text())
+    truth = metrics.get("truth", {})
+    return replace(
+        result,
+        psnr=metrics["test"]["psnr"],
+        lpips=metrics["test"]["lpips_vgg"],
+        psnr_moving=metrics["test_moving"]["psnr"],
+        baseline=metrics["static_baseline"]["test_moving"]["psnr"],
+        rotation_deg=truth.get("rig_rotation_deg"),
+        position_m=truth.get("rig_position_m"),
+        sync_ms=truth.get("sync_ms"),
+    )
+
+
+def scene_of(run_dir: Path) -> Scene:
+    """The scene that a case's run was trained on."""
+    return read_scene(run_dir / "scene")
+
+
+def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:
+    """The stage, and damage behind it."""
+    file = folder / "damage.json"
+    code = code_version(damage.__name__)
+    file.write_text(json.dumps({"axis": axis, "severity": severity, "seed": seed, "code": code}))
+
+    def run(context: Any) -> None:
+        stage.run(context)
+        done.behind(context)
+
+    return replace(
+        stage,
+        run=run,
+        inputs=lambda config, scene_dir: {**stage.inputs(config, scene_dir), "damage": file},
+    )

@@ -1,0 +1,75 @@
+"""The chart of an axis: PSNR, LPIPS and pose error against severity, and where the result breaks and who says so."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from devrf.pipelines.bench.stability.axes import Axis
+from devrf.pipelines.bench.stability.case import Result
+from devrf.pipelines.bench.stability.points import Points
+
+SIZE_INCHES, DPI = (10.5, 3.4), 120
+MEASURED, GOOD, STILL, BROKEN, SAID = "#2f6fb3", "#2f8a4f", "0.45", "#b3362f", "#c98a1b"
+
+Value = Callable[[Result], float | None]
+PANELS: tuple[tuple[str, Value], ...] = (
+    ("PSNR where it moves, dB", lambda r: r.psnr_moving),
+    ("LPIPS (VGG)", lambda r: r.lpips),
+    ("largest turn of a camera, degrees", lambda r: r.rotation_deg),
+)
+
+
+def axis_chart(
+    path: Path, name: str, axis: Axis, results: Sequence[Result], undisturbed: Sequence[Result], found: Points
+) -> Path:
+    """Draw one axis; severities stand side by side, the undisturbed case first."""
+    from matplotlib.figure import Figure
+
+    places = sorted({r.severity for r in results})
+    figure = Figure(figsize=SIZE_INCHES, layout="constrained")
+    table = figure.subplots(1, len(PANELS))
+    for axes, (label, value) in zip(table, PANELS, strict=True):
+        _lines(axes, places, results, undisturbed, value)
+        for severity, colour, text, style in (
+            (found.failure, BROKEN, "no better than standing still", "-"),
+            (found.notice, SAID, "health speaks up", "--"),
+        ):
+            if severity is not None:
+                axes.axvline(places.index(severity) + 1, color=colour, linestyle=style, label=text)
+        axes.set_xticks(range(len(places) + 1), ["none", *(f"{p:g}" for p in places)])
+        axes.set_xlabel(axis.unit)
+        axes.set_title(label, fontsize=9)
+        axes.grid(True, axis="y", alpha=0.3)
+    still = [r.baseline for r in undisturbed if r.baseline is not None]
+    if still:
+        table[0].axhline(fmean(still), color=STILL, linestyle=":", label="standing still (static_baseline)")
+    table[0].legend(fontsize=6.5)
+    figure.suptitle(f"{name}: {axis.what}", fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)
+    return path
+
+
+def _lines(
+    axes: Any,
+    places: Sequence[float],
+    results: Sequence[Result],
+    undisturbed: Sequence[Result],
+    value: Value,
+) -> None:
+    """The means over seeds as a line, seeds as dots; a level line at the undisturbed mean."""
+    columns = [list(undisturbed), *([r for r in results if r.severity == p] for p in places)]
+    found = {n: v for n, cases in enumerate(columns) if (v := _known(cases, value))}
+    if not found:
+        axes.text(0.5, 0.5, "not measured", ha="center", va="center", transform=axes.transAxes, color=STILL)
+        return
+    axes.plot(list(found), [fmean(v) for v in found.values()], "-o", color=MEASURED, markersize=4)
+    for n, values in found.items():
+        axes.plot([n] * len(values), values, ".", color=MEASURED, alpha=0.6)
+    if 0 in found:
+        axes.axhline(fmean(found[0]), color=GOOD, linewidth=0.8, label="undisturbed")
+
+
+def _known(cases: Sequence[Result], value: Value) -> list[float]:
+    return [v for r in cases if (v := value(r)) is not None]

@@ -1,0 +1,109 @@
+"""One page with what the suite found: a table of all axes, then each axis with its chart and its cases."""
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+
+from devrf.pipelines.bench.stability.axes import AXES
+from devrf.pipelines.bench.stability.case import Result
+from devrf.pipelines.bench.stability.points import Points, said
+from devrf.pipelines.report.html import figure, readable, section, table, text
+from devrf.pipelines.report.pictures import data_uri
+
+STYLE = "report.css"  # of the run's report
+
+
+def build_page(
+    title: str,
+    undisturbed: Sequence[Result],
+    results: Mapping[str, Sequence[Result]],
+    found: Mapping[str, Points],
+    charts: Mapping[str, Path],
+    left_out: Mapping[str, str],
+) -> str:
+    """The page as one text.
+
+    Args:
+        title: What was damaged, in words.
+        undisturbed: The undisturbed case of every seed.
+        results: Axis -> its cases.
+        found: Axis -> its failure and notice point.
+        charts: Axis -> its chart.
+        left_out: Axis -> why it does not apply.
+    """
+    overview = table(
+        ("axis", "what gets worse", "breaks at", "said at", "unit", "what is said there"),
+        [
+            (
+                f'<a href="#{text(name)}">{text(name)}</a>',
+                text(AXES[name].what),
+                _severity(found[name].failure),
+                _severity(found[name].notice),
+                text(AXES[name].unit),
+                "<br>".join(text(words) for words in found[name].notices),
+            )
+            for name in results
+        ],
+    )
+    not_there = "".join(
+        f'<p class="source">{text(n)}: does not apply: {text(why)}</p>' for n, why in left_out.items()
+    )
+    lead = (
+        "A result breaks where half of its seeds are stopped, or gain less over the undisturbed scene at rest than "
+        "motion must. Said: a health row that the undisturbed case does not show and that needs no test view."
+    )
+    body = section("overview", "Where it breaks", lead, overview + not_there)
+    body += section("undisturbed", "Undisturbed", "The same scene without damage.", _cases(undisturbed, ()))
+    for name, cases in results.items():
+        image = data_uri(charts[name].read_bytes(), "image/png")
+        picture = figure(image, text(f"Severity: {AXES[name].unit}."), f"chart of {name}")
+        body += section(name, name, f"{AXES[name].what}.", picture + _cases(cases, undisturbed))
+    css = (files("devrf.pipelines.report") / STYLE).read_text(encoding="utf-8")
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{text(title)}: stability</title><style>{css}</style></head><body>"
+        f'<header><p class="kind">Stability</p><h1>{text(title)}</h1></header><main>{body}</main></body></html>'
+    )
+
+
+def _cases(cases: Sequence[Result], undisturbed: Sequence[Result]) -> str:
+    of_seed = {r.seed: r for r in undisturbed}
+    head = (
+        "severity",
+        "seed",
+        "PSNR where it moves",
+        "PSNR",
+        "LPIPS",
+        "turn, °",
+        "clocks, ms",
+        "s",
+        "what is said",
+    )
+    rows = [
+        (
+            f"{r.severity:g}",
+            str(r.seed),
+            *(
+                _number(value)
+                for value in (r.psnr_moving, r.psnr, r.lpips, r.rotation_deg, r.sync_ms, r.seconds)
+            ),
+            "<br>".join(
+                text(words) for words in (said(r, of_seed[r.seed]) if r.seed in of_seed else _all(r))
+            ),
+        )
+        for r in cases
+    ]
+    return table(head, rows, numeric=range(8))
+
+
+def _all(result: Result) -> list[str]:
+    return [f"{c.stage}: {c.check}" for c in result.complaints]
+
+
+def _severity(severity: float | None) -> str:
+    return "never" if severity is None else f"{severity:g}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else readable(value, 2)

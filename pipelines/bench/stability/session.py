@@ -1,0 +1,40 @@
+"""The small session that the suite damages where no other scene is given, and how it is trained."""
+
+from pathlib import Path
+from shutil import rmtree
+
+from devrf.capture.simulate.session import simulate_session
+from devrf.capture.simulate.session_options import SessionOptions
+from devrf.pipelines.console import Talk
+
+SCENE, CAMERAS, SIZE = "sheet", 4, (240, 180)
+OPTIONS = SessionOptions(
+    sweep_frames=48,
+    fps=10.0,
+    duration_s=1.3,
+    motion_speed=1.5,
+    offset_range_s=0.1,
+    spp=4,
+    claps=3,
+    board=False,  # too small to be read in such pictures; lengths are not metres without it
+)
+SETTINGS = (
+    "preset=tiny",
+    "reconstruct.image_scale=0.5",
+    "reconstruct.resolution=48",
+    "reconstruct.rays=1024",
+    "reconstruct.canonical_iterations=400",
+    "reconstruct.motion_iterations=60",
+)
+
+
+def session(out: Path, talk: Talk) -> Path:
+    """The session's scene.yaml in `out`; rendered where it is not there yet, whole or not at all."""
+    folder = out / "session"
+    if not (folder / "scene.yaml").is_file():
+        new = out / ".new-session"
+        rmtree(new, ignore_errors=True)
+        with talk.progress("simulate") as progress:
+            simulate_session(new, SCENE, cameras=CAMERAS, size=SIZE, options=OPTIONS, progress=progress)
+        new.rename(folder)
+    return folder / "scene.yaml"

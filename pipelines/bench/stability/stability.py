@@ -1,0 +1,155 @@
+"""`bench stability`: a scene along axes of damage, through the real pipeline; where it breaks, and what it says."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from statistics import fmean
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
+from devrf.pipelines.bench.stability.axes import AXES
+from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, run_case, scene_of
+from devrf.pipelines.bench.stability.chart import axis_chart
+from devrf.pipelines.bench.stability.damage import DoesNotApply
+from devrf.pipelines.bench.stability.page import build_page
+from devrf.pipelines.bench.stability.points import Points, bar_db, points
+from devrf.pipelines.bench.trainings import device_name, spread
+from devrf.pipelines.console import Talk, duration
+from devrf.pipelines.runner.run import Run
+from devrf.pipelines.stages.evaluate import LEAST_GAIN_DB, versions
+
+MEASURES = {
+    "psnr_moving": "dB",
+    "psnr": "dB",
+    "lpips": "",
+    "rotation_deg": "°",
+    "position_m": "m",
+    "sync_ms": "ms",
+    "seconds": "s",
+}
+
+
+def run_stability(
+    base: Run, out: Path, names: Sequence[str], severities: int | None, seeds: Sequence[int], json_path: Path
+) -> list[Row]:
+    """Damage the scene along axes; print, draw and write what came of it.
+
+    Args:
+        base: The scene, with test cameras.
+        out: Folder for the cases; one that was begun is gone on with.
+        names: Axes.
+        severities: How many of each axis, the worst among them; None: all.
+        seeds: Of the trainings and of what is drawn at random.
+        json_path: Where the rows go; charts and the page are written beside it.
+    Raises:
+        DevrfError: The undisturbed scene has no result.
+    """
+    talk = base.talk
+    undisturbed, scenes = [], {}
+    for seed in seeds:
+        result, run_dir = run_case(base, out, UNDISTURBED, 0.0, seed)
+        _tell(talk, result)
+        if result.stopped is not None:
+            raise DevrfError(f"the undisturbed scene has no result: {result.stopped}")
+        scenes[seed] = scene_of(run_dir)
+        undisturbed.append(result)
+    if all(r.psnr_moving is None for r in undisturbed):
+        raise InputError(
+            f"{base.config.name}: nothing moves in its test views; bench stability needs a test camera of what "
+            "moves (capture.test_cameras, or the data set's test split)"
+        )
+    bar = bar_db(undisturbed)
+    if bar is None:
+        talk.say(
+            f"the undisturbed result gains less than {LEAST_GAIN_DB:g} dB over the scene at rest: "
+            "only what stops the pipeline counts as a failure"
+        )
+    results: dict[str, list[Result]] = {}
+    left_out: dict[str, str] = {}
+    for name in names:
+        for severity in AXES[name].some(severities):
+            for seed in seeds:
+                try:
+                    result, _ = run_case(base, out, name, severity, seed, scenes[seed])
+                except DoesNotApply as reason:
+                    left_out[f"{name} {severity:g}"] = str(reason)
+                    break
+                _tell(talk, result)
+                results.setdefault(name, []).append(result)
+    found = {name: points(cases, undisturbed) for name, cases in results.items()}
+    rows = _rows(UNDISTURBED, undisturbed)
+    for name, cases in results.items():
+        for severity in sorted({r.severity for r in cases}):
+            rows += _rows(f"{name}/{severity:g}", [r for r in cases if r.severity == severity])
+        rows += _points_rows(name, found[name])
+    print_rows(talk, f"Stability, {base.config.name}", rows)
+    for name, why in left_out.items():
+        talk.say(f"{name}: does not apply: {why}")
+    charts = {
+        name: axis_chart(
+            json_path.with_name(f"{json_path.stem}-{name}.png"),
+            name,
+            AXES[name],
+            cases,
+            undisturbed,
+            found[name],
+        )
+        for name, cases in results.items()
+    }
+    page = json_path.with_suffix(".html")
+    title = f"{base.config.name}, {base.config.preset}, {device_name(base.device)}"
+    json_path.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(build_page(title, undisturbed, results, found, charts, left_out), encoding="utf-8")
+    write_rows(
+        json_path,
+        rows,
+        benchmark="stability",
+        scene=base.config.name,
+        preset=base.config.preset,
+        reconstruct=base.config.reconstruct.model_dump(exclude_none=True, exclude={"seed"}),
+        device=device_name(base.device),
+        seeds=list(seeds),
+        versions=versions(),
+        bar_db=bar,
+        left_out=left_out,
+        axes={name: {"what": a.what, "unit": a.unit} for name, a in AXES.items() if name in results},
+        points={name: asdict(p) for name, p in found.items()},
+        cases=[r.as_dict() for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
+    )
+    say_files(talk, json_path)
+    talk.say(f"  page: {page}")
+    return rows
+
+
+def _tell(talk: Talk, result: Result) -> None:
+    what = f"{result.axis} {result.severity:g}, seed {result.seed}"
+    if result.stopped is not None:
+        talk.say(f"{what}: stopped by {result.stopped.splitlines()[0]}")
+    else:
+        moving = "no pixel moves" if result.psnr_moving is None else f"{result.psnr_moving:.2f} dB"
+        talk.say(f"{what}: {moving}, stages of {duration(result.seconds)}")
+
+
+def _rows(name: str, cases: Sequence[Result]) -> list[Row]:
+    """Means and spreads over seeds; how many were stopped."""
+    stopped = [r.stopped for r in cases if r.stopped is not None]
+    rows = [
+        Row(f"stability/{name}/stopped", float(len(stopped)), "seeds", why=stopped[0] if stopped else None)
+    ]
+    for measure, unit in MEASURES.items():
+        values = [v for r in cases if (v := getattr(r, measure)) is not None]
+        if values:
+            rows.append(Row(f"stability/{name}/{measure}", fmean(values), unit, spread(values)))
+    return rows
+
+
+def _points_rows(name: str, found: Points) -> list[Row]:
+    unit = AXES[name].unit
+    return [
+        Row(f"stability/{name}/failure point", found.failure, unit, why=_never(found.failure, "breaks")),
+        Row(f"stability/{name}/notice point", found.notice, unit, why=_never(found.notice, "is noticed")),
+    ]
+
+
+def _never(severity: float | None, what: str) -> str | None:
+    return None if severity is not None else f"it {what} at none of the severities"
