@@ -30,20 +30,22 @@ class Axis:
 
 
 AXES = {
-    "cameras": Axis("training cameras", "cameras left out", (1, 2, 3), damage.fewer_cameras),
+    "cameras": Axis("training cameras", "cameras left out", (1.0, 2.0, 3.0), damage.fewer_cameras),
     "sweep_pictures": Axis(
-        "pictures of the sweep", "only every n-th", (2, 3, 4, 6), damage.fewer_sweep_pictures
+        "pictures of the sweep", "only every n-th", (2.0, 3.0, 4.0, 6.0), damage.fewer_sweep_pictures
     ),
     "sweep_blur": Axis(
-        "motion blur of the sweep", "% of the picture's width", (0.5, 1, 2, 4), damage.blurred_sweep
+        "motion blur of the sweep", "% of the picture's width", (0.5, 1.0, 2.0, 4.0), damage.blurred_sweep
     ),
-    "pose_noise": Axis("training cameras turned", "degrees", (0.25, 1, 4, 16), damage.turned_cameras),
+    "pose_noise": Axis("training cameras turned", "degrees", (0.25, 1.0, 4.0, 16.0), damage.turned_cameras),
     "focal_error": Axis(
-        "focal lengths of training cameras too long", "%", (1, 4, 16, 64), damage.wrong_focal_lengths
+        "focal lengths of training cameras too long", "%", (1.0, 4.0, 16.0, 64.0), damage.wrong_focal_lengths
     ),
-    "time_offset": Axis("one camera's clock", "frames late", (0.5, 1, 2, 4), damage.late_clock),
-    "flow_wrong": Axis("pairs whose flow is reversed", "%", (10, 30, 60, 100), damage.reversed_flow),
-    "box_size": Axis("sides of the box", "% too short", (10, 30, 50, 70), damage.small_box),
-    "learning_rate": Axis("learning rates", "times the preset's", (3, 10, 30, 100), damage.learning_rate),
-    "seeds": Axis("nothing but the seed", "another seed", (1, 2, 3), damage.other_seed),
+    "time_offset": Axis("one camera's clock", "frames late", (0.5, 1.0, 2.0, 4.0), damage.late_clock),
+    "flow_wrong": Axis("pairs whose flow is reversed", "%", (10.0, 30.0, 60.0, 100.0), damage.reversed_flow),
+    "box_size": Axis("sides of the box", "% too short", (10.0, 30.0, 50.0, 70.0), damage.small_box),
+    "learning_rate": Axis(
+        "learning rates", "times the preset's", (3.0, 10.0, 30.0, 100.0), damage.learning_rate
+    ),
+    "seeds": Axis("nothing but the seed", "another seed", (1.0, 2.0, 3.0), damage.other_seed),
 }

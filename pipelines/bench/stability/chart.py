@@ -38,6 +38,7 @@ def axis_chart(
             if severity is not None:
                 axes.axvline(places.index(severity) + 1, color=colour, linestyle=style, label=text)
         axes.set_xticks(range(len(places) + 1), ["none", *(f"{p:g}" for p in places)])
+        axes.set_xlim(-0.4, len(places) + 0.4)
         axes.set_xlabel(axis.unit)
         axes.set_title(label, fontsize=9)
         axes.grid(True, axis="y", alpha=0.3)
@@ -60,6 +61,16 @@ def _lines(
 ) -> None:
     """The means over seeds as a line, seeds as dots; a level line at the undisturbed mean."""
     columns = [list(undisturbed), *([r for r in results if r.severity == p] for p in places)]
+    for n, cases in enumerate(columns):
+        if all(r.stopped is not None for r in cases):
+            axes.annotate(
+                "stopped",
+                (n, 0.03),
+                xycoords=("data", "axes fraction"),
+                rotation=90,
+                fontsize=7,
+                color=BROKEN,
+            )
     found = {n: v for n, cases in enumerate(columns) if (v := _known(cases, value))}
     if not found:
         axes.text(0.5, 0.5, "not measured", ha="center", va="center", transform=axes.transAxes, color=STILL)
