@@ -10,21 +10,23 @@ from devrf.pipelines.console import Talk
 SCENE, CAMERAS, SIZE = "sheet", 4, (240, 180)
 OPTIONS = SessionOptions(
     sweep_frames=48,
+    sweep_radius_m=1.2,
     fps=10.0,
     duration_s=1.3,
     motion_speed=1.5,
+    camera_distance_m=1.1,  # so near that motion fills the picture: else blur of the walls decides
     offset_range_s=0.1,
-    spp=4,
+    noise=0.003,
     claps=3,
     board=False,  # too small to be read in such pictures; lengths are not metres without it
 )
 SETTINGS = (
     "preset=tiny",
     "reconstruct.image_scale=0.5",
-    "reconstruct.resolution=48",
-    "reconstruct.rays=1024",
-    "reconstruct.canonical_iterations=400",
-    "reconstruct.motion_iterations=60",
+    "reconstruct.resolution=56",
+    "reconstruct.rays=1536",
+    "reconstruct.canonical_iterations=300",
+    "reconstruct.motion_iterations=100",
 )
 
 
