@@ -19,7 +19,7 @@ from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene, write_scene
 from devrf.capture.frames import FrameSet
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.capture.simulate.damage import blurred, turned, with_smaller_box, write_again, zoomed
+from devrf.capture.simulate.damage import Picture, blurred, turned, with_smaller_box, write_again, zoomed
 from devrf.flow.store import read_checks, read_pair, write_pair
 from devrf.pipelines.config.scene import CaptureConfig, SceneConfig
 from devrf.pipelines.stage import StageContext
@@ -85,11 +85,6 @@ class Damage:
 Damaging = Callable[[Intact], Damage]
 
 
-def none(intact: Intact) -> Damage:
-    """Nothing at all: the undisturbed case."""
-    return Damage(intact.config)
-
-
 def fewer_cameras(intact: Intact) -> Damage:
     """So many training cameras left out, those that stay spread over all."""
     count = len(intact.cameras) - int(intact.severity)
@@ -116,7 +111,7 @@ def fewer_sweep_pictures(intact: Intact) -> Damage:
         if intact.scene.points is not None:
             raise DoesNotApply("the sparse points of a data set name its pictures by their places")
         return _behind_scene(intact, lambda scene: _with_every(scene, every))
-    config = _with_sweep(intact, f"every{every}", lambda old, new: write_again(old, new, every))
+    config = _with_sweep(intact, lambda old, new: write_again(old, new, every))
     truth = intact.config.truth_path(intact.scene_dir)
     if truth is None:
         return Damage(config)
@@ -131,13 +126,11 @@ def fewer_sweep_pictures(intact: Intact) -> Damage:
 def blurred_sweep(intact: Intact) -> Damage:
     """All pictures of the sweep's clip blurred sideways by so many percent of their width."""
     share = intact.severity / 100
-    return Damage(
-        _with_sweep(
-            intact,
-            f"blur{intact.severity:g}",
-            lambda old, new: write_again(old, new, change=lambda picture: blurred(picture, share)),
-        )
-    )
+
+    def blur(picture: Picture) -> Picture:
+        return blurred(picture, share)
+
+    return Damage(_with_sweep(intact, lambda old, new: write_again(old, new, change=blur)))
 
 
 def turned_cameras(intact: Intact) -> Damage:
@@ -187,7 +180,7 @@ def small_box(intact: Intact) -> Damage:
 
 
 def learning_rate(intact: Intact) -> Damage:
-    """The learning rates of all trainings multiplied."""
+    """The learning rates of both trainings multiplied."""
     return Damage(_with_reconstruct(intact.config, learning_rate=intact.severity))
 
 
@@ -205,19 +198,16 @@ def _with_reconstruct(config: SceneConfig, **changes: object) -> SceneConfig:
     return config.model_copy(update={"reconstruct": config.reconstruct.model_copy(update=changes)})
 
 
-def _with_sweep(intact: Intact, name: str, write: Callable[[Path, Path], None]) -> SceneConfig:
-    """The sweep's clip written anew; as it is where an earlier run has."""
+def _with_sweep(intact: Intact, write: Callable[[Path, Path], None]) -> SceneConfig:
+    """The sweep's clip written anew, each time: the same bytes, if nothing has changed."""
     capture = intact.capture
     if capture is None or capture.static is None:
-        raise DoesNotApply("a data set's pictures are not blurred: its cameras need no sweep")
+        raise DoesNotApply("a data set brings no clip of its sweep")
     source = intact.config.path(intact.scene_dir, capture.static)
     if source.is_dir():
         raise DoesNotApply("the sweep is a folder of photos, expected a clip")
-    target = intact.folder / f"{name}.mp4"
-    if not target.is_file():
-        new = target.with_name(f".{target.name}")
-        write(source, new)
-        new.replace(target)
+    target = intact.folder / "static.mp4"
+    write(source, target)
     return _with_capture(intact.config, static=str(target))
 
 
