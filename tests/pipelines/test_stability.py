@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, read_rig, write_rig
+from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.errors import FlowError
 from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.progress import no_progress
 from devrf.capture.scene import Scene
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
+from devrf.capture.simulate.sensor import ClipWriter
+from devrf.capture.video import VideoReader
 from devrf.flow.store import read_flows
 from devrf.pipelines.bench.stability import damage
 from devrf.pipelines.bench.stability.axes import AXES
@@ -146,6 +152,66 @@ def test_a_sweep_of_photos_is_not_blurred(intact: Intact) -> None:
 
 def _severe(intact: Intact, severity: float) -> Intact:
     return replace(intact, severity=severity)
+
+
+def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_the_same_each_time(intact: Intact) -> None:
+    clip = ClipWriter(intact.scene_dir / "static.mp4", (32, 16), 10.0, 17)
+    for n in range(7):
+        clip.picture(np.full((16, 32, 3), 30 * n, np.uint8), n / 10)
+    clip.close()
+    (intact.scene_dir / "ground_truth.json").write_text(json.dumps({"static": list(range(7)), "cams": {}}))
+    folder = intact.folder / "case"
+    folder.mkdir()
+    spoilt = replace(intact, folder=folder, severity=3.0)
+    config = damage.fewer_sweep_pictures(spoilt).config
+    assert config.capture is not None and config.capture.static is not None
+    written = Path(config.capture.static)
+    before = written.read_bytes()
+    with VideoReader(written) as reader:
+        assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.3, 0.6]
+    truth = config.truth_path(intact.scene_dir)
+    assert truth is not None and json.loads(truth.read_text()) == {"static": [0, 3, 6], "cams": {}}
+    damage.fewer_sweep_pictures(spoilt)
+    assert written.read_bytes() == before
+
+
+# --- damage behind a stage ---
+
+
+def test_the_rig_is_damaged_but_not_its_test_camera(intact: Intact, tmp_path: Path) -> None:
+    cameras = {f.camera_name: f.camera for f in intact.scene.dynamic}
+    right = Rig({name: RigCamera(camera, "self") for name, camera in cameras.items()}, ARBITRARY)
+    for damaging, severity in ((damage.turned_cameras, 2.0), (damage.wrong_focal_lengths, 10.0)):
+        write_rig(tmp_path / "rig.json", right)
+        done = damaging(_severe(intact, severity))
+        assert done.stage == "rig"
+        done.behind(_context(intact, tmp_path))
+        wrong = read_rig(tmp_path / "rig.json").cameras
+        assert np.array_equal(wrong["witness"].camera.cam_from_world, cameras["witness"].cam_from_world)
+        for name in intact.cameras:
+            turn = rotation_angle_deg(
+                wrong[name].camera.cam_from_world[:, :3], cameras[name].cam_from_world[:, :3]
+            )
+            zoom = wrong[name].camera.K[0, 0] / cameras[name].K[0, 0]
+            assert (turn, zoom) == pytest.approx((2.0, 1.0) if severity == 2.0 else (0.0, 1.1), abs=1e-4)
+
+
+def test_the_last_training_cameras_clock_is_late_by_frames(intact: Intact, tmp_path: Path) -> None:
+    frames = tuple(FrameRecord(n, n / 20, 100.0, True, None) for n in range(5))
+    clip = CameraFrames("camera", "b.mp4", 80, 56, 20.0, False, False, None, 0, frames)
+    (tmp_path / "ingest").mkdir()
+    FrameSet({"cam0": clip, "cam1": clip}).write(tmp_path / "ingest")
+    entry = {"offset_s": 0.5, "drift_ppm": 3.0}
+    (tmp_path / "sync.json").write_text(json.dumps({"cameras": {"cam0": entry, "cam1": entry}}))
+    done = damage.late_clock(_severe(intact, 2.0))
+    assert done.stage == "sync"
+    done.behind(_context(intact, tmp_path))
+    found = json.loads((tmp_path / "sync.json").read_text())["cameras"]
+    assert found == {"cam0": entry, "cam1": entry | {"offset_s": pytest.approx(0.6)}}
+
+
+def _context(intact: Intact, folder: Path) -> StageContext:
+    return StageContext(intact.config, intact.scene_dir, folder, folder, no_progress, "cpu")
 
 
 # --- through the pipeline ---
