@@ -131,7 +131,7 @@ def run_case(
     code = execute(run)
     if code == STOPPED:
         raise typer.Exit(code)
-    stopped = None if code == DONE else heard.errors[-1]
+    stopped = None if code == DONE else heard.errors[-1].partition("\nlog: ")[0]
     return read_result(run.run_dir, axis, severity, seed, stopped, stages), run.run_dir
 
 
