@@ -18,7 +18,7 @@ from devrf.pipelines.budget.need import Need
 from devrf.pipelines.budget.training import BASE, FEW_S, model_bytes, training_need
 from devrf.pipelines.clock_check import MOST_FRAMES
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.stages.flow import is_brought, training_clips
+from devrf.pipelines.flow_clips import is_brought, training_clips
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.trained_model import PIECES
 from devrf.reconstruct.options import CHUNK

@@ -6,7 +6,7 @@ was stopped finds only those that are missing.
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -16,12 +16,13 @@ from jaxtyping import UInt8
 from devrf.capture.cores import usable_cores
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
+from devrf.pipelines.flow_clips import is_brought, time_of, training_clips
 from devrf.pipelines.health.flow import health
 from devrf.pipelines.health.rows import note
 from devrf.pipelines.stage import StageContext
@@ -48,7 +49,7 @@ def run(context: StageContext) -> None:
         def progress(share: float, text: str, n: int = n) -> None:
             context.progress((n + share) / len(clips), text)
 
-        gap = gaps_of(camera, [_time(frame) for frame in frames])
+        gap = gaps_of(camera, [time_of(frame) for frame in frames])
         paths = [frame.flow for frame in frames]
         found = clip_flow(
             camera,
@@ -105,21 +106,3 @@ def _stands_still(frames: Sequence[PosedFrame]) -> bool:
 def _read(path: Path | None) -> Flow:
     assert path is not None  # every frame but the first has one
     return read_flow_file(path)
-
-
-def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
-    """The frames of each training camera, in order of time; test cameras need no flow."""
-    clips: dict[str, list[PosedFrame]] = {}
-    for frame in scene.dynamic:
-        if frame.split == "train":
-            clips.setdefault(frame.camera_name, []).append(frame)
-    return {camera: sorted(frames, key=_time) for camera, frames in clips.items()}
-
-
-def is_brought(clips: Mapping[str, Sequence[PosedFrame]]) -> bool:
-    """Whether the data set has the flow of all pairs of its training cameras."""
-    return bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
-
-
-def _time(frame: PosedFrame) -> float:
-    return float(frame.time_s if frame.time_s is not None else frame.time or 0.0)

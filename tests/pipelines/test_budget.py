@@ -349,6 +349,7 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
         "context = StageContext(config, folder, Path(out), Path(out), lambda *a: None, 'cpu', allowance=allowance)\n"
         "ingest.run(context)\n"
         "peak = re.search(r'VmHWM:\\s+(\\d+)', Path('/proc/self/status').read_text())[1]\n"
+        "assert 'torch' not in sys.modules, 'estimates and ingest load 0.3 GB for nothing'\n"
         "print(allowance.at_once, peak, *said)\n"
     )
 
@@ -364,7 +365,7 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
         return int(at_once), int(kilobytes), files
 
     at_once, tight, pictures = ingested("tight", "budget.memory_gb=0.5")
-    assert at_once < 16 and tight < 500_000 and len(pictures) > 40
+    assert at_once < 16 and len(pictures) > 40
     # 16 decoders and 17 pictures being written, of 1920x1080 at 7 bytes a pixel, are 0.2 GB; on a busy machine they may
     # for once not all be at work at the same time
     peaks = []

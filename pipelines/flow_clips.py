@@ -1,0 +1,24 @@
+"""The clips whose flow is needed, and whether it is there already. Loads no library: estimates ask before the start."""
+
+from collections.abc import Mapping, Sequence
+
+from devrf.capture.scene import PosedFrame, Scene
+
+
+def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
+    """The frames of each training camera, in order of time; test cameras need no flow."""
+    clips: dict[str, list[PosedFrame]] = {}
+    for frame in scene.dynamic:
+        if frame.split == "train":
+            clips.setdefault(frame.camera_name, []).append(frame)
+    return {camera: sorted(frames, key=time_of) for camera, frames in clips.items()}
+
+
+def is_brought(clips: Mapping[str, Sequence[PosedFrame]]) -> bool:
+    """Whether the data set has the flow of all pairs of its training cameras."""
+    return bool(clips) and all(f.flow is not None for frames in clips.values() for f in frames[1:])
+
+
+def time_of(frame: PosedFrame) -> float:
+    """When it was taken: seconds, or the data set's time where it has no seconds."""
+    return float(frame.time_s if frame.time_s is not None else frame.time or 0.0)
