@@ -1,5 +1,6 @@
 """Run one job of the structure-from-motion worker in its own process and survive whatever happens to it."""
 
+import contextlib
 import json
 import os
 import re
@@ -87,7 +88,8 @@ def _follow_stdout(process: subprocess.Popen[str], progress: Progress) -> None:
 def _follow_log(process: subprocess.Popen[str], log_file: Any, progress: Progress) -> None:
     assert process.stderr is not None
     for line in process.stderr:
-        log_file.write(line)
+        with contextlib.suppress(OSError):  # a full disk; the worker must not wait for its output to be read
+            log_file.write(line)
         step = STEP.search(line)
         phase = next((p for word, p in PHASES.items() if word in line), None)
         if step and phase:

@@ -8,6 +8,7 @@ answered by the process number; `{"poll": number}` by how the process ended (os.
 
 import json
 import os
+import signal
 import socket
 import sys
 
@@ -41,4 +42,5 @@ def serve(requests: socket.socket) -> None:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
     serve(socket.socket(fileno=int(sys.argv[1])))
