@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import threading
-import time
 import wave
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from tests.waiting import wait_for
 
 from devrf.capture.video_writer import write_video
 
@@ -341,8 +341,7 @@ def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk
     assert devrf(*run, "ingest").code == 0
 
     def fill_while_it_writes() -> None:
-        while not list(run_dir.glob(".new-static_poses-*")):
-            time.sleep(0.01)
+        wait_for(lambda: list(run_dir.glob(".new-static_poses-*")))
         fill(small_disk)
 
     filler = threading.Thread(target=fill_while_it_writes, daemon=True)

@@ -26,7 +26,7 @@ def blurred(picture: Picture, share: float) -> Picture:
     """As a camera sees that moves sideways by a share of the picture's width during the exposure (in linear light)."""
     across = share * picture.shape[1]
     whole = 2 * int(np.ceil((across - 1) / 2)) + 1  # an odd number of pixels, the outermost counting in part
-    weights = np.full(max(whole, 1), 1.0)
+    weights = np.ones(whole)
     if whole > 1:
         weights[[0, -1]] = (across - (whole - 2)) / 2
     light = linear_from_srgb(picture / 255.0)

@@ -215,17 +215,22 @@ def stability(
     A suite that was stopped goes on where it was, with the same --out.
     """
 
+    from devrf.pipelines.bench.stability.axes import AXES
+
+    talk = talk_of(quiet)
+    with errors_told(talk):  # before anything is rendered
+        chosen = list(AXES) if axes is None else _names("--axes", axes, list(AXES))
+        resolve_device(device)
+
     def measure(run: Run, folder: Path) -> None:
-        from devrf.pipelines.bench.stability.axes import AXES
         from devrf.pipelines.bench.stability.stability import run_stability
 
-        chosen = list(AXES) if axes is None else _names("--axes", axes, list(AXES))
         run_stability(run, folder, chosen, severities, range(seeds), json or folder / "stability.json")
 
     if scene is None:
         from devrf.pipelines.bench.stability.session import SETTINGS, session
 
-        out, talk = out or Path("bench-stability"), talk_of(quiet)
+        out = out or Path("bench-stability")
         with errors_told(talk):
             _check_places(out, json)
             scene = session(out, talk)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from html import escape
+from importlib.resources import files
 from urllib.parse import quote
 
 UP = "../"  # the page lies in report/, the files it quotes in the run folder beside it
@@ -11,6 +12,20 @@ UP = "../"  # the page lies in report/, the files it quotes in the run folder be
 def text(value: object) -> str:
     """Any value as escaped text."""
     return escape(str(value), quote=True)
+
+
+def page(title: str, body: str) -> str:
+    """A page that needs no other file."""
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{text(title)}</title><style>{asset('report.css')}</style></head><body>{body}</body></html>"
+    )
+
+
+def asset(name: str) -> str:
+    """A file of this folder that pages hold."""
+    return (files("devrf.pipelines.report") / name).read_text(encoding="utf-8")
 
 
 def link(file: str, label: str | None = None) -> str:

@@ -7,7 +7,6 @@ here that a stage did not measure.
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from importlib.resources import files
 from typing import Any
 
 from devrf.pipelines.report.calibration import rig_section
@@ -16,7 +15,18 @@ from devrf.pipelines.report.clocks import sync_section
 from devrf.pipelines.report.colour import colour_section
 from devrf.pipelines.report.evidence import evidence_section
 from devrf.pipelines.report.flow import flow_section
-from devrf.pipelines.report.html import absent, duration, link, number, readable, section, table, text
+from devrf.pipelines.report.html import (
+    absent,
+    asset,
+    duration,
+    link,
+    number,
+    page,
+    readable,
+    section,
+    table,
+    text,
+)
 from devrf.pipelines.report.pictures import data_uri, picture_uri, read_picture
 from devrf.pipelines.report.run import RunFolder, at
 from devrf.pipelines.report.space import space_section
@@ -61,12 +71,10 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
         f'<header id="top"><p class="kind">Run report</p><h1>{text(name)}</h1>'
         f"{facts_line}{verdict(run)}{numbers}</header>"  # the verdict last: it also names unreadable files
     )
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{text(name)}: run report</title><style>{_asset('report.css')}</style></head><body>"
+    return page(
+        f"{name}: run report",
         f'<nav aria-label="Sections"><div>{nav}</div></nav>{top}<main>{sections}</main>{_footer(run)}'
-        f"<script>{_asset('report.js')}</script></body></html>"
+        f"<script>{asset('report.js')}</script>",
     )
 
 
@@ -286,7 +294,3 @@ def _footer(run: RunFolder) -> str:
     return (
         f"<footer>{line}Dotted numbers lead to the file they stand in, in the folder of its stage.</footer>"
     )
-
-
-def _asset(name: str) -> str:
-    return files("devrf.pipelines.report").joinpath(name).read_text(encoding="utf-8")

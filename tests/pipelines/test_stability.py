@@ -1,6 +1,7 @@
 """`bench stability`: its logic on made-up results, and two axes of a data set of 32 x 32 pictures."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, read_rig, write_rig
 from devrf.calibration.truth import rotation_angle_deg
-from devrf.capture.errors import FlowError
+from devrf.capture.errors import FlowError, InputError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
 from devrf.capture.progress import no_progress
@@ -25,8 +26,10 @@ from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import Complaint, Result, run_case
 from devrf.pipelines.bench.stability.damage import Damage, DoesNotApply, Intact
 from devrf.pipelines.bench.stability.points import bar_db, fails, points, said
+from devrf.pipelines.bench.stability.stability import run_stability
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
+from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import StageContext
@@ -289,8 +292,21 @@ def test_axes_that_do_not_exist_are_named(
     devrf: Any, suite: tuple[Path, list[str], str], tmp_path: Path
 ) -> None:
     _, arguments, _ = suite
-    done = devrf("bench", "stability", arguments[2], "--axes", "poses", "--out", str(tmp_path / "o"))
-    assert done.code == 2 and "pose_noise" in done.said
+    for scene in ((), (arguments[2],)):  # without one nothing is rendered first
+        done = devrf("bench", "stability", *scene, "--axes", "poses", "--out", str(tmp_path / "o"))
+        assert done.code == 2 and "pose_noise" in done.said
+        assert not (tmp_path / "o").exists()
+
+
+def test_a_scene_without_test_camera_is_refused_before_anything_runs(intact: Intact, tmp_path: Path) -> None:
+    assert intact.capture is not None
+    capture = intact.capture.model_copy(update={"test_cameras": ()})
+    base = Run(
+        intact.config.model_copy(update={"capture": capture}), tmp_path, STAGES, Choice(), Talk("quiet")
+    )
+    with pytest.raises(InputError, match="no test camera"):
+        run_stability(base, tmp_path / "o", ["seeds"], 1, [0], tmp_path / "o/s.json")
+    assert not (tmp_path / "o").exists()
 
 
 def test_a_stage_that_fails_is_a_result(
@@ -308,9 +324,31 @@ def test_a_stage_that_fails_is_a_result(
     scene = Path(arguments[2])
     overrides = [f"reconstruct.{key}={value}" for key, value in SMALL.items()]
     base = Run(load_scene(scene / "scene.yaml", overrides), scene, STAGES, Choice(), Talk("quiet"))
-    stopped, _ = run_case(base, out, "lost", 1.0, 0, read_scene(out / "undisturbed-0/seed0/run/scene"))
+    undisturbed = read_scene(out / "undisturbed-0/seed0/run/scene")
+    whole, run_dir = run_case(base, out, "flow_wrong", 100.0, 0, undisturbed)
+    (out / "lost-100/seed0").mkdir(parents=True)
+    shutil.copytree(run_dir, out / "lost-100/seed0/run")  # as if it had once gone through
+    stopped, _ = run_case(base, out, "lost", 100.0, 0, undisturbed)
     assert stopped.stopped == "flow: all flow is lost" and stopped.psnr is None
-    assert points([stopped], CALM).failure == 1
+    assert "deformation" in {c.stage for c in whole.complaints}
+    assert {c.stage for c in stopped.complaints} <= {"scene"}
+    assert stopped.seconds < whole.seconds
+    assert points([stopped], CALM).failure == 100
+    log = (out / "lost-100/seed0/run/devrf.log").read_text()
+    assert "ERROR" in log and "all flow is lost" in log
+
+
+def test_a_folder_that_another_run_holds_is_no_result(
+    suite: tuple[Path, list[str], str],
+) -> None:
+    out, arguments, _ = suite
+    scene = Path(arguments[2])
+    base = Run(load_scene(scene / "scene.yaml"), scene, STAGES, Choice(), Talk("quiet"))
+    lock = Lock(out / "undisturbed-0/seed0/run")
+    lock.take()
+    with pytest.raises(InputError, match="another run"):
+        run_case(base, out, "undisturbed", 0.0, 0)
+    lock.release()
 
 
 def _file(path: Path) -> int:

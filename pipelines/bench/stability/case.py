@@ -6,21 +6,22 @@ the damage among its inputs, so that stamps and cache tell it from the real one.
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import typer
+from rich.console import Console
 
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
 from devrf.pipelines.bench.stability import damage
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage import Damage, Intact
 from devrf.pipelines.config.scene import CacheConfig
 from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE, STOPPED
-from devrf.pipelines.health.rows import HealthRow, Verdict
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
+from devrf.pipelines.health.rows import Verdict
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice, read_health
 from devrf.pipelines.runner.run import Run
@@ -74,25 +75,18 @@ class Result:
     seconds: float = 0.0
     complaints: tuple[Complaint, ...] = ()
 
-    def as_dict(self) -> dict[str, Any]:
-        """As written to the JSON of results."""
-        return asdict(self)
-
 
 class _Listener(Talk):
-    """Says nothing and remembers what went wrong; the run folder's log has the rest."""
+    """Prints nothing and remembers what went wrong; the run folder's log has the rest."""
 
     def __init__(self) -> None:
         super().__init__("quiet")
+        self.out = self.err = Console(quiet=True)
         self.errors: list[str] = []
 
     def error(self, text: str) -> None:
         self.errors.append(text)
-        self.event("error", message=text)
-
-    def health(self, stage: str, rows: list[HealthRow]) -> None:
-        for row in rows:
-            self.event("health", stage=stage, **row.as_dict())
+        super().error(text)
 
 
 def run_case(
@@ -109,6 +103,7 @@ def run_case(
         What came of it, and its run folder.
     Raises:
         DoesNotApply: The axis means nothing for this scene.
+        InputError: The run folder cannot be used.
     """
     folder = out / f"{axis}-{severity:g}" / f"seed{seed}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -117,6 +112,9 @@ def run_case(
             "output": str((folder / "run").resolve()),
             "cache": CacheConfig(folder=str((out / "cache").resolve()), max_gb=CACHE_GB),
             "reconstruct": base.config.reconstruct.model_copy(update={"seed": seed}),
+            "budget": base.config.budget.model_copy(
+                update={"time_minutes": None}
+            ),  # a slow machine breaks nothing
         }
     )
     done = Damage(config)
@@ -130,27 +128,25 @@ def run_case(
     )
     code = execute(run)
     if code == STOPPED:
+        base.talk.error(heard.errors[-1])
         raise typer.Exit(code)
+    if code == BAD_INPUT:  # never of a stage: another run holds the folder, or it may not be written
+        raise InputError(heard.errors[-1])
     stopped = None if code == DONE else heard.errors[-1].partition("\nlog: ")[0]
-    return read_result(run.run_dir, axis, severity, seed, stopped, stages), run.run_dir
+    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh), run.run_dir
 
 
-def read_result(
-    run_dir: Path,
-    axis: str,
-    severity: float,
-    seed: int,
-    stopped: str | None,
-    stages: Sequence[Stage] = STAGES,
+def _result(
+    run_dir: Path, axis: str, severity: float, seed: int, stopped: str | None, stages: Sequence[str]
 ) -> Result:
-    """What a run folder says of a case."""
+    """What a run folder says of a case; of stages that are the case's own, not of an earlier run's."""
     complaints = tuple(
-        Complaint(stage.name, row.check, row.verdict, row.value)
+        Complaint(stage, row.check, row.verdict, row.value)
         for stage in stages
-        for row in read_health(run_dir / stage.name)
+        for row in read_health(run_dir / stage)
         if row.verdict != "ok" and not row.check.startswith(NEEDS_TEST_VIEWS)
     )
-    stamps = [read_stamp(run_dir / stage.name) or {} for stage in stages]
+    stamps = [read_stamp(run_dir / stage) or {} for stage in stages]
     seconds = sum(stamp.get("seconds") or 0.0 for stamp in stamps)
     result = Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints)
     if stopped is not None:
@@ -167,11 +163,6 @@ def read_result(
         position_m=truth.get("rig_position_m"),
         sync_ms=truth.get("sync_ms"),
     )
-
-
-def scene_of(run_dir: Path) -> Scene:
-    """The scene that a case's run was trained on."""
-    return read_scene(run_dir / "scene")
 
 
 def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:

@@ -47,7 +47,6 @@ def axis_chart(
         table[0].axhline(fmean(still), color=STILL, linestyle=":", label="standing still (static_baseline)")
     table[0].legend(fontsize=6.5)
     figure.suptitle(f"{name}: {axis.what}", fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=DPI)
     return path
 

@@ -1,16 +1,13 @@
 """One page with what the suite found: a table of all axes, then each axis with its chart and its cases."""
 
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import Result
 from devrf.pipelines.bench.stability.points import Points, said
-from devrf.pipelines.report.html import figure, readable, section, table, text
+from devrf.pipelines.report.html import figure, page, readable, section, table, text
 from devrf.pipelines.report.pictures import data_uri
-
-STYLE = "report.css"  # of the run's report
 
 
 def build_page(
@@ -58,13 +55,8 @@ def build_page(
         image = data_uri(charts[name].read_bytes(), "image/png")
         picture = figure(image, text(f"Severity: {AXES[name].unit}."), f"chart of {name}")
         body += section(name, name, f"{AXES[name].what}.", picture + _cases(cases, undisturbed))
-    css = (files("devrf.pipelines.report") / STYLE).read_text(encoding="utf-8")
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{text(title)}: stability</title><style>{css}</style></head><body>"
-        f'<header><p class="kind">Stability</p><h1>{text(title)}</h1></header><main>{body}</main></body></html>'
-    )
+    head = f'<header><p class="kind">Stability</p><h1>{text(title)}</h1></header>'
+    return page(f"{title}: stability", f"{head}<main>{body}</main>")
 
 
 def _cases(cases: Sequence[Result], undisturbed: Sequence[Result]) -> str:
@@ -88,17 +80,11 @@ def _cases(cases: Sequence[Result], undisturbed: Sequence[Result]) -> str:
                 _number(value)
                 for value in (r.psnr_moving, r.psnr, r.lpips, r.rotation_deg, r.sync_ms, r.seconds)
             ),
-            "<br>".join(
-                text(words) for words in (said(r, of_seed[r.seed]) if r.seed in of_seed else _all(r))
-            ),
+            "<br>".join(text(words) for words in said(r, of_seed.get(r.seed))),
         )
         for r in cases
     ]
     return table(head, rows, numeric=range(8))
-
-
-def _all(result: Result) -> list[str]:
-    return [f"{c.stage}: {c.check}" for c in result.complaints]
 
 
 def _severity(severity: float | None) -> str:

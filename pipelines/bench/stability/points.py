@@ -52,10 +52,11 @@ def new_complaints(result: Result, undisturbed: Result) -> tuple[Complaint, ...]
     return tuple(c for c in result.complaints if WORSE[c.verdict] > before.get((c.stage, c.check), 0))
 
 
-def said(result: Result, undisturbed: Result) -> tuple[str, ...]:
-    """The same in words, what stopped the run first."""
+def said(result: Result, undisturbed: Result | None) -> tuple[str, ...]:
+    """The same in words, what stopped the run first; everything, where there is nothing to compare with."""
     stopped = () if result.stopped is None else (f"stopped by {result.stopped}",)
-    return (*stopped, *(f"{c.stage}: {c.check}" for c in new_complaints(result, undisturbed)))
+    complaints = result.complaints if undisturbed is None else new_complaints(result, undisturbed)
+    return (*stopped, *(f"{c.stage}: {c.check}" for c in complaints))
 
 
 def points(results: Sequence[Result], undisturbed: Sequence[Result]) -> Points:

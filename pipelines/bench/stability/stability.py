@@ -6,17 +6,18 @@ from pathlib import Path
 from statistics import fmean
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.stability.axes import AXES
-from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, run_case, scene_of
+from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, run_case
 from devrf.pipelines.bench.stability.chart import axis_chart
 from devrf.pipelines.bench.stability.damage import DoesNotApply
 from devrf.pipelines.bench.stability.page import build_page
 from devrf.pipelines.bench.stability.points import Points, bar_db, points
-from devrf.pipelines.bench.trainings import device_name, spread
+from devrf.pipelines.bench.trainings import Bench, about, device_name, spread
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.runner.run import Run
-from devrf.pipelines.stages.evaluate import LEAST_GAIN_DB, versions
+from devrf.pipelines.stages.evaluate import LEAST_GAIN_DB
 
 MEASURES = {
     "psnr_moving": "dB",
@@ -43,21 +44,22 @@ def run_stability(
         json_path: Where the rows go; charts and the page are written beside it.
     Raises:
         DevrfError: The undisturbed scene has no result.
+        InputError: It has no test camera that sees something move.
     """
-    talk = base.talk
+    talk, capture = base.talk, base.config.capture
+    needs = "bench stability needs a test camera of what moves (capture.test_cameras, or the data set's test split)"
+    if capture is not None and not capture.test_names:
+        raise InputError(f"{base.config.name}: no test camera is named; {needs}")
     undisturbed, scenes = [], {}
     for seed in seeds:
         result, run_dir = run_case(base, out, UNDISTURBED, 0.0, seed)
         _tell(talk, result)
         if result.stopped is not None:
             raise DevrfError(f"the undisturbed scene has no result: {result.stopped}")
-        scenes[seed] = scene_of(run_dir)
+        if result.psnr_moving is None:
+            raise InputError(f"{base.config.name}: nothing moves in its test views; {needs}")
+        scenes[seed] = read_scene(run_dir / "scene")
         undisturbed.append(result)
-    if all(r.psnr_moving is None for r in undisturbed):
-        raise InputError(
-            f"{base.config.name}: nothing moves in its test views; bench stability needs a test camera of what "
-            "moves (capture.test_cameras, or the data set's test split)"
-        )
     bar = bar_db(undisturbed)
     if bar is None:
         talk.say(
@@ -72,7 +74,7 @@ def run_stability(
                 try:
                     result, _ = run_case(base, out, name, severity, seed, scenes[seed])
                 except DoesNotApply as reason:
-                    left_out[f"{name} {severity:g}"] = str(reason)
+                    left_out[name] = str(reason)  # of its worst severity, where more of them mean nothing
                     break
                 _tell(talk, result)
                 results.setdefault(name, []).append(result)
@@ -85,6 +87,7 @@ def run_stability(
     print_rows(talk, f"Stability, {base.config.name}", rows)
     for name, why in left_out.items():
         talk.say(f"{name}: does not apply: {why}")
+    json_path.parent.mkdir(parents=True, exist_ok=True)
     charts = {
         name: axis_chart(
             json_path.with_name(f"{json_path.stem}-{name}.png"),
@@ -98,23 +101,17 @@ def run_stability(
     }
     page = json_path.with_suffix(".html")
     title = f"{base.config.name}, {base.config.preset}, {device_name(base.device)}"
-    json_path.parent.mkdir(parents=True, exist_ok=True)
     page.write_text(build_page(title, undisturbed, results, found, charts, left_out), encoding="utf-8")
     write_rows(
         json_path,
         rows,
         benchmark="stability",
-        scene=base.config.name,
-        preset=base.config.preset,
-        reconstruct=base.config.reconstruct.model_dump(exclude_none=True, exclude={"seed"}),
-        device=device_name(base.device),
-        seeds=list(seeds),
-        versions=versions(),
+        **about(Bench(base, out, scenes[seeds[0]], {}), seeds),
         bar_db=bar,
         left_out=left_out,
         axes={name: {"what": a.what, "unit": a.unit} for name, a in AXES.items() if name in results},
         points={name: asdict(p) for name, p in found.items()},
-        cases=[r.as_dict() for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
+        cases=[asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
     )
     say_files(talk, json_path)
     talk.say(f"  page: {page}")
