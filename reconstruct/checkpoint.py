@@ -1,8 +1,9 @@
 """The middle of a training on disk, so that one that was killed goes on where it was, bit for bit.
 
 Data only (safetensors): tensors, and numbers as JSON in the file's metadata. A checkpoint carries a fingerprint of
-all that was asked for, what was chosen within that, and a digest of its content; one of something else, and one that is
-not as it was written (cut off, with a hole after a power cut), is not taken up: the training begins anew.
+all that was asked for, what was chosen within that, and digests: of its numbers, which are read first, and of all its
+content. One of something else, and one that is not as it was written (cut off, with a hole after a power cut), is not
+taken up: the training begins anew.
 """
 
 import glob
@@ -42,7 +43,7 @@ class Saved(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """A training that has not ended: steps that were done (of its last phase), and what was chosen for it."""
+    """A training that has not ended: steps that were done of the phase written last, and what was chosen for it."""
 
     done: int
     chosen: Any
@@ -82,7 +83,8 @@ class Checkpoint:
 
     def begun(self) -> Begun | None:
         """Of a training of this fingerprint that has not ended; None where there is none."""
-        found = (self._numbers(path) for path in self._files())
+        newest_first = sorted(self._files(), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+        found = (self._numbers(path) for path in newest_first)
         return next((Begun(n["done"], n.get("chosen")) for n in found if n is not None), None)
 
     def keep(self, done: int, of: int, log: TrainingLog, state: Callable[[], State]) -> None:
@@ -122,7 +124,8 @@ class Checkpoint:
         )
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
         try:
-            save_file(ready, str(new), metadata={"devrf": numbers, "digest": _digest(numbers, ready)})
+            proof = {"head": _digest(numbers, {}), "digest": _digest(numbers, ready)}
+            save_file(ready, str(new), metadata={"devrf": numbers} | proof)
             sync(new)
             new.replace(self.path)
             sync(self.path.parent)
@@ -155,20 +158,20 @@ class Checkpoint:
             path.unlink(missing_ok=True)
 
     def _files(self) -> list[Path]:
-        """That of the whole and those of its parts."""
+        """That of the whole and those of its parts, where they are there."""
         if self.path is None:
             return []
-        return [self.path, *self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")]
+        parts = self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")
+        return [path for path in (self.path, *parts) if path.exists()]
 
     def _numbers(self, path: Path) -> dict[str, Any] | None:
-        """The numbers of a checkpoint of this training, read without its tensors and unproven."""
+        """The numbers of a checkpoint of this training, read without its tensors."""
         try:
             with safe_open(str(path), framework="pt", device="cpu") as file:
-                numbers = json.loads((file.metadata() or {}).get("devrf", "{}"))
+                numbers = json.loads(_proven_head(file.metadata() or {}))
         except (OSError, SafetensorError, ValueError):
             return None
-        whole = isinstance(numbers, dict) and numbers.get("of") == self.fingerprint and "done" in numbers
-        return numbers if whole else None
+        return numbers if numbers["of"] == self.fingerprint else None
 
     def _read(self, path: Path) -> Saved | None:
         if not path.exists():
@@ -176,12 +179,13 @@ class Checkpoint:
         try:
             with safe_open(str(path), framework="pt", device="cpu") as file:
                 meta = file.metadata() or {}
-                numbers = json.loads(meta.get("devrf", "{}"))
-                if not isinstance(numbers, dict) or numbers.pop("of", None) != self.fingerprint:
+                head = _proven_head(meta)
+                numbers = json.loads(head)
+                if numbers.pop("of") != self.fingerprint:
                     logger.info("%s: of another training; this one begins anew", path)
                     return None
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-            if _digest(meta["devrf"], tensors) != meta.get("digest"):
+            if _digest(head, tensors) != meta.get("digest"):
                 raise ValueError("its content is not what was written")
         except (OSError, SafetensorError, ValueError) as error:
             logger.warning("%s: damaged (%s); training begins anew", path, error)
@@ -191,6 +195,18 @@ class Checkpoint:
 
 NOWHERE = Checkpoint(None)
 """Keeps nothing."""
+
+
+def _proven_head(meta: dict[str, str]) -> str:
+    """The numbers' JSON, as it was written.
+
+    Raises:
+        ValueError: It is not, or the file is no checkpoint.
+    """
+    head = meta.get("devrf", "")
+    if _digest(head, {}) != meta.get("head"):
+        raise ValueError("its head is not what was written")
+    return head
 
 
 def _digest(numbers: str, tensors: dict[str, Tensor]) -> str:

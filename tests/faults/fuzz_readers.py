@@ -69,7 +69,9 @@ def _checkpoint(path: str) -> None:
     from devrf.reconstruct.checkpoint import Checkpoint
     from devrf.reconstruct.training_log import TrainingLog
 
-    Checkpoint(Path(path), "fuzz").found(TrainingLog("cpu", 10))
+    checkpoint = Checkpoint(Path(path), "fuzz")
+    checkpoint.begun()
+    checkpoint.found(TrainingLog("cpu", 10))
 
 
 READERS: dict[str, Callable[[str], None]] = {

@@ -1,6 +1,7 @@
 """A checkpoint is taken up only as it was written, and is written no more often than costs little."""
 
 import logging
+import os
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import torch
 
 from devrf.capture.errors import ReconstructError
 from devrf.reconstruct import checkpoint as checkpoints
-from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, State
+from devrf.reconstruct.checkpoint import NOWHERE, Begun, Checkpoint, State
 from devrf.reconstruct.training_log import TrainingLog
 
 TENSORS = {"grid": torch.arange(12.0).reshape(3, 4), "step": torch.tensor(7), "nothing": torch.zeros(0, 3)}
@@ -46,14 +47,17 @@ def test_that_of_another_training_is_not_taken_up(tmp_path: Path, caplog: pytest
 
 def test_no_byte_of_it_can_change_unnoticed(tmp_path: Path) -> None:
     path = tmp_path / "state"
-    Checkpoint(path, "one", every_s=0.0).keep(1, 500, _log(), _state)
-    content = path.read_bytes()
+    Checkpoint(path, "one", every_s=0.0, chosen={"rays": 3}).keep(1, 500, _log(), _state)
+    content, begun = path.read_bytes(), Begun(1, {"rays": 3})
+    assert Checkpoint(path, "one").begun() == begun
     for at in range(len(content)):
         path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
         assert Checkpoint(path, "one").found(_log()) is None, (at, content[at - 20 : at + 20])
+        assert Checkpoint(path, "one").begun() in (None, begun), (at, content[at - 20 : at + 20])
     for length in range(len(content)):
         path.write_bytes(content[:length])
         assert Checkpoint(path, "one").found(_log()) is None, length
+        assert Checkpoint(path, "one").begun() in (None, begun), length
 
 
 def test_parts_are_removed_with_the_whole(tmp_path: Path) -> None:
@@ -65,6 +69,23 @@ def test_parts_are_removed_with_the_whole(tmp_path: Path) -> None:
     assert whole.found(_log()) is not None and part.found(_log()) is not None
     whole.remove()
     assert [path.name for path in tmp_path.iterdir()] == [".motions.safetensors"]
+
+
+def test_the_phase_written_last_says_how_far_it_is(tmp_path: Path) -> None:
+    """A part left of an earlier beginning does not speak for the whole, nor the whole for a part that follows it."""
+    whole = Checkpoint(tmp_path / ".motion.safetensors", "one", every_s=0.0, chosen="now")
+    earlier = Checkpoint(whole.path, "one", every_s=0.0, chosen="before").part("fine-tuning")
+    assert whole.path is not None and earlier.path is not None
+    whole.keep(7, 500, _log(), _state)
+    earlier.keep(300, 500, _log(), _state)
+    for seconds, expected in ((10, Begun(300, "before")), (-10, Begun(7, "now"))):
+        there = whole.path.stat().st_mtime
+        os.utime(earlier.path, (there + seconds, there + seconds))
+        assert whole.begun() == expected
+    whole.path.unlink()
+    assert whole.begun() == Begun(300, "before")
+    whole.remove()
+    assert whole.begun() is None
 
 
 def test_without_a_place_nothing_is_kept() -> None:
