@@ -19,8 +19,5 @@ def training_checkpoint(
     checkpoint = Checkpoint(
         context.run_dir / f".{stage}.safetensors", identity_key(stage, of), until=context.allowance.until
     )
-    begun = checkpoint.begun()
-    if begun is not None:
-        context.say(f"  goes on from its checkpoint, after step {begun.done}")
     context.afterwards.append(checkpoint.remove)
     return checkpoint

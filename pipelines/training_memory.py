@@ -9,7 +9,7 @@ from devrf.capture.processes import memory_of
 from devrf.capture.scene import Scene
 from devrf.pipelines.stage import StageContext
 from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.footprint import SceneSize, footprint
+from devrf.reconstruct.footprint import SceneSize
 from devrf.reconstruct.memory_fit import Limits, Options, fitted
 
 
@@ -40,21 +40,23 @@ def fit_to_memory(
 ) -> tuple[Options, list[str]]:
     """Options with which the training stays below what is allowed, and what was decided; it is said, too.
 
-    A training that was begun goes on with what it was begun with, as long as that fits. The checkpoint is told.
+    A training that was begun goes on with what it was begun with, as long as that fits; this is said, too. The
+    checkpoint is told.
 
     Raises:
         ReconstructError: Even the smallest training takes more.
     """
     begun = checkpoint.begun()
-    options = asked if begun is None else _with(asked, begun.chosen["options"])
-    lines = [] if begun is None else begun.chosen["decisions"]
-    if begun is None or not memory.limits.hold(footprint(scene, options, context.device, memory.held)):
-        options, decisions = fitted(scene, asked, memory.limits, context.device, memory.held)
-        lines = [str(decision) for decision in decisions]
+    before = None if begun is None else _with(asked, begun.chosen["options"])
+    found = fitted(scene, asked, memory.limits, context.device, memory.held, before)
+    lines = [str(decision) for decision in found.decisions]
+    if begun is not None and found.options is before:
+        context.say(f"  goes on from its checkpoint, after step {begun.done}")
+        lines = begun.chosen["decisions"]
     for line in lines:
         context.say(f"  {line}")
-    checkpoint.chosen = {"options": _otherwise(options, asked), "decisions": lines}
-    return options, lines
+    checkpoint.chosen = {"options": _otherwise(found.options, asked), "decisions": lines}
+    return found.options, lines
 
 
 def _otherwise(options: Options, asked: Options) -> dict[str, Any]:

@@ -7,7 +7,7 @@ First what leaves the result as it is in expectation: an iteration's rays in par
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import Generic, TypeVar, cast
 
 from devrf.capture.amounts import GB, size_text
 from devrf.capture.errors import ReconstructError
@@ -35,29 +35,51 @@ class Limits:
 
     def hold(self, need: Footprint) -> bool:
         """Whether a training surely stays below."""
-        pairs = ((need.main_bytes, self.main), (need.gpu_bytes, self.gpu))
-        return all(limit is None or surely(bytes_) <= limit for bytes_, limit in pairs)
+        return not _short(need, self)
+
+
+@dataclass(frozen=True)
+class Fitted(Generic[Options]):
+    """Options that keep a training below the limits.
+
+    Attributes:
+        options: Of the training.
+        decisions: What was changed for it.
+        need: What it takes.
+    """
+
+    options: Options
+    decisions: list[Decision]
+    need: Footprint
 
 
 def fitted(
-    scene: Scene | SceneSize, options: Options, limits: Limits, device: str = "cpu", held: int = 0
-) -> tuple[Options, list[Decision]]:
-    """Options that keep a training below the limits, and what was changed for it.
+    scene: Scene | SceneSize,
+    options: Options,
+    limits: Limits,
+    device: str = "cpu",
+    held: int = 0,
+    begun: Options | None = None,
+) -> Fitted[Options]:
+    """Options that keep a training below the limits.
 
     Args:
         scene, options, device, held: As `footprint`'s.
         limits: Of main memory and of the GPU's.
+        begun: Options that stay as they are where they do.
     Raises:
         ReconstructError: Even the smallest training takes more.
     """
     need_of = footprints(scene, device, held)
+    if begun is not None and limits.hold(need := need_of(begun)):
+        return Fitted(begun, [], need)
     need = wanted = need_of(options)
     if limits.hold(wanted):
-        return options, []
+        return Fitted(options, [], wanted)
     for smaller in _smaller_and_smaller(options):
         need = need_of(smaller)
         if limits.hold(need):
-            return smaller, _decisions(options, smaller, wanted, limits)
+            return Fitted(smaller, _decisions(options, smaller, wanted, limits), need)
     raise ReconstructError(_too_little(need, limits))
 
 

@@ -56,17 +56,14 @@ def fitted_training(
     Raises:
         BudgetError: Even the smallest training takes more.
     """
-    from devrf.reconstruct.footprint import footprint
-    from devrf.reconstruct.memory_fit import Limits, fitted, surely
+    from devrf.reconstruct.memory_fit import Limits, fitted
 
-    if surely(need.base) <= allowed:
-        return need, ()
-    size, limits = _size(material), Limits(allowed)
+    asked = _options(need.stage, config, material)
     try:
-        options, decisions = fitted(size, _options(need.stage, config, material), limits, device, BASE)
+        found = fitted(_size(material), asked, Limits(allowed), device, BASE)
     except ReconstructError as error:
         raise BudgetError(str(error)) from None
-    return replace(need, base=footprint(size, options, device, BASE).main_bytes), tuple(map(str, decisions))
+    return replace(need, base=found.need.main_bytes), tuple(map(str, found.decisions))
 
 
 def rest_numbers(config: SceneConfig, material: Material) -> int:

@@ -18,6 +18,7 @@ from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
+from devrf.reconstruct.checkpoint import Checkpoint, Saved
 from devrf.reconstruct.footprint import SceneSize, footprint
 from devrf.reconstruct.memory_fit import Limits
 from devrf.reconstruct.options import CanonicalOptions
@@ -116,21 +117,51 @@ def test_with_another_key_or_other_options_it_begins_anew(folder: Path) -> None:
 
 
 def test_it_goes_on_with_the_options_it_was_begun_with_as_long_as_they_fit(folder: Path) -> None:
+    log, goes_on = folder / "run/devrf.log", "goes on from its checkpoint, after step 2"
     asked, trained = replace(OPTIONS, resolution=160), []
     needed = footprint(SceneSize(still_pixels=10), asked).main_bytes
     assert run(folder, 2, asked, most=needed, trained=trained) == [0, 1]
     assert run(folder, 2, asked, most=int(0.4 * needed), trained=trained) == [0, 1]
+    assert goes_on not in log.read_text()
     assert asked.resolution == trained[0].resolution > trained[1].resolution
     assert run(folder, 3, asked, most=None, trained=trained) == [2]  # others have ended meanwhile
+    assert goes_on in log.read_text()
     assert trained[1] == trained[2]
+
+
+def here(device: str, said: list[str]) -> StageContext:
+    """Of a stage that nobody runs."""
+    config, folder = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4"}}), Path()
+    return StageContext(config, folder, folder, folder, lambda *_: None, device, say=said.append)
+
+
+def test_no_bit_of_it_can_change_what_is_trained(tmp_path: Path) -> None:
+    """A bit flips on the disk: it goes on as it was begun, or begins anew with what is asked for; it never fails."""
+    path, chosen = tmp_path / "state", {"options": {"rays": 8}, "decisions": ["rays: 8"]}
+
+    def fit() -> tuple[CanonicalOptions, list[str], list[str]]:
+        said: list[str] = []
+        memory = TrainingMemory(Limits(), 0)
+        context, size = here("cpu", said), SceneSize(still_pixels=10)
+        return *fit_to_memory(context, size, OPTIONS, memory, Checkpoint(path, "one")), said
+
+    Checkpoint(path, "one", chosen=chosen).write(Saved(2, {"grid": torch.zeros(2)}, {}))
+    as_begun = (
+        replace(OPTIONS, rays=8),
+        ["rays: 8"],
+        ["  goes on from its checkpoint, after step 2", "  rays: 8"],
+    )
+    assert fit() == as_begun
+    whole = path.read_bytes()
+    for at in range(len(whole)):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << at % 3]) + whole[at + 1 :])
+        assert fit() in (as_begun, (OPTIONS, [], [])), at
 
 
 def test_what_pytorch_keeps_for_itself_on_a_gpu_may_be_trained_with(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("mem_get_info", (20, 80)), ("memory_reserved", 30), ("memory_allocated", 10)):
         monkeypatch.setattr(torch.cuda, name, lambda value=value: value)
-    config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4"}})
-    here = Path()
-    context = StageContext(config, here, here, here, lambda *_: None, "cuda")
+    context = here("cuda", [])
     assert TrainingMemory.now(context).limits == Limits(None, 40)
     for budget, left in ((100, 40), (35, 25), (5, 0)):
         context.allowance = Allowance(memory=7, gpu=budget)

@@ -17,7 +17,7 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
 from devrf.reconstruct.footprint import SceneSize, footprint
 from devrf.reconstruct.grids import GridTrainer
-from devrf.reconstruct.memory_fit import COARSER, Limits, fitted, surely
+from devrf.reconstruct.memory_fit import COARSER, Fitted, Limits, fitted, surely
 from devrf.reconstruct.options import CanonicalOptions, preset, resized_whole
 from devrf.reconstruct.train_canonical import train_canonical
 
@@ -56,27 +56,34 @@ def test_a_limit_is_kept_by_a_real_training(ball, tmp_path: Path) -> None:
     measured = _peak(ball.scene, wide, tmp_path)
     assert measured / 1.1 < needed < 1.3 * measured
     limit = int(0.8 * measured)
-    options, decisions = fitted(ball.scene, wide, Limits(limit))
-    assert options.resolution < 128 and any(d.what == "resolution at rest" for d in decisions)
-    assert _peak(ball.scene, options, tmp_path) < limit
+    found = fitted(ball.scene, wide, Limits(limit))
+    assert found.options.resolution < 128 and any(d.what == "resolution at rest" for d in found.decisions)
+    assert _peak(ball.scene, found.options, tmp_path) < limit
 
 
 def test_what_fits_stays_as_it_is() -> None:
     options = preset("fast").canonical
-    assert fitted(ROOM, options, Limits()) == (options, [])
-    assert fitted(ROOM, options, Limits(64 * 10**9)) == (options, [])
+    as_it_is = Fitted(options, [], footprint(ROOM, options))
+    assert fitted(ROOM, options, Limits()) == fitted(ROOM, options, Limits(64 * 10**9)) == as_it_is
+
+
+def test_what_was_begun_stays_where_it_fits() -> None:
+    options, begun = preset("fast").canonical, preset("tiny").canonical
+    need = footprint(ROOM, begun)
+    limit = Limits(surely(need.main_bytes))
+    assert fitted(ROOM, options, limit, begun=begun) == Fitted(begun, [], need)
+    less = Limits(surely(need.main_bytes) - 1)
+    assert fitted(ROOM, options, less, begun=begun) == fitted(ROOM, options, less)
 
 
 def test_parts_come_before_a_lower_resolution() -> None:
     options = preset("reference").canonical
     need = footprint(ROOM, options)
-    chosen, decisions = fitted(
-        ROOM, options, Limits(need.main_bytes)
-    )  # short of what predictions may be wrong by
-    assert chosen == replace(options, parts=2)
-    assert [d.what for d in decisions] == ["parts of an iteration's rays"]
-    assert "GB of main memory needed" in str(decisions[0])
-    chosen, decisions = fitted(ROOM, options, Limits(int(0.5 * need.main_bytes)))
+    found = fitted(ROOM, options, Limits(need.main_bytes))  # short of what predictions may be wrong by
+    assert found.options == replace(options, parts=2) and found.need == footprint(ROOM, found.options)
+    assert [d.what for d in found.decisions] == ["parts of an iteration's rays"]
+    assert "GB of main memory needed" in str(found.decisions[0])
+    chosen = fitted(ROOM, options, Limits(int(0.5 * need.main_bytes))).options
     assert chosen.resolution < options.resolution and chosen.shell_resolution < options.shell_resolution
     assert chosen.rays == options.rays
     assert 1.1 * footprint(ROOM, chosen).main_bytes <= 0.5 * need.main_bytes
@@ -86,9 +93,9 @@ def test_motion_takes_fewer_rays_then_no_fine_tuning_then_coarser_levels() -> No
     options, seen = preset("fast").motion, []
     need = footprint(ROOM, options).main_bytes
     for share in (1.05, 0.95, 0.8, 0.7):
-        chosen, decisions = fitted(ROOM, options, Limits(int(share * need)))
-        assert 1.1 * footprint(ROOM, chosen).main_bytes <= share * need
-        seen.append([decision.what for decision in decisions])
+        found = fitted(ROOM, options, Limits(int(share * need)))
+        assert 1.1 * footprint(ROOM, found.options).main_bytes <= share * need
+        seen.append([decision.what for decision in found.decisions])
     assert seen[0] == ["rays of an iteration"]
     assert seen[-1] == ["rays of an iteration", "fine-tuning", "finest level of the motion"]
     assert seen == sorted(seen, key=len)
