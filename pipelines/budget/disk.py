@@ -11,7 +11,9 @@ from types import FrameType
 
 from devrf.capture.amounts import GB, size_text
 from devrf.pipelines.budget.need import BudgetError
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.runner.workspace import nearest, size_of, unfinished
+from devrf.pipelines.stamps.cache import cache_of
 
 MARGIN, MARGIN_SHARE = 200_000_000, 0.01  # bytes, and share of a small disk, that other programs are left
 WATCH_S = 1.0  # a stage writes less than the margin meanwhile, but for the fastest disks
@@ -34,38 +36,45 @@ class Room:
     kept: bool = False
 
 
-def room_for(
-    run_dir: Path, disk_gb: float | None, cache: Path | None = None, stages: Collection[str] = ()
-) -> Room:
-    """Room for a run folder, by its budget and by the disk that it lies on, whichever leaves less.
+def rooms_of(config: SceneConfig, scene_dir: Path, run_dir: Path, stages: Collection[str] = ()) -> list[Room]:
+    """Room for a run folder: on the disk that it lies on, and of its budget.
 
     Args:
+        config: Has the budget; and names the cache, whose results can be deleted.
+        scene_dir: Folder of scene.yaml.
         run_dir: The run folder, made or not.
-        disk_gb: Its budget.
-        cache: Folder of results that are kept for later, and may be deleted.
         stages: About to run: what an earlier run has left of them unfinished counts as room, they go on from it.
     """
-    place = nearest(run_dir)
+    place, cache, disk_gb = nearest(run_dir), cache_of(config, scene_dir), config.budget.disk_gb
     usage = shutil.disk_usage(place)
     back = unfinished(run_dir, stages) if stages else 0
     free = usage.free - min(MARGIN, int(MARGIN_SHARE * usage.total))
-    cached = cache is not None and cache.is_dir() and cache.stat().st_dev == place.stat().st_dev
-    spare = f" ({cache} holds results of earlier runs, which can be deleted safely; cache.max_gb bounds it)"
+    kept = cache is not None and cache.folder.is_dir() and cache.folder.stat().st_dev == place.stat().st_dev
+    spare = (
+        f" ({cache.folder} holds results of earlier runs, which can be deleted safely; cache.max_gb bounds it)"
+        if cache is not None and kept
+        else ""
+    )
     disk = Room(
         free + back,
         f"{size_text(usage.free)} are free on the disk of {run_dir}",
-        f"free some space{spare if cached else ''}, or set output: in scene.yaml to a folder on a larger disk",
-        cached,
+        f"free some space{spare}, or set output: in scene.yaml to a folder on a larger disk",
+        kept,
     )
     if disk_gb is None:
-        return disk
+        return [disk]
     used = size_of(run_dir)
     budget = Room(
         int(disk_gb * GB) - used + back,
         f"budget.disk_gb is {disk_gb:g}, of which {run_dir} holds {size_text(used)}",
         "raise budget.disk_gb, or lower reconstruct.image_scale",
     )
-    return min(disk, budget, key=lambda room: room.count)
+    return [disk, budget]
+
+
+def room_of(config: SceneConfig, scene_dir: Path, run_dir: Path, stages: Collection[str] = ()) -> Room:
+    """Whichever of `rooms_of` leaves less."""
+    return min(rooms_of(config, scene_dir, run_dir, stages), key=lambda room: room.count)
 
 
 def no_room(count: int, what: str, room: Room) -> str:
@@ -77,7 +86,7 @@ def no_room(count: int, what: str, room: Room) -> str:
 
 
 @contextmanager
-def watched(run_dir: Path, disk_gb: float | None, cache: Path | None = None) -> Iterator[None]:
+def watched(config: SceneConfig, scene_dir: Path, run_dir: Path) -> Iterator[None]:
     """Stop what is done in this block, by a `BudgetError` in the main thread, once there is no room left.
 
     Outside of the main thread nothing can be stopped, and nothing is watched.
@@ -91,7 +100,7 @@ def watched(run_dir: Path, disk_gb: float | None, cache: Path | None = None) -> 
 
     def watch() -> None:
         while not done.wait(WATCH_S):
-            room = room_for(run_dir, disk_gb, cache)
+            room = room_of(config, scene_dir, run_dir)
             if room.count <= 0:
                 problem.append(
                     f"stopped before the disk is full: {room.bound}; {room.remedy}, then run again: finished "

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from devrf.capture.amounts import size_text
 from devrf.capture.errors import DevrfError
-from devrf.pipelines.budget.disk import Room, no_room, room_for
+from devrf.pipelines.budget.disk import Room, no_room, rooms_of
 from devrf.pipelines.budget.estimate import UNSURE, stage_needs
 from devrf.pipelines.budget.fit import Fit, fit
 from devrf.pipelines.budget.material import Material, find_material
@@ -15,7 +15,6 @@ from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
 from devrf.pipelines.runner.workspace import size_of
-from devrf.pipelines.stamps.cache import cache_of
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class Forecast:
         doubtful: Later stages that could not be done if they began now; other programs may have ended by then.
         allowed: Main memory that may be used, bytes.
         disk: Most that they add to the disk, bytes.
-        room: On it.
+        room: For that, of which least would be left.
         time_minutes: `budget.time_minutes`.
     """
 
@@ -95,20 +94,8 @@ def forecast(
     except DevrfError:
         return None
     needs = stage_needs(config, material, device, stages)
-    room = room_of(config, scene_dir, run_dir, stages)
-    replaced = replaced_by(needs, run_dir, room)
-    return forecast_of(needs, config, material, device, allowed_bytes(config), room, replaced)
-
-
-def room_of(config: SceneConfig, scene_dir: Path, run_dir: Path, stages: Collection[str]) -> Room:
-    """Room on the disk for stages that are about to run."""
-    cache = cache_of(config, scene_dir)
-    return room_for(run_dir, config.budget.disk_gb, None if cache is None else cache.folder, stages)
-
-
-def replaced_by(stages: Iterable[str], run_dir: Path, room: Room) -> dict[str, int]:
-    """Bytes of finished folders that go once a stage has been made again, by stage."""
-    return {} if room.kept else {stage: size_of(run_dir / stage) for stage in stages}
+    rooms = rooms_of(config, scene_dir, run_dir, stages)
+    return forecast_of(needs, config, material, device, allowed_bytes(config), rooms, run_dir)
 
 
 def forecast_of(
@@ -117,8 +104,8 @@ def forecast_of(
     material: Material,
     device: str,
     allowed: int,
-    room: Room,
-    replaced: Mapping[str, int],
+    rooms: Iterable[Room],
+    run_dir: Path,
 ) -> Forecast:
     """How stages can be done.
 
@@ -128,8 +115,8 @@ def forecast_of(
         material: What they work on.
         device: cpu or cuda.
         allowed: Main memory, bytes.
-        room: On the disk.
-        replaced: Bytes of finished folders that go once a stage has been made again, by stage.
+        rooms: All of which they have to keep within.
+        run_dir: The run folder, whose finished folders of these stages go once they have been made again.
     """
     fits, too_large, doubtful = [], [], []
     for stage, need in needs.items():
@@ -138,13 +125,19 @@ def forecast_of(
         except BudgetError as error:
             later = bool(fits) and not bound_by_budget(config, allowed)
             (doubtful if later else too_large).append(f"{stage}: {error}")
+    replaced = {stage: size_of(run_dir / stage) for stage in needs}
+
+    def on_disk(room: Room) -> int:
+        return most_on_disk(needs.values(), {} if room.kept else replaced)
+
+    room = min(rooms, key=lambda room: room.count - on_disk(room))
     return Forecast(
         tuple(needs.values()),
         tuple(fits),
         tuple(too_large),
         tuple(doubtful),
         allowed,
-        most_on_disk(needs.values(), replaced),
+        on_disk(room),
         room,
         config.budget.time_minutes,
     )

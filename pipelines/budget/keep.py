@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 from devrf.capture.amounts import GB
 from devrf.capture.errors import DevrfError
 from devrf.pipelines.budget.allowance import Allowance
-from devrf.pipelines.budget.disk import no_room, room_for, watched
+from devrf.pipelines.budget.disk import no_room, room_of, watched
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.budget.need import BudgetError, Need
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import duration
 from devrf.pipelines.stages import stage_names
-from devrf.pipelines.stamps.cache import cache_of
 
 if TYPE_CHECKING:
     from devrf.pipelines.budget.material import Material
@@ -32,8 +31,6 @@ class Budget:
 
     def __init__(self, config: SceneConfig, scene_dir: Path, run_dir: Path, device: str) -> None:
         self.config, self.scene_dir, self.run_dir, self.device = config, scene_dir, run_dir, device
-        cache = cache_of(config, scene_dir)
-        self._cache = None if cache is None else cache.folder
         minutes = config.budget.time_minutes
         self._until = None if minutes is None else time.monotonic() + 60 * minutes
 
@@ -50,7 +47,7 @@ class Budget:
         need = needs.get(stage)
         if material is None or need is None:
             return Allowance(memory=allowed, gpu=gpu, until=self._until)
-        room = room_for(self.run_dir, self.config.budget.disk_gb, self._cache, [stage])
+        room = room_of(self.config, self.scene_dir, self.run_dir, [stage])
         if need.disk > room.count:
             raise BudgetError(no_room(need.disk, "it", room))
         from devrf.pipelines.budget.fit import fit
@@ -65,7 +62,7 @@ class Budget:
 
     def watched(self) -> AbstractContextManager[None]:
         """Stops what is done in this block before the disk is full."""
-        return watched(self.run_dir, self.config.budget.disk_gb, self._cache)
+        return watched(self.config, self.scene_dir, self.run_dir)
 
     def late(self, stage: str, rest: Sequence[str]) -> str | None:
         """Why there is no time to begin a stage, and what is left; None where there is.

@@ -17,7 +17,7 @@ from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at_clip
 from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.budget.forecast import room_of
+from devrf.pipelines.budget.disk import rooms_of
 from devrf.pipelines.budget.material import Material, find_sources
 from devrf.pipelines.budget.material import find_material as find_run_material
 from devrf.pipelines.budget.memory import allowed_bytes
@@ -118,9 +118,9 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
 
 def _resources(config: SceneConfig, scene_dir: Path, run_dir: Path, material: Material) -> list[HealthRow]:
     """Rows about what a run needs and what there is."""
-    room = room_of(config, scene_dir, run_dir, stage_names())
+    rooms = rooms_of(config, scene_dir, run_dir, stage_names())
     device = resolve_device("auto")
-    return estimate_rows(config, run_dir, material, room, allowed_bytes(config), device)
+    return estimate_rows(config, run_dir, material, rooms, allowed_bytes(config), device)
 
 
 def _scale(config: SceneConfig) -> list[HealthRow]:

@@ -11,7 +11,7 @@ from devrf.capture.pictures import write_picture
 from devrf.capture.survey import Look, Picture
 from devrf.pipelines.budget.disk import Room
 from devrf.pipelines.budget.estimate import UNSURE, stage_needs
-from devrf.pipelines.budget.forecast import Forecast, forecast_of, replaced_by
+from devrf.pipelines.budget.forecast import Forecast, forecast_of
 from devrf.pipelines.budget.material import Material, Source, planned_material
 from devrf.pipelines.budget.need import Need
 from devrf.pipelines.config.scene import SceneConfig
@@ -25,7 +25,7 @@ def estimate_rows(
     config: SceneConfig,
     run_dir: Path,
     material: Material,
-    room: Room,
+    rooms: Sequence[Room],
     allowed: int,
     device: str,
 ) -> list[HealthRow]:
@@ -35,21 +35,21 @@ def estimate_rows(
         config: The configuration.
         run_dir: The run folder.
         material: What a run works on.
-        room: On the disk.
+        rooms: All of which it has to keep within.
         allowed: Main memory that may be used, bytes.
         device: What a run would train on, cpu or cuda.
     """
     needs = stage_needs(config, material, device)
-    found = forecast_of(needs, config, material, device, allowed, room, replaced_by(needs, run_dir, room))
+    found = forecast_of(needs, config, material, device, allowed, rooms, run_dir)
     need_gb = found.disk / GB
     return [
         row(
             f"room for the run folder, which needs about {need_gb:.2g} GB",
-            room.count / GB,
-            f"GB, because {room.bound}",
+            found.room.count / GB,
+            f"GB, because {found.room.bound}",
             warn=2 * need_gb,
             fail=need_gb,
-            remedy=f"{room.remedy[0].upper()}{room.remedy[1:]}.",
+            remedy=f"{found.room.remedy[0].upper()}{found.room.remedy[1:]}.",
         ),
         _memory_row(found),
         time_row(config, list((needs if device == "cpu" else stage_needs(config, material)).values())),

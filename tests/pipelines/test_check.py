@@ -349,7 +349,7 @@ def test_a_full_disk_and_a_short_time_are_said(tmp_path: Path) -> None:
         sources = find_sources(config, tmp_path, tmp_path / "run")
         room = Room(int(free), "so much is free", "free some")
         material = seen_material(config, sources, looks)
-        return estimate_rows(config, tmp_path / "run", material, room, int(memory), "cpu")
+        return estimate_rows(config, tmp_path / "run", material, [room], int(memory), "cpu")
 
     assert [row.verdict for row in rows(100e9)] == ["ok", "ok", "ok"]
     assert verdict(rows(10e6), "room") == "fail"

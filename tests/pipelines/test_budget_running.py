@@ -1,0 +1,151 @@
+"""Budgets: a run is kept within its disk and its time while it goes on."""
+
+import shutil
+import time
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.pipelines.planned_captures import configured, leave, planned, source
+from tests.pipelines.small_stages import job, small_stages, write
+
+from devrf.pipelines.budget import disk, keep
+from devrf.pipelines.budget.allowance import Allowance
+from devrf.pipelines.budget.disk import Room, room_of, watched
+from devrf.pipelines.budget.keep import Budget
+from devrf.pipelines.budget.need import Need
+from devrf.pipelines.config.scene import StaticPosesConfig
+from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages.static_poses import _options
+from devrf.pipelines.stamps.cache import USERS
+
+GB = 10**9
+
+
+def room(folder: Path, disk_gb: float | None = None, stages: Collection[str] = ()) -> Room:
+    return room_of(configured(budget={"disk_gb": disk_gb}), folder, folder, stages)
+
+
+def test_unfinished_work_counts_as_room_for_those_who_go_on_from_it(tmp_path: Path) -> None:
+    for name, size in (
+        (".flow/cam0/1.npz", 1),
+        (".canonical.box.safetensors", 2),
+        (".digests.json.7.tmp", 4),
+    ):
+        leave(tmp_path / name, size * 10**6)
+    for name, size in ((".new-flow-7-abc/1.npz", 8), (".old-rig-abc/rig.json", 16), ("rig/rig.json", 32)):
+        leave(tmp_path / name, size * 10**6)
+    left = 100 - 63
+    assert room(tmp_path, 0.1).count == left * 10**6
+    for stages, back in ((["flow"], 29), (["canonical"], 30), (["flow", "canonical"], 31), (["rig"], 28)):
+        assert room(tmp_path, 0.1, stages).count == (left + back) * 10**6
+
+
+def test_a_stage_is_stopped_before_the_disk_is_full(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(disk, "WATCH_S", 0.05)
+
+    def writes(context: StageContext) -> None:
+        for n in range(400):
+            (context.out / f"{n}.bin").write_bytes(bytes(100_000))
+            time.sleep(0.02)
+
+    run = job(folder, small_stages(second=writes), "budget.disk_gb=0.002")
+    assert execute(run) == FAILED
+    said = capsys.readouterr().err
+    assert (
+        "second: stopped before the disk is full: budget.disk_gb is 0.002" in said
+        and "finished stages" in said
+    )
+    left = {p.name for p in (folder / "run").iterdir() if p.is_dir() and not p.name.startswith(".flow")}
+    assert left == {"first"}
+    assert sum(p.stat().st_size for p in (folder / "run").rglob("*") if p.is_file()) < 1e6
+    run = job(folder, small_stages(), "budget.disk_gb=0.002")
+    assert execute(run) == DONE and run.executed == ["second", "other", "third"]
+
+
+def test_nothing_is_stopped_while_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(disk, "WATCH_S", 0.01)
+    monkeypatch.delenv(USERS, raising=False)
+    with watched(configured(budget={"disk_gb": 1.0}), tmp_path, tmp_path):
+        time.sleep(0.1)
+    found = room(tmp_path / "not" / "yet")
+    assert 0 < found.count < shutil.disk_usage(tmp_path).free and "free on the disk" in found.bound
+    assert "can be deleted" not in found.remedy
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    found = room_of(configured(cache={"folder": str(cache)}), tmp_path, tmp_path)
+    assert f"{cache} holds results of earlier runs, which can be deleted" in found.remedy
+    (tmp_path / "large").write_bytes(bytes(2_000_000))
+    found = room(tmp_path, 0.001)
+    assert found.count == -1_000_000 and "budget.disk_gb is 0.001" in found.bound
+
+
+def test_no_room_is_said_before_a_stage_begins(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    material = planned(configured(), static=source(role="sweep"))
+    monkeypatch.setattr(
+        Budget, "_known", lambda self, stages: (material, {"flow": Need("flow", 0, left=5 * GB)})
+    )
+    monkeypatch.setattr(keep, "room_of", lambda *_: Room(2 * GB, "2 GB are free", "free some"))
+    began: list[str] = []
+    first, second, *_ = small_stages(second=lambda context: began.append("flow"))
+    run = job(folder, (first, replace(second, name="flow")))
+    assert execute(run) == FAILED and run.executed == ["first"] and not began
+    said = capsys.readouterr().err
+    assert "flow: it needs about 5 GB on the disk, 3 GB more than there is: 2 GB are free; free some" in said
+
+
+def test_a_run_without_time_ends_between_stages_and_goes_on(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    now, passed_s = time.monotonic, [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now() + passed_s[0])
+
+    def slow(context: StageContext) -> None:
+        assert context.allowance.left_s is not None and 0 < context.allowance.left_s <= 3600
+        passed_s[0] += 3600
+        write("second")(context)
+
+    run = job(folder, small_stages(second=slow), "budget.time_minutes=60")
+    assert execute(run) == FAILED and run.executed == ["first", "second"]
+    said = capsys.readouterr().err
+    assert "no time left for other, third (budget.time_minutes: 60)" in said and "run again" in said
+    run = job(folder, small_stages(second=slow))
+    assert execute(run) == DONE and run.executed == ["other", "third"]
+
+
+def test_the_film_is_left_for_later_and_the_report_is_not(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    material = planned(configured(), static=source(role="sweep"))
+    monkeypatch.setattr(
+        Budget, "_known", lambda self, stages: (material, {"render": Need("render", 0, seconds=100.0)})
+    )
+    first, second, *_ = small_stages()
+    made = (
+        first,
+        replace(second, name="render", reads=()),
+        replace(second, name="report", reads=("render",)),
+    )
+    run = job(folder, made, "budget.time_minutes=1")
+    assert execute(run) == FAILED and run.executed == ["first", "report"]
+    assert "render is left; run again" in capsys.readouterr().err
+    run = job(folder, made, "budget.time_minutes=2")
+    assert execute(run) == DONE and run.executed == ["render", "report"]
+
+
+def test_structure_from_motion_takes_no_more_time_than_is_left() -> None:
+    soon = Allowance(until=time.monotonic() + 60, at_once=3, side_px=720)
+    options = _options(StaticPosesConfig(), soon)
+    assert options.time_minutes == pytest.approx(1, abs=0.1) and (options.threads, options.side_px) == (
+        3,
+        720,
+    )
+    assert _options(StaticPosesConfig(time_minutes=0.5), soon).time_minutes == 0.5
+    assert _options(StaticPosesConfig(time_minutes=None), Allowance()).time_minutes is None
