@@ -196,8 +196,9 @@ def _flow(config: SceneConfig, material: Material, device: str) -> Need:
 
 def finds_by_raft(config: SceneConfig, material: Material) -> bool:
     """Whether flow is RAFT's: where a data set brings it, none has to be found."""
-    brought = material.scene is not None and is_brought(training_clips(material.scene))
-    return config.flow.method == "raft" and not brought
+    if config.flow.method != "raft" or material.scene is None:
+        return config.flow.method == "raft"
+    return not is_brought(training_clips(material.scene))
 
 
 def _evaluate(config: SceneConfig, material: Material, device: str) -> Need:
