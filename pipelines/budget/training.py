@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 BASE = 420_000_000  # bytes: Python with NumPy, SciPy, OpenCV and PyTorch; 0.36 to 0.41 GB
 FLOAT = 4  # bytes
 SHELL_NUMBERS = 4  # of each of its vertices: density and colour
-CHECKPOINT = 3  # copies of a grid in a checkpoint: values and two moments
+CHECKPOINT = 3  # copies of a trained grid in a checkpoint: values, and moments, which most vertices have
+OLD_AND_NEW = 2  # checkpoints on the disk while one is written
 PACKED = 0.35  # bytes on disk of each number of a model; the example's 0.32
 
 FEW_S = 5.0  # loading libraries, reading, writing
@@ -37,13 +38,18 @@ def training_need(stage: str, config: SceneConfig, material: Material, device: s
 
     options = _options(stage, config, material)
     held = footprint(_size(material), options, device, BASE)
-    numbers = rest_numbers(config, material) if stage == "canonical" else motion_numbers(config, material)
+    if isinstance(options, CanonicalOptions):
+        model = rest_numbers(config, material)
+        state = CHECKPOINT * model
+    else:  # of the motion there are no moments between two key times; those of its fine-tuning lie beside
+        motion, tuned = motion_numbers(config, material), tuned_numbers(config, material)
+        model, state = motion + tuned, motion + CHECKPOINT * tuned
     return Need(
         stage,
         held.main_bytes,
         gpu=held.gpu_bytes,
-        left=int(PACKED * numbers),
-        passing=FLOAT * CHECKPOINT * numbers,
+        left=int(PACKED * model),
+        passing=OLD_AND_NEW * FLOAT * state,
         seconds=None if device == "cuda" else _seconds(stage, config.preset, options, _times(material)),
     )
 
@@ -68,11 +74,16 @@ def fitted_training(
 
 def rest_numbers(config: SceneConfig, material: Material) -> int:
     """Numbers in the grids of the scene at rest and of its surroundings."""
-    rest = planned_options(config).canonical
-    planned = Trained(rest.resolution**3, 0, rest.channels, rest.shell_resolution)
-    made = material.trained.get("canonical", planned)
+    made = _at_rest(config, material)
     plain = material.scene is not None and material.scene.background != "shell"
     return made.vertices * (1 + made.channels) + (0 if plain else made.around**3 * SHELL_NUMBERS)
+
+
+def tuned_numbers(config: SceneConfig, material: Material) -> int:
+    """Numbers in the grids of the scene at rest that follow the motion, where there is fine-tuning."""
+    made = _at_rest(config, material)
+    tuned = planned_options(config).motion.fine_tuning and material.in_motion
+    return made.vertices * (1 + made.channels) if tuned else 0
 
 
 def motion_numbers(config: SceneConfig, material: Material) -> int:
@@ -90,6 +101,13 @@ def model_bytes(config: SceneConfig, material: Material) -> int:
     """The trained model in memory."""
     copies = 2 if planned_options(config).motion.fine_tuning and material.in_motion else 1
     return FLOAT * (copies * rest_numbers(config, material) + motion_numbers(config, material))
+
+
+def _at_rest(config: SceneConfig, material: Material) -> Trained:
+    """The scene at rest, trained or planned."""
+    rest = planned_options(config).canonical
+    planned = Trained(rest.resolution**3, 0, rest.channels, rest.shell_resolution)
+    return material.trained.get("canonical", planned)
 
 
 def _seconds(
