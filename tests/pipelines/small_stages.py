@@ -9,10 +9,12 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.plan import Choice, Standing
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import Stage, StageContext
 
+ALL = ["first", "second", "other", "third"]
+CHAIN = ["first", "second", "third"]  # what the sweep changes
 MADE_OF = "made_of.txt"
 SCENE = """
 name: small
@@ -71,4 +73,6 @@ def executed(folder: Path, *overrides: str, choice: Choice | None = None, **work
     return run.executed
 
 
-ALL = ["first", "second", "other", "third"]
+def stand(folder: Path, *overrides: str) -> dict[str, Standing]:
+    """Where each of them stands."""
+    return {now.stage.name: now for now in job(folder, small_stages(), *overrides).standings()}

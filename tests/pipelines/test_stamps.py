@@ -4,32 +4,20 @@ import json
 import os
 import re
 import shutil
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import typer
 from tests.pipelines.config_reads import leaves, reads_of
-from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage
+from tests.pipelines.small_stages import ALL, CHAIN, executed, job, small_stages, stage, stand
 
-from devrf.pipelines.cli import status
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE
+from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Standing, standings
+from devrf.pipelines.runner.plan import standings
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps import code_version, digests, stamp
-from devrf.pipelines.stamps.digests import Digests
-
-CHAIN = ["first", "second", "third"]
-
-
-def stand(folder: Path, *overrides: str) -> dict[str, Standing]:
-    run = job(folder, small_stages(), *overrides)
-    return {now.stage.name: now for now in standings(run.stages, run.config, folder, run.run_dir)}
+from devrf.pipelines.stamps import code_version, digests
 
 
 @pytest.fixture
@@ -94,62 +82,6 @@ def test_every_byte_of_every_file_runs_what_depends_on_it(
         path.write_bytes(content)  # the same size
         assert executed(folder) == expected
         assert executed(folder) == []
-
-
-def test_every_file_of_code_runs_what_depends_on_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rooms = folder / "rooms"
-    monkeypatch.setattr(code_version, "_room", lambda room: rooms / room)
-    sources = {
-        "pipelines/stages/first.py": "from devrf.capture.pictures import read",
-        "pipelines/stages/second.py": "import devrf.pipelines.glue\nimport devrf.flow.worker",
-        "pipelines/stages/third.py": "def run():\n    from devrf.flow import (  # lazily\n        worker,\n    )",
-        "pipelines/stages/other.py": "STYLE = 'other.css'; WORKER = 'devrf.capture.named'",
-        "pipelines/stages/other.css": "a {}",
-        "pipelines/glue.py": "",
-        "capture/pictures.py": "",
-        "capture/named.py": "",
-        "capture/unused.py": "",
-        "flow/worker.py": "import devrf.capture.pictures as shared",
-        "pipelines/runner/execute.py": "",
-    }
-    for name, text in sources.items():
-        (rooms / name).parent.mkdir(parents=True, exist_ok=True)
-        (rooms / name).write_text(text)
-    executed(folder)
-    expected = {
-        "pipelines/stages/first.py": ["first"],
-        "pipelines/stages/second.py": ["second"],
-        "pipelines/stages/third.py": ["third"],
-        "pipelines/stages/other.py": ["other"],
-        "pipelines/stages/other.css": ["other"],
-        "pipelines/glue.py": ["second"],
-        "capture/pictures.py": CHAIN,
-        "capture/named.py": ["other"],
-        "capture/unused.py": [],
-        "flow/worker.py": ["second", "third"],
-        "pipelines/runner/execute.py": [],
-    }
-    for name in sources:
-        with (rooms / name).open("a") as file:
-            file.write("\n# changed")
-        why = {stage: now.why for stage, now in stand(folder).items() if now.why}
-        assert all(f"the code changed ({name})" in why[stage] for stage in expected[name]), name
-        assert executed(folder) == expected[name], name
-
-
-def test_code_that_is_gone_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    executed(folder)
-    old = stamp.code_of_stage
-    many = {f"devrf.flow.part{n}": "1" for n in range(5)}
-
-    def code(stage, config):
-        made = old(stage, config)
-        return code_version.Code(many, made.libraries) if stage.name == "second" else made
-
-    monkeypatch.setattr(stamp, "code_of_stage", code)
-    now = stand(folder)
-    assert now["second"].why == ("the code changed (flow/part0.py, flow/part1.py, flow/part2.py and 2 more)",)
-    assert now["third"].why == ("second runs",)
 
 
 # --- what the stages say of themselves is what their code does ---
@@ -217,85 +149,6 @@ def test_the_folders_that_a_stage_reads_are_among_its_reads(stage: Stage) -> Non
     named = {word for path in files for word in STAGE_FOLDER.findall(path.read_text())}
     if stage.name != "report":  # which is told the stages it looks at
         assert named & {s.name for s in STAGES} - {stage.name} <= set(stage.reads)
-
-
-# --- libraries ---
-
-
-def test_a_library_counts_by_its_series(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def with_versions(**versions: str) -> dict[str, Standing]:
-        monkeypatch.setattr(stamp, "code_of", lambda module, plug_ins: code_version.Code({}, versions))
-        return stand(folder)
-
-    with_versions(numpy="2.4.6", torch="2.13.0+cu130")
-    executed(folder)
-    assert {now.state for now in with_versions(numpy="2.4.9", torch="2.13.1+cpu").values()} == {"fresh"}
-    assert with_versions(numpy="2.5.0", torch="2.13.0+cu130")["first"].why == ("numpy 2.4 is now 2.5",)
-    assert with_versions(numpy="2.4.6")["first"].why == ("torch 2.13 is no longer there",)
-    everything = with_versions(numpy="2.4.6", torch="2.13.0", scipy="1.17.1")
-    assert everything["first"].why == ("scipy 1.17 is newly there",)
-
-
-@pytest.mark.parametrize(
-    ("version", "counts"),
-    [
-        ("2.4.6", "2.4"),
-        ("2.13.0+cu130", "2.13"),
-        ("5.0.0.93", "5.0"),
-        ("7", "7"),
-        ("1.2.3.post4", "1.2"),
-        ("2.0.0rc1", "2.0.0rc1"),
-        ("0.9.0.dev3+g12", "0.9.0.dev3+g12"),
-    ],
-)
-def test_what_of_a_version_counts(version: str, counts: str) -> None:
-    assert code_version.series(version) == counts
-
-
-def test_each_stage_knows_the_libraries_it_works_with() -> None:
-    """By the imports of its sources, under the names they are installed by."""
-    found = {s.name: set(code_version.code_of(s.module).libraries) for s in STAGES}
-    training = {"torch", "warp-lang", "numpy", "scipy", "safetensors"}
-    assert (
-        training <= found["canonical"] and training <= found["deformation"] and training <= found["evaluate"]
-    )
-    assert {"pycolmap", "numpy", "scipy"} <= found["static_poses"]
-    assert {"av", "rawpy", "pillow"} <= found["ingest"]
-    opencv = ("ingest", "static_poses", "rig", "flow")
-    assert all(any(name.startswith("opencv") for name in found[stage]) for stage in opencv)
-    assert not any(
-        found[stage] & {"torch", "warp-lang"} for stage in ("ingest", "static_poses", "sync", "rig")
-    )
-    assert not any("pycolmap" in found[stage] for stage in ("ingest", "flow", "canonical", "deformation"))
-    assert not any(found[stage] & {"jaxtyping", "typer", "rich", "pydantic"} for stage in found)
-
-
-def test_an_estimator_of_others_counts_with_its_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package, facts = tmp_path / "their_flow", tmp_path / "their_flow-1.2.3.dist-info"
-    package.mkdir()
-    facts.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "net.py").write_text("def make(weights, device): ...")
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: their-flow\nVersion: 1.2.3\n")
-    (facts / "RECORD").write_text("their_flow/__init__.py,,\ntheir_flow/net.py,,\n")
-    (facts / "entry_points.txt").write_text("[devrf.flow]\ntheirs = their_flow.net:make\n")
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    (flow,) = (s for s in STAGES if s.name == "flow")
-    for name in ("static.mp4", "cam0.mp4"):
-        (tmp_path / name).write_bytes(b"clip")
-    (tmp_path / "scene.yaml").write_text(
-        "{name: a, capture: {static: static.mp4, cameras: {cam0: cam0.mp4}}, flow: {method: theirs}}"
-    )
-    run = job(tmp_path, STAGES)
-    code = stamp.code_of_stage(flow, run.config)
-    assert code.libraries["their-flow"] == "1.2.3"
-    assert code.sources.keys() >= {"their_flow.net", "devrf.flow.estimator"}
-    (package / "net.py").write_text("def make(weights, device): return 1")
-    assert stamp.code_of_stage(flow, run.config) != code
-    assert (
-        "their_flow.net"
-        not in stamp.code_of_stage(flow, job(tmp_path, STAGES, "flow.method=dis").config).sources
-    )
 
 
 # --- nothing else runs anything ---
@@ -405,86 +258,6 @@ def test_a_damaged_result_is_made_again(folder: Path, at_rest: None) -> None:
     assert executed(folder) == ["third"]
     (folder / "run/third/health.json").unlink()
     assert executed(folder) == ["third"]
-
-
-# --- digests ---
-
-
-def test_a_digest_is_remembered_only_of_a_file_at_rest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read = []
-    real = digests.file_digest
-    monkeypatch.setattr(digests, "file_digest", lambda path: read.append(path.name) or real(path))
-    path = tmp_path / "clip.mp4"
-    path.write_bytes(b"one")
-
-    def look() -> str:
-        known = Digests(tmp_path)
-        digest = known.of(path)
-        known.save()
-        return digest
-
-    first = look()
-    look()
-    assert read == ["clip.mp4"] * 2  # written a moment ago: read again
-    monkeypatch.setattr(digests, "RACY_S", 0.0)
-    time.sleep(0.02)
-    look()
-    look()
-    assert len(read) == 2
-    stat = path.stat()
-    path.write_bytes(b"two")
-    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))  # size and time as before
-    assert look() != first and len(read) == 3
-    monkeypatch.setattr(digests.time, "time_ns", lambda: 1)  # the clock was set back
-    look()
-    assert len(read) == 4
-
-
-def test_a_file_that_cannot_be_read_is_named(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def denied(path: Path) -> str:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(digests, "file_digest", denied)
-    assert execute(job(folder, small_stages())) == BAD_INPUT
-    assert f"{folder}/static.mp4: cannot be read (Permission denied)" in capsys.readouterr().err
-    with pytest.raises(typer.Exit) as ended:
-        status(folder / "scene.yaml")
-    assert ended.value.exit_code == BAD_INPUT
-
-
-def test_a_folder_counts_by_names_and_contents(tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    for n in range(20):  # more than are read one by one
-        (data / "in" / f"{n}").parent.mkdir(parents=True, exist_ok=True)
-        (data / "in" / f"{n}").write_bytes(bytes([n]))
-
-    def now() -> str:
-        return Digests(tmp_path / "run").of(data)
-
-    seen = {now()}
-    (data / "run").mkdir()
-    (data / "run" / "devrf.log").write_text("a run folder does not count")
-    assert now() in seen
-    (data / "in" / "7").write_bytes(b"\x08")
-    seen.add(now())
-    (data / "in" / "8").rename(data / "in" / "eight")
-    seen.add(now())
-    (data / "in" / "9").unlink()
-    seen.add(now())
-    assert len(seen) == 4
-
-
-@pytest.mark.parametrize(
-    "text", ["", "[]", '{"a": 1}', '{"clip.mp4": [1, 2]}', '{"clip.mp4": [1,1,1,1,1,2]}']
-)
-def test_damaged_memory_of_digests_is_forgotten(tmp_path: Path, text: str) -> None:
-    (tmp_path / "clip.mp4").write_bytes(b"clip")
-    (tmp_path / ".digests.json").write_text(text)
-    assert Digests(tmp_path).of(tmp_path / "clip.mp4") == digests.file_digest(tmp_path / "clip.mp4")
 
 
 # --- what is said ---
