@@ -140,7 +140,11 @@ def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gp
         errors="replace",
         start_new_session=True,  # Ctrl-C in a terminal comes from the batch, once
     )
-    said, stopped = _wait(process, stop, meanwhile)
+    try:
+        said, stopped = _wait(process, stop, meanwhile)
+    except BaseException:  # nobody would wait for it any more
+        _end(process)
+        raise
     code = process.returncode
     if stopped and code < 0:  # before it could listen, or because it did not
         code = STOPPED

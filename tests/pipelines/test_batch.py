@@ -282,3 +282,23 @@ def test_a_run_that_is_killed_is_a_failure_with_a_message(tmp_path: Path) -> Non
     ended = run_task(task, kill_it)
     assert ended.code == FAILED
     assert ended.message is not None and "SIGKILL" in ended.message
+
+
+def test_an_error_of_ours_ends_the_run_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, run_dir = tiny_scene(tmp_path, "a", LONG), tmp_path / "a/run"
+    task = Task(0, scene, run_dir, ("scene", "canonical"), ("--device", "cpu"), 1, False)
+    started: list[subprocess.Popen] = []
+    start = subprocess.Popen
+
+    def meanwhile() -> None:
+        if list(run_dir.glob(".new-canonical*")):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(batch_task, "MEANWHILE_S", 0.1)
+    monkeypatch.setattr(
+        batch_task.subprocess, "Popen", lambda *a, **k: (started.append(start(*a, **k)), started[-1])[1]
+    )
+    with pytest.raises(OSError, match="No space left"):
+        batch_task._run(task, lambda: False, meanwhile, None)
+    assert [process.returncode for process in started] == [STOPPED]
+    assert not list(run_dir.glob(".lock")) and not list(run_dir.glob(".new-*"))
