@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import DevrfError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Loudness, Talk
-from devrf.pipelines.exit_codes import BAD_INPUT, FAILED
+from devrf.pipelines.exit_codes import code_of
 
 SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
 PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
@@ -49,4 +49,4 @@ def errors_told(talk: Talk) -> Iterator[None]:
         yield
     except DevrfError as error:
         talk.error(str(error))
-        raise typer.Exit(BAD_INPUT if isinstance(error, InputError) else FAILED) from None
+        raise typer.Exit(code_of(error)) from None

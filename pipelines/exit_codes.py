@@ -4,4 +4,11 @@
 result; 130 stopped by the user.
 """
 
+from devrf.capture.errors import DevrfError, InputError
+
 DONE, FAILED, BAD_INPUT, UNHEALTHY, STOPPED = 0, 1, 2, 3, 130
+
+
+def code_of(error: DevrfError) -> int:
+    """The code of a command that an error ends."""
+    return BAD_INPUT if isinstance(error, InputError) else FAILED

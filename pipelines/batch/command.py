@@ -14,7 +14,7 @@ from devrf.capture.writable import check_folder
 from devrf.pipelines.batch.board import HTML_FILE, Board
 from devrf.pipelines.batch.engine import Engine
 from devrf.pipelines.batch.groups import groups
-from devrf.pipelines.batch.inputs import inputs_of
+from devrf.pipelines.batch.inputs import Inputs, inputs_of
 from devrf.pipelines.batch.local import LocalPool
 from devrf.pipelines.batch.mirror import mirror
 from devrf.pipelines.batch.ray_cluster import RayCluster
@@ -28,8 +28,9 @@ from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import check_device, resolve_device
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY, code_of
 from devrf.pipelines.runner.supervise import tell
+from devrf.pipelines.stamps.digests import Digests
 
 CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
 GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
@@ -141,7 +142,7 @@ def _row(scene: BatchScene, options: Options, place: _Place) -> SceneRow:
             stand(scene, options, seen_in)
             row.look(seen_in, scene.stages)
         except DevrfError as error:
-            row.end(_code_of(error), str(error))
+            row.end(code_of(error), str(error))
             return row
     if scene.problem is not None:
         row.end(BAD_INPUT, scene.problem)
@@ -176,11 +177,9 @@ def _jobs(
             arguments += ["--set", f"budget.memory_gb={engine.memory_gb:.3f}"]
         if place.store is not None:
             try:
-                inputs = inputs_of(config, scene.path, scene.digests)
-                scene.digests.save()
-                place.store.put_inputs(inputs.here)
+                inputs = _put_inputs(place.store, config, scene.path, scene.digests)
             except DevrfError as error:
-                row.end(_code_of(error), str(error))
+                row.end(code_of(error), str(error))
                 board.ended(row)
                 continue
             arguments += [word for text in inputs.overrides for word in ("--set", text)]
@@ -194,8 +193,21 @@ def _look(row: SceneRow, config: SceneConfig, scene_dir: Path, stages: list[str]
     row.look(place.refresh(config, scene_dir), stages)
 
 
-def _code_of(error: DevrfError) -> int:
-    return BAD_INPUT if isinstance(error, InputError) else FAILED
+def _put_inputs(store: Store, config: SceneConfig, scene: Path, digests: Digests) -> Inputs:
+    """Store a scene's raw files.
+
+    Raises:
+        DevrfError: The store does not answer, or a file cannot be read.
+    """
+    try:
+        inputs = inputs_of(config, scene, digests)
+        digests.save()
+        store.put_inputs(inputs.here)
+    except OSError as error:  # one that has vanished since it was looked at
+        raise DevrfError(
+            f"{scene}: a raw file cannot be read ({error}); check its disk, then run the batch again"
+        ) from error
+    return inputs
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from pathlib import Path
 from devrf.pipelines.batch.store import DamagedError, SizeAndDigest, Store
 from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps.stamp import read_stamp, stamp_id
+from devrf.pipelines.stamps.stamp import is_whole, read_stamp, stamp_id
 
 SCRATCH = "DEVRF_SCRATCH"  # environment variable: folder on a fast disk of this machine
 
@@ -73,7 +73,7 @@ class Scratch:
         """Store what has been finished since."""
         for stage in stages:
             stamp = read_stamp(self.run_dir / stage)
-            if stamp is not None and stamp["id"] not in self._pushed:
+            if stamp is not None and is_whole(stamp) and stamp["id"] not in self._pushed:
                 self._store.push(self._stored.name, self.run_dir / stage, stamp)
                 self._pushed.add(stamp["id"])
 

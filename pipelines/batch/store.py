@@ -21,7 +21,7 @@ from devrf.capture.durable import write_json
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stamps.digests import file_digest
-from devrf.pipelines.stamps.stamp import STAMP, parse_stamp, size_in
+from devrf.pipelines.stamps.stamp import STAMP, is_whole, parse_stamp
 
 SizeAndDigest = tuple[int, str]
 
@@ -112,7 +112,7 @@ class Store:
                 if isinstance(text, Exception):
                     raise text
                 stamp = parse_stamp(text)
-                if stamp is not None and isinstance(stamp.get("id"), str) and size_in(stamp) is not None:
+                if stamp is not None and is_whole(stamp):
                     found[stage] = stamp
         return found
 
@@ -127,9 +127,9 @@ class Store:
         where = f"runs/{scene}/{folder.name}"
         names = list(stamp["files"])
         self._put([folder / name for name in names], [f"{where}/{stamp['id']}/{name}" for name in names])
-        self._make_folders([self._path(f"{where}.json")])
         old = [e["name"] for e in self._list(where) if not e["name"].rstrip("/").endswith(f"/{stamp['id']}")]
         with self._errors():
+            self._make_folders([self._path(f"{where}.json")])
             self._fs.pipe_file(self._path(f"{where}.json"), json.dumps(stamp).encode())
             for place in old:  # what it replaces
                 self._fs.rm(place, recursive=True)
@@ -179,22 +179,23 @@ class Store:
 
     def _put(self, files: Sequence[Path], names: Sequence[str]) -> None:
         """All at once: a store far away takes many files side by side."""
+        if not files:
+            return
         places = [self._path(name) for name in names]
-        self._make_folders(places)
-        if files:
-            with self._errors():
-                self._fs.put([str(path) for path in files], places)
+        with self._errors():
+            self._make_folders(places)
+            self._fs.put([str(path) for path in files], places)
 
     def _get(self, files: Sequence[tuple[str, Path, SizeAndDigest]]) -> None:
         for _, path, _ in files:
             path.parent.mkdir(parents=True, exist_ok=True)
         if not files:
             return
-        try:
-            with self._errors():
+        with self._errors():
+            try:
                 self._fs.get([self._path(name) for name, _, _ in files], [str(path) for _, path, _ in files])
-        except FileNotFoundError as error:
-            raise DamagedError(f"{self.url}: a file is missing ({error})") from error
+            except FileNotFoundError as error:
+                raise DamagedError(f"{self.url}: a file is missing ({error})") from error
         for name, path, (size, digest) in files:
             there = path.stat().st_size
             if there != size or file_digest(path) != digest:
@@ -204,19 +205,19 @@ class Store:
                 )
 
     def _list(self, folder: str) -> list[dict[str, Any]]:
-        try:
-            with self._errors():
-                self._fs.invalidate_cache()
+        with self._errors():
+            self._fs.invalidate_cache()
+            try:
                 return self._fs.ls(self._path(folder), detail=True)
-        except FileNotFoundError:
-            return []
+            except FileNotFoundError:
+                return []
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
         """Each protocol's library has errors of its own; all of them mean that the store cannot be used."""
         try:
             yield
-        except (DevrfError, FileNotFoundError, ValueError):
+        except DevrfError:
             raise
         except Exception as error:
             raise StoreError(

@@ -15,7 +15,7 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.processes import run_module
 from devrf.pipelines.batch.scratch import Scratch, Stored
 from devrf.pipelines.batch.store import StoreError
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
+from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, code_of
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.plan import error_path, last_error
 
@@ -111,10 +111,8 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
                 scratch.remove()
                 anew = [f"{stage} was made anew: {why}" for stage, why in scratch.damaged.items()]
                 ended = replace(ended, message="\n".join(anew) or None)
-    except InputError as error:
-        ended = Ended(task.scene, BAD_INPUT, str(error))
     except DevrfError as error:
-        ended = Ended(task.scene, FAILED, str(error))
+        ended = Ended(task.scene, code_of(error), str(error))
     except OSError as error:
         ended = Ended(task.scene, FAILED, f"{task.path}: cannot be run on {node_name()}: {error}")
     return replace(ended, seconds=time.monotonic() - start)

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import devrf
 from devrf.capture.amounts import GB
-from devrf.capture.errors import DevrfError, InputError, OutOfTime
+from devrf.capture.errors import DevrfError, OutOfTime
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
+from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
 from devrf.pipelines.logs import Events, log_file
 from devrf.pipelines.runner.failure import explain, first_line, is_no_memory, unexpected
 from devrf.pipelines.runner.finish import finish
@@ -91,12 +91,9 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
     """The exit code of some work; why it did not succeed is said."""
     try:
         return work()
-    except InputError as error:
-        run.talk.error(str(error))
-        return BAD_INPUT
     except DevrfError as error:
         run.talk.error(str(error))
-        return FAILED
+        return code_of(error)
     except KeyboardInterrupt:
         run.talk.error("stopped; finished stages are kept, the next run goes on from there")
         return STOPPED

@@ -21,7 +21,7 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.digests import CACHE_TAG, file_digest
-from devrf.pipelines.stamps.stamp import STAMP, identity_key, read_stamp, size_in
+from devrf.pipelines.stamps.stamp import STAMP, identity_key, is_whole, read_stamp, size_in
 
 TAG_TEXT = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"  # Cache Directory Tagging Specification, bford.info/cachedir
@@ -47,7 +47,7 @@ class Cache:
     def has(self, stage: Stage, made_from: dict) -> str | None:
         """Content of the entry made from this; None where there is none."""
         stamp = None if stage.quotes_stamps else read_stamp(self._entry(stage.name, made_from))
-        whole = stamp is not None and stamp["identity"] == made_from and size_in(stamp) is not None
+        whole = stamp is not None and stamp["identity"] == made_from and is_whole(stamp)
         return stamp.get("content") if stamp is not None and whole else None
 
     def take(self, stage: Stage, made_from: dict, out: Path) -> bool:
@@ -192,7 +192,7 @@ def _is_whole(folder: Path) -> bool:
     if stamp is None:
         return False
     return (
-        size_in(stamp) is not None
+        is_whole(stamp)
         and {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
         == {*stamp["files"], STAMP}
         and all(file_digest(folder / name) == digest for name, (_, digest) in stamp["files"].items())

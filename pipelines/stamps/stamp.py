@@ -175,27 +175,27 @@ def _without_places(path: Path, folder: Path, places: dict[str, str]) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def size_in(stamp: dict) -> int | None:
-    """Bytes of all files that a stamp names; None where it is damaged or of an earlier version."""
-    files = _files_in(stamp)
-    return None if files is None else sum(size for size, _ in files.values())
-
-
-def _files_in(stamp: dict) -> dict[str, list] | None:
+def is_whole(stamp: dict) -> bool:
+    """Whether a stamp names its making and its files; not so where it is damaged or of an earlier version."""
     files = stamp.get("files")
-    whole = isinstance(files, dict) and all(
-        isinstance(entry, list) and tuple(map(type, entry)) == (int, str) for entry in files.values()
+    return (
+        isinstance(stamp.get("id"), str)
+        and isinstance(files, dict)
+        and all(isinstance(entry, list) and tuple(map(type, entry)) == (int, str) for entry in files.values())
     )
-    return files if whole else None
+
+
+def size_in(stamp: dict) -> int | None:
+    """Bytes of all files that a stamp names; None where it is not whole."""
+    return sum(size for size, _ in stamp["files"].values()) if is_whole(stamp) else None
 
 
 def damage(folder: Path, stamp: dict, digests: Digests) -> list[str]:
     """Files of a finished stage that are gone or have another content."""
-    files = _files_in(stamp)
-    if files is None:
+    if not is_whole(stamp):
         return [f"{folder.name}/{STAMP} was changed"]
     bad, there = [], []
-    for name, (size, digest) in files.items():
+    for name, (size, digest) in stamp["files"].items():
         try:
             now = (folder / name).stat().st_size
         except OSError:

@@ -214,18 +214,25 @@ def test_what_is_no_stamp_is_none(url: str, text: str) -> None:
     assert store.stamps("a", ["scene"]) == {}
 
 
+@pytest.mark.parametrize("error", [OSError, ValueError])
 def test_a_store_that_does_not_answer_is_an_error(
-    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
 ) -> None:
     def fails(*arguments: object, **options: object) -> None:
-        raise OSError("the network is down")
+        raise error("the network is down")
 
     store = Store(url)
-    store.push("a", *finished(tmp_path / "run/scene", "x", "1"))
+    stage = finished(tmp_path / "run/scene", "x", "1")
+    store.push("a", *stage)
     for ask in ("cat_file", "ls"):
         monkeypatch.setattr(store._fs, ask, fails)
         with pytest.raises(StoreError, match="the network is down"):
             store.stamps("a", ["scene"])
+        monkeypatch.undo()
+    for give in ("put", "makedirs" if url.startswith("file") else "pipe_file"):
+        monkeypatch.setattr(store._fs, give, fails)
+        with pytest.raises(StoreError, match="the network is down"):
+            store.push("a", *stage)
         monkeypatch.undo()
 
 
@@ -261,6 +268,41 @@ def test_another_machine_goes_on_from_the_store(
     assert rows["a"]["numbers"]["psnr"] > 0
     assert Path(rows["a"]["report"]).is_file()
     assert run(tmp_path, ["a"], url, "report")[1]["a"]["made"] == []
+
+
+@pytest.mark.parametrize("uploading", [False, True])
+def test_a_raw_file_that_vanishes_ends_its_scene_alone(
+    tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch, uploading: bool
+) -> None:
+    """Between the look at it and the store's, or while it is on its way."""
+    for name in ("a", "b"):
+        tiny_scene(tmp_path, name)
+    owner, name = (Store, "_put") if uploading else (command, "inputs_of")
+    real = getattr(owner, name)
+
+    def vanishes(*arguments: Any) -> Any:
+        found = real(*arguments) if not uploading else None
+        (tmp_path / "a/data/train/r_3.png").unlink(missing_ok=True)
+        return real(*arguments) if uploading else found
+
+    monkeypatch.setattr(owner, name, vanishes)
+    code, rows = run(tmp_path, ["a", "b"], f"file://{tmp_path}/store")
+    assert code == FAILED and "r_3.png" in rows["a"]["message"]
+    assert rows["b"]["code"] == DONE
+
+
+def test_an_odd_stamp_in_the_scratch_is_not_stored(tmp_path: Path, scratch: Path) -> None:
+    url = f"file://{tmp_path}/store"
+    task = stored_task(tmp_path, url, "a")
+    assert task.stored is not None
+    here = Scratch(task.stored)
+    _, stamp = finished(here.run_dir / "scene", "x", "1")
+    for odd in ({"files": 5}, {"files": {"sub/result.txt": 5}}, {"id": 5}):
+        (here.run_dir / "scene/stamp.json").write_text(json.dumps(stamp | odd))
+        here.push(task.stages)
+        assert not (tmp_path / "store/runs").exists()
+    assert run_task(task).code == DONE  # it was made anew
+    assert list(Store(url).stamps("a", task.stages)) == ["scene"]
 
 
 def test_half_a_push_is_none(tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -306,6 +306,8 @@ def test_a_stamp_of_an_earlier_version_is_told_from_this(folder: Path) -> None:
     [
         lambda stamp: {"identity": 5},
         lambda stamp: {"identity": {}},
+        lambda stamp: stamp | {"id": 5},
+        lambda stamp: {key: value for key, value in stamp.items() if key != "id"},
         lambda stamp: stamp | {"identity": dict.fromkeys(stamp["identity"], [])},
         lambda stamp: stamp | {"files": {"sub/result.txt": 5}},
         lambda stamp: stamp | {"files": 5},
