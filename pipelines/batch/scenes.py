@@ -1,5 +1,6 @@
 """The scenes of a batch, each looked at before anything starts: what is wrong with it, and what it still needs."""
 
+import contextlib
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -121,17 +122,18 @@ def stand(scene: BatchScene, options: Options, seen_in: Path) -> None:
     choice = Choice(last=options.until)
     scene.digests = Digests(seen_in)
     found = standings(STAGES, scene.config, scene.scene_dir, seen_in, choice, scene.digests)
-    scene.digests.save()
     scene.standing = [
         now for now in found if is_chosen(now.stage.name, STAGES, choice) and now.state != "not applicable"
     ]
-    if not scene.to_do:
-        return
-    try:
-        check_folder(scene.run_dir, "output:")
-        check_inputs(scene.config, scene.scene_dir, scene.to_do)
-    except InputError as error:
-        scene.problem = str(error)
+    if scene.to_do:
+        try:
+            check_folder(scene.run_dir, "output:")
+            check_inputs(scene.config, scene.scene_dir, scene.to_do)
+            with contextlib.suppress(OSError):  # its run will say so
+                seen_in.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
+        except InputError as error:
+            scene.problem = str(error)
+    scene.digests.save()
 
 
 def _read(path: Path, options: Options) -> BatchScene:

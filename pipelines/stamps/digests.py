@@ -177,14 +177,14 @@ def _read(path: Path) -> dict[str, list]:
 
 
 def raw_files(folder: Path) -> list[Path]:
-    """All files below a folder, in order, but those of run folders, known by their log, and of caches, by their tag."""
+    """All files below a folder, in order, but those of runs (known by log or digests) and of caches (by their tag)."""
     found = []
     for root, folders, files in os.walk(folder):
         here = Path(root)
         folders[:] = [
             name
             for name in folders
-            if not any((here / name / mark).is_file() for mark in (LOG_FILE, CACHE_TAG))
+            if not any((here / name / mark).is_file() for mark in (LOG_FILE, DIGESTS, CACHE_TAG))
         ]
         found += [file for name in files if (file := here / name).is_file()]
     return sorted(found)

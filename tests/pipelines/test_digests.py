@@ -71,9 +71,10 @@ def test_a_folder_counts_by_names_and_contents(tmp_path: Path) -> None:
         return Digests(tmp_path / "run").of(data)
 
     seen = {now()}
-    (data / "run").mkdir()
-    (data / "run" / "devrf.log").write_text("a run folder does not count")
-    assert now() in seen
+    for name in ("devrf.log", ".digests.json"):  # a run folder does not count, begun or only looked at
+        (data / f"run of {name}").mkdir()
+        (data / f"run of {name}" / name).write_text("{}")
+        assert now() in seen
     (data / "in" / "7").write_bytes(b"\x08")
     seen.add(now())
     (data / "in" / "8").rename(data / "in" / "eight")
