@@ -102,7 +102,7 @@ class Store:
         there = {entry["name"].rsplit("/", 1)[-1] for entry in self._list(f"runs/{scene}")}
         stages = [
             stage for stage in stages if f"{stage}.json" in there
-        ]  # to ask for what is missing costs more
+        ]  # what is missing costs more to ask for
         places = [self._path(f"runs/{scene}/{stage}.json") for stage in stages]
         found = {}
         with self._errors():
