@@ -100,9 +100,8 @@ class Store:
     def stamps(self, scene: str, stages: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Stamps of those of a scene's stages that are finished, asked for side by side."""
         there = {entry["name"].rsplit("/", 1)[-1] for entry in self._list(f"runs/{scene}")}
-        stages = [
-            stage for stage in stages if f"{stage}.json" in there
-        ]  # what is missing costs more to ask for
+        # What is missing costs more to ask for; of what is listed the size is known, which s3fs would ask for first.
+        stages = [stage for stage in stages if f"{stage}.json" in there]
         places = [self._path(f"runs/{scene}/{stage}.json") for stage in stages]
         found = {}
         with self._errors():
