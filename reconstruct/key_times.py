@@ -1,12 +1,16 @@
 """How many key times a scene's motion needs, by its optical flow; the decision comes with its reason."""
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from devrf.capture.scene import PosedFrame
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.sizing import Decision
 
 BENT_PX = 0.25  # pixels of the training size by which a point's way between two key times may bend
@@ -15,6 +19,13 @@ SPARSE = 3  # every so many pixels of the flow are looked at, along each axis
 MOVING_PX = 0.5  # what moves less per picture is not asked; over several, errors of flow add up as noise does
 FEWEST_MOVE = 0.002  # of the pixels, that have to move for them to be asked
 MOST_OFTEN = 95.0  # percentile: the few that move otherwise are mostly wrong flow
+
+
+def offered_keys(frames: Sequence[PosedFrame], options: MotionOptions) -> int:
+    """Key times to choose from for these pictures in motion: no more than times, and than any clip has pictures."""
+    times = {f.time for f in frames if f.time is not None}
+    clips = Counter(f.camera_name for f in frames)
+    return max(2, min(options.keys or options.most_keys, len(times), max(clips.values())))
 
 
 def fewer_keys(flows: dict[str, CameraFlow], most: int) -> tuple[int, Decision | None]:

@@ -13,7 +13,6 @@ fog; the first key is not trained twice (the program's slot 0 falls to it).
 """
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -33,7 +32,7 @@ from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.key_pictures import KeyPictures
-from devrf.reconstruct.key_times import fewer_keys
+from devrf.reconstruct.key_times import fewer_keys, offered_keys
 from devrf.reconstruct.losses import (
     VARIATION_CLAMP,
     cycle_loss,
@@ -173,8 +172,7 @@ class _Recipe:
         self.flow = PixelFlow(rays, flows, options.flow_confidence)
         self.changing = changing_pixels(rays, flows) if options.importance > 0 else None
         times = sorted({f.time for f in rays.frames if f.time is not None})
-        clips = Counter(f.camera_name for f in rays.frames)
-        keys = max(2, min(options.keys or options.most_keys, len(times), max(clips.values())))
+        keys = offered_keys(rays.frames, options)
         if options.adapt and options.keys is None:
             keys, decision = fewer_keys(flows, keys)
             self._note(decision)

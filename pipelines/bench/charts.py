@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from devrf.reconstruct.paired import Gain
+
 SIZE_INCHES, DPI = (7.0, 4.2), 130
 NAME_OFFSET = 3  # points, of a name from its mark
 NEAR_THE_EDGE = 0.75  # share of the axis
@@ -49,6 +51,30 @@ def lines(
     axes.set_xticks(sorted({x for points in series.values() for x in points}))
     axes.set_xlabel(x_label)
     return _saved(figure, axes, path)
+
+
+def gains(path: Path, found: Mapping[str, Mapping[str, Gain]], title: str) -> Path:
+    """By name and measure: a bar with its interval and every pair as a dot in a panel per measure."""
+    from matplotlib.figure import Figure
+
+    measures = list(dict.fromkeys(m for of in found.values() for m in of))
+    figure = Figure(figsize=(3.2 + 3.2 * len(measures), 1.2 + 0.24 * len(found)), layout="constrained")
+    row = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+    for axes, measure in zip(row, measures, strict=True):
+        for n, of in enumerate(found.values()):
+            if (gain := of.get(measure)) is not None:
+                error = None if gain.half is None else [gain.half]
+                axes.barh(n, gain.mean, xerr=error, color="#a9c6e8", ecolor="#2f6fb3", capsize=2, height=0.7)
+                axes.plot(gain.by_pair, [n] * len(gain.by_pair), ".", color="#1f3d66", markersize=4)
+        axes.axvline(0, color="black", linewidth=0.8)
+        axes.set_xlabel(measure, fontsize=9)
+        axes.grid(True, axis="x", alpha=0.3)
+    row[0].set_yticks(range(len(found)), list(found), fontsize=8)
+    row[0].invert_yaxis()
+    figure.suptitle(title, fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)
+    return path
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,10 @@ DataOption = Annotated[
     Path | None, typer.Option(help="Folder of real captures with references, a folder each")
 ]
 PARTS_HELP = "Some of the parts, by name, with commas between; default: all of "
+SmallSceneArgument = Annotated[
+    Path | None,
+    typer.Argument(help="scene.yaml with test cameras; default: a small simulated session, rendered first"),
+]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
 
 
@@ -193,12 +197,7 @@ def reference(
 
 @bench.command()
 def stability(
-    scene: Annotated[
-        Path | None,
-        typer.Argument(
-            help="scene.yaml with test cameras; default: a small simulated session, rendered first"
-        ),
-    ] = None,
+    scene: SmallSceneArgument = None,
     axes: Annotated[str | None, typer.Option(help="Some of the axes, by name; default: all")] = None,
     severities: Annotated[
         int | None, typer.Option(min=1, help="How many of each axis, the worst among them; default: all")
@@ -228,14 +227,45 @@ def stability(
         run_stability(run, folder, chosen, severities, range(seeds), json or folder / "stability.json")
 
     if scene is None:
-        from devrf.pipelines.bench.stability.session import SETTINGS, session
-
         out = out or Path("bench-stability")
-        with errors_told(talk):
-            _check_places(out, json)
-            scene = session(out, talk)
-        overrides = [*SETTINGS, *(overrides or [])]
+        scene, overrides = _small_session(out, json, overrides, quiet)
     _measure("stability", measure, scene, None, overrides, out, json, device, quiet)
+
+
+@bench.command()
+def parts(
+    scene: SmallSceneArgument = None,
+    preset: PresetOption = None,
+    parts: Annotated[
+        str | None, typer.Option(help="Some of the parts, by name; default: all that are in use")
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(min=2, max=100, help="Pairs of trainings per part; they give the interval")
+    ] = 3,
+    overrides: SetOption = None,
+    out: OutOption = None,
+    json: JsonOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+) -> None:
+    """What each part of the model earns: trainings with and without it, paired by seed, 95 % intervals.
+
+    A benchmark that was stopped goes on where it was, with the same --out.
+    """
+
+    def measure(run: Run, folder: Path) -> None:
+        from devrf.pipelines.bench.parts import run_parts
+        from devrf.pipelines.bench.trainings import Bench
+        from devrf.reconstruct.parts import PARTS
+
+        known = [part.name for part in PARTS]
+        chosen = known if parts is None else _names("--parts", parts, known)
+        run_parts(Bench.prepare(run, folder), chosen, range(seeds), json or folder / "parts.json")
+
+    if scene is None:
+        out = out or Path("bench-parts")
+        scene, overrides = _small_session(out, json, overrides, quiet)
+    _measure("parts", measure, scene, preset, overrides, out, json, device, quiet)
 
 
 @bench.command()
@@ -364,6 +394,18 @@ def _measure(
         folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
         _check_places(folder, json)
         measure(run, folder)
+
+
+def _small_session(
+    out: Path, json: Path | None, overrides: Sequence[str] | None, quiet: bool
+) -> tuple[Path, list[str]]:
+    """The small session in `out`, and its settings before those that were given."""
+    from devrf.pipelines.bench.stability.session import SETTINGS, session
+
+    talk = talk_of(quiet)
+    with errors_told(talk):
+        _check_places(out, json)
+        return session(out, talk), [*SETTINGS, *(overrides or [])]
 
 
 def _check_places(out: Path, json: Path | None) -> None:

@@ -51,12 +51,14 @@ class Bench:
         out: Where the benchmark writes: a run folder with models of every seed beside the stages.
         scene: Calibrated.
         flows: Backward flow by camera.
+        changed_by: Module that made `scene` of the one on disk; None: nothing did. Its version tells trainings apart.
     """
 
     run: Run
     out: Path
     scene: Scene
     flows: dict[str, CameraFlow]
+    changed_by: str | None = None
 
     @staticmethod
     def prepare(run: Run, out: Path) -> "Bench":
@@ -167,6 +169,7 @@ class Bench:
         stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
         code = [code_version(f.__module__) for f in (train_canonical, train_deformation, evaluate)]
+        code += [code_version(self.changed_by)] if self.changed_by is not None else []
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
 
 

@@ -14,11 +14,14 @@ import typer
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
+from devrf.pipelines.bench.parts import COSTS, EARNS, NOTHING, SAVES, UNTOLD, Judged
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.bench.speed import Case, Measured, pareto
 from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.ablation import VARIANTS, ablated
 from devrf.reconstruct.options import PRESETS
+from devrf.reconstruct.paired import Gain
+from devrf.reconstruct.parts import PARTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SMALL = {
@@ -116,6 +119,67 @@ def test_some_variants_only(devrf: Any, dataset: Path, ablation: tuple[Path, str
     assert names == {"base", "tv", "base to tv"}
     wrong = _bench(devrf, "ablation", dataset, "--only", "tvv", *SETTINGS, code=2)
     assert "tvv" in wrong and "c2f" in wrong
+
+
+def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+    chosen = (
+        "--preset",
+        "tiny",
+        "--parts",
+        "cycle,rest_entropy,deferred",
+        "--seeds",
+        "2",
+        "--out",
+        str(tmp_path),
+    )
+    said = _bench(devrf, "parts", dataset, *chosen, *SETTINGS)
+    content = json.loads((tmp_path / "parts.json").read_text())
+    assert set(content["parts"]) == {"cycle", "rest_entropy"} and content["not_in_use"] == ["deferred"]
+    assert "not in use here: deferred" in said and "rest_entropy" in said
+    rows = _rows(tmp_path / "parts.json")
+    for name, folder in (("cycle", "seed{}/cycle"), ("rest_entropy", "rest_entropy/seed{}/motion")):
+        whole, without = (
+            [
+                json.loads((tmp_path / of.format(seed) / "metrics.json").read_text())["test"]["psnr"]
+                for seed in (0, 1)
+            ]
+            for of in ("seed{}/whole", folder)
+        )
+        gain = content["parts"][name]["gains"]["psnr"]
+        assert gain["by_pair"] == pytest.approx(np.subtract(whole, without)) and any(gain["by_pair"])
+        assert rows[f"parts/{name}/psnr"]["value"] == pytest.approx(np.mean(gain["by_pair"]))
+        assert content["parts"][name]["gains"].keys() >= {"psnr_moving", "seconds", "model_mb"}
+    assert "no LPIPS" in rows["parts/whole/test/lpips_vgg"]["why"]
+    assert rows["parts/cycle/lpips_vgg"]["value"] is None
+    assert (tmp_path / "parts.png").stat().st_size > 10_000
+    files = sorted(tmp_path.rglob("seed*/*/metrics.json"))
+    before = {file: file.stat().st_mtime_ns for file in files}
+    assert len(files) == 2 * 5  # the whole: both stages; cycle: motion; rest_entropy: both
+    _bench(devrf, "parts", dataset, *chosen, *SETTINGS)
+    assert before == {file: file.stat().st_mtime_ns for file in files}
+    wrong = _bench(devrf, "parts", dataset, "--parts", "cycles", *SETTINGS, code=2)
+    assert "cycles" in wrong and "rest_entropy" in wrong
+
+
+def test_the_first_measure_that_can_tell_decides() -> None:
+    part = next(part for part in PARTS if part.name == "cycle")
+    rest = next(part for part in PARTS if part.name == "rest_entropy")
+    yes, no, open_, null = (Gain(mean, 0.5, (mean, mean)) for mean in (1.0, -1.0, 0.1, 0.0))
+
+    def verdict(moving: Gain, psnr: Gain, lpips: Gain | None = open_, seconds: Gain = open_, of=part) -> str:
+        gains = {"psnr_moving": moving, "psnr": psnr, "seconds": seconds, "model_mb": open_}
+        return Judged(of, gains | ({} if lpips is None else {"lpips_vgg": lpips})).verdict
+
+    assert (
+        verdict(yes, no) == f"{EARNS} (PSNR where it moves)"
+        and verdict(yes, no, of=rest) == f"{COSTS} (PSNR of test views)"
+    )
+    assert verdict(no, yes, no) == f"{COSTS} (PSNR where it moves)"
+    assert verdict(open_, yes, no) == f"{EARNS} (LPIPS (VGG))"  # low is good
+    assert verdict(open_, yes, yes) == f"{COSTS} (LPIPS (VGG))"
+    assert verdict(open_, yes, None) == verdict(open_, yes) == UNTOLD
+    assert verdict(open_, open_, seconds=no) == SAVES and verdict(open_, open_, seconds=yes) == UNTOLD
+    assert verdict(null, null, null, seconds=yes) == NOTHING
 
 
 def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Path) -> None:

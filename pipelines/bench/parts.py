@@ -1,0 +1,170 @@
+"""`bench parts`: what each part of the model earns, by trainings without it, paired by seed."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from devrf.pipelines.bench.charts import gains as gains_chart
+from devrf.pipelines.bench.rows import PIPE_WIDTH, Row, say_files, write_rows
+from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
+from devrf.pipelines.console import Talk
+from devrf.reconstruct import parts as parts_module
+from devrf.reconstruct.options import Options
+from devrf.reconstruct.paired import Gain, paired_gain
+from devrf.reconstruct.parts import PARTS, Part
+
+WHOLE = "whole"
+MEASURES = {"psnr_moving": "dB", "psnr": "dB", "lpips_vgg": "", "seconds": "s", "model_mb": "MB"}
+LOW_IS_GOOD = ("lpips_vgg", "seconds", "model_mb")
+WORDS = {"psnr_moving": "PSNR where it moves", "psnr": "PSNR of test views", "lpips_vgg": "LPIPS (VGG)"}
+EARNS, SAVES, COSTS, UNTOLD, NOTHING = (
+    "earns its place", "saves time", "costs", "cannot be told", "does nothing here"
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What came of a part: by measure what it adds, and the verdict with the measure that decided."""
+
+    part: Part
+    gains: dict[str, Gain]
+
+    @property
+    def verdict(self) -> str:
+        """The first measure that can tell decides: PSNR, then LPIPS, then whether it saves time."""
+        found = self.gains
+        scores = [name for name in self.order if name in found]
+        if all(found[name].nothing for name in scores):
+            return NOTHING
+        for name in scores:
+            better, worse = found[name].above, found[name].below
+            if name in LOW_IS_GOOD:
+                better, worse = worse, better
+            if better or worse:
+                return f"{EARNS if better else COSTS} ({WORDS[name]})"
+        return SAVES if found["seconds"].below else UNTOLD
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Parts of the scene at rest shape the whole picture, those of the motion what moves."""
+        return ("psnr", "lpips_vgg") if self.part.stage == "rest" else ("psnr_moving", "lpips_vgg")
+
+    def as_dict(self) -> dict[str, Any]:
+        """As written to the JSON of results."""
+        found = {name: asdict(gain) for name, gain in self.gains.items()}
+        return {"stage": self.part.stage, "what": self.part.what, "verdict": self.verdict, "gains": found}
+
+
+def run_parts(bench: Bench, names: Sequence[str], seeds: Sequence[int], json_path: Path) -> list[Row]:
+    """Train the whole, and without each part, for every seed; print, draw and write what came of it.
+
+    Args:
+        bench: The scene.
+        names: Of the parts.
+        seeds: One pair of trainings per part and seed.
+        json_path: Where the rows go; the chart is drawn beside it.
+    """
+    talk, options = bench.run.talk, bench.options()
+    chosen = [part for part in PARTS if part.name in names]
+    used = [part for part in chosen if part.in_use(bench.scene, options)]
+    whole = [_whole(bench, seed) for seed in seeds]
+    judged = []
+    for part in used:
+        without = [_without(bench, part, seed) for seed in seeds]
+        judged.append(Judged(part, gains_of(whole, without)))
+        talk.say(f"{part.name}: {judged[-1].verdict}")
+    rows = score_rows(f"parts/{WHOLE}", whole) + [row for one in judged for row in _rows(one)]
+    title = f"{bench.run.config.name}, {bench.run.config.preset}, {len(seeds)} seeds"
+    _print(talk, f"What parts add, {title}", judged)
+    unused = [part.name for part in chosen if part not in used]
+    if unused:
+        talk.say(f"not in use here: {', '.join(unused)}")
+    write_rows(
+        json_path,
+        rows,
+        benchmark="parts",
+        parts={one.part.name: one.as_dict() for one in judged},
+        not_in_use=unused,
+        **about(bench, seeds),
+    )
+    drawn = {
+        one.part.name: {words: one.gains[m] for m, words in WORDS.items() if m in one.gains} for one in judged
+    }
+    chart = gains_chart(json_path.with_suffix(".png"), drawn, title) if judged else None
+    say_files(talk, json_path, chart)
+    return rows
+
+
+def gains_of(whole: Sequence[dict[str, Any]], without: Sequence[dict[str, Any]]) -> dict[str, Gain]:
+    """What a part adds, by measure; those that could not be computed are left out."""
+    found = {}
+    for name in MEASURES:
+        with_it, without_it = ([_value(r, name) for r in of] for of in (whole, without))
+        if None not in with_it and None not in without_it:
+            found[name] = paired_gain(with_it, without_it)
+    return found
+
+
+def _value(result: dict[str, Any], measure: str) -> Any:
+    if measure in ("seconds", "model_mb"):
+        return result[measure]
+    block, metric = ("test_moving", "psnr") if measure == "psnr_moving" else ("test", measure)
+    return result[block][metric]
+
+
+def _whole(bench: Bench, seed: int) -> dict[str, Any]:
+    return _trained(bench, WHOLE, bench.options(seed=seed))
+
+
+def _without(bench: Bench, part: Part, seed: int) -> dict[str, Any]:
+    """Trained without the part; the scene at rest is shared where the part is one of the motion's."""
+    scene, options = part.without(bench.scene, bench.options(seed=seed))
+    if part.stage == "motion":
+        return _trained(_of(bench, scene), part.name, options)
+    return _trained(replace(_of(bench, scene), out=bench.out / part.name), "motion", options)
+
+
+def _of(bench: Bench, scene: Any) -> Bench:
+    changed_by = None if scene is bench.scene else parts_module.__name__
+    return replace(bench, scene=scene, changed_by=changed_by)
+
+
+def _trained(bench: Bench, name: str, options: Options) -> dict[str, Any]:
+    rest = bench.rest(options.canonical)
+    result = bench.motion(name, rest, options.motion)
+    return result | {"seconds": rest.metrics["seconds"] + result["train"]["seconds"]}
+
+
+def _rows(one: Judged) -> list[Row]:
+    found = one.gains
+    return [
+        Row(f"parts/{one.part.name}/{name}", found[name].mean, unit, spread(found[name].by_pair))
+        if name in found
+        else Row(f"parts/{one.part.name}/{name}", None, unit, why="not computed")
+        for name, unit in MEASURES.items()
+    ]
+
+
+def _print(talk: Talk, title: str, judged: Sequence[Judged]) -> None:
+    """A line per part: what it adds, with half its interval."""
+    if talk.loudness == "quiet":
+        return
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for heading in ("", "moving, dB", "PSNR, dB", "LPIPS", "s", "MB", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("", "verdict") else "right", overflow="fold")
+    for one in judged:
+        cells = [_cell(one.gains.get(name), 3 if name == "lpips_vgg" else 2) for name in MEASURES]
+        table.add_row(one.part.name, *cells, one.verdict)
+    width = None if talk.out.is_terminal else PIPE_WIDTH
+    Console(file=talk.out.file, width=width, highlight=False).print(table)
+
+
+def _cell(gain: Gain | None, digits: int) -> str:
+    if gain is None:
+        return ""
+    return f"{gain.mean:+.{digits}f}" + ("" if gain.half is None else f" ±{gain.half:.{digits}f}")
