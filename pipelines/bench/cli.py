@@ -264,7 +264,8 @@ def parts(
 
     if scene is None:
         out = out or Path("bench-parts")
-        scene, overrides = _small_session(out, json, overrides, quiet)
+        chosen_preset = [] if preset is None else [f"preset={preset}"]  # before it stands the session's own
+        scene, overrides = _small_session(out, json, [*chosen_preset, *(overrides or [])], quiet)
     _measure("parts", measure, scene, preset, overrides, out, json, device, quiet)
 
 
