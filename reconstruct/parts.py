@@ -108,7 +108,8 @@ PARTS: tuple[Part, ...] = (
          lambda scene, o: o.motion.flow > 0),
     Part("variation", "motion", "total variation of the motion (DeVRF Eq. 7)", _motion(variation=0.0)),
     Part("entropy", "motion", "rays in motion end in the box or pass", _motion(entropy=0.0)),
-    Part("per_point", "motion", "each sample in motion has its ray's colour", _motion(per_point=0.0)),
+    Part("per_point", "motion", "each sample in motion has its ray's colour", _motion(per_point=0.0),
+         lambda scene, o: not o.canonical.deferred),
     Part("importance", "motion", "rays drawn where pictures change", _motion(importance=0.0)),
     Part("coarsest_level", "motion", "first level, with its iterations", _levels(slice(1, None))),
     Part("middle_levels", "motion", "levels between first and last, with their iterations", _ends_only),
@@ -127,7 +128,8 @@ PARTS: tuple[Part, ...] = (
     Part("motion_thresholds", "motion", "thresholds of samples; without: the published ones",
          _motion(**_published(MotionOptions, "alpha_threshold", "weight_threshold"))),
     Part("rest_entropy", "rest", "rays end in the box or pass", _rest(entropy=0.0)),
-    Part("rest_per_point", "rest", "each sample has its ray's colour", _rest(per_point=0.0)),
+    Part("rest_per_point", "rest", "each sample has its ray's colour", _rest(per_point=0.0),
+         lambda scene, o: not o.canonical.deferred or _around(scene, o)),
     Part("rest_opacity", "rest", "rays pass where mattes say so", _rest(opacity=0.0), _plain),
     Part("rest_variation", "rest", "total variation of density and features", _rest(variation=0.0)),
     Part("growing", "rest", "voxels double while training; without: all from the start", _rest(scale_at=())),
@@ -152,4 +154,4 @@ PARTS: tuple[Part, ...] = (
     Part("rest_thresholds", "rest", "thresholds of samples; without: the published ones",
          _rest(**_published(CanonicalOptions, "alpha_threshold", "weight_threshold"))),
 )  # fmt: skip
-"""What training needs most comes first, so that a benchmark that is stopped has measured it."""
+"""In this order they are measured."""

@@ -92,8 +92,10 @@ def run_parts(bench: Bench, names: Sequence[str], seeds: Sequence[int], json_pat
         not_in_use=unused,
         **about(bench, seeds),
     )
+    labels = {name: f"{words}, {MEASURES[name] or 'low is good'}" for name, words in WORDS.items()}
     drawn = {
-        one.part.name: {words: one.gains[m] for m, words in WORDS.items() if m in one.gains} for one in judged
+        one.part.name: {labels[name]: one.gains[name] for name in labels if name in one.gains}
+        for one in judged
     }
     chart = gains_chart(json_path.with_suffix(".png"), drawn, title) if judged else None
     say_files(talk, json_path, chart)

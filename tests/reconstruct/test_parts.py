@@ -71,6 +71,11 @@ def test_what_means_nothing_for_a_scene_is_not_in_use(ball) -> None:
     assert not around & found[0] and {"silhouettes", "rest_opacity"} <= found[0]
     assert around & found[1] == around - {"sparse_points"} and around <= found[2]
     assert not {"silhouettes", "rest_opacity"} & found[2]
+    deferred = preset("fast")  # samples have no colours of their own, but those of the surroundings have
+    assert not {"per_point", "rest_per_point"} & {p.name for p in PARTS if p.in_use(plain, deferred)}
+    assert {"per_point", "rest_per_point"} & {p.name for p in PARTS if p.in_use(rooms[0], deferred)} == {
+        "rest_per_point"
+    }
 
 
 def test_levels_are_left_out_with_their_iterations(ball) -> None:
