@@ -32,9 +32,10 @@ def load_mitsuba() -> Any:
 class ShapeMaker:
     """Turns meshes into Mitsuba's shapes; a texture becomes a surface once."""
 
-    def __init__(self, mi: Any, ambient: float = 0.0) -> None:
-        """With `ambient` above 0 every surface glows as if a white one sent back this much even light."""
-        self._mi, self._ambient = mi, ambient
+    def __init__(self, mi: Any, ambient: float = 0.0, lit: bool = True) -> None:
+        """With `ambient` above 0 every surface glows as if a white one sent back this much even light; if it is not
+        `lit`, no other light."""
+        self._mi, self._ambient, self._lit = mi, ambient, lit
         self._surfaces: dict[int, tuple[np.ndarray, Any, Any]] = {}
 
     def __call__(
@@ -42,16 +43,18 @@ class ShapeMaker:
         mesh: Mesh,
         vertices: Float[np.ndarray, "v 3"] | None = None,
         faces: np.ndarray | None = None,
+        mirror: bool = False,
     ) -> Any:
-        """One shape; `vertices` and `faces` take the place of the mesh's own."""
+        """One shape; `vertices` and `faces` take the place of the mesh's own, a mirror that of its texture."""
         mi = self._mi
         vertices = mesh.vertices if vertices is None else vertices
         faces = mesh.faces if faces is None else faces
-        bsdf, glow = self._surface(mesh.texture)
+        bsdf, glow = (self._mirror(), None) if mirror else self._surface(mesh.texture)
         props = mi.Properties()
         props["bsdf"] = bsdf
-        if glow is not None:  # never sampled as a lamp
-            props["emitter"] = mi.load_dict({"type": "area", "radiance": glow, "sampling_weight": 0.0})
+        if glow is not None:  # never sampled beside a lamp
+            weight = 0.0 if self._lit else 1.0
+            props["emitter"] = mi.load_dict({"type": "area", "radiance": glow, "sampling_weight": weight})
         shape = mi.Mesh(
             "mesh",
             len(vertices),
@@ -67,6 +70,9 @@ class ShapeMaker:
         parameters.update()
         return shape
 
+    def _mirror(self) -> Any:
+        return self._mi.load_dict({"type": "conductor", "material": "none"})
+
     def _surface(self, texture: np.ndarray) -> tuple[Any, Any]:
         if id(texture) not in self._surfaces:
             mi = self._mi
@@ -76,7 +82,7 @@ class ShapeMaker:
                 picture = mi.Bitmap(np.ascontiguousarray(values, dtype=np.float32))
                 return mi.load_dict({"type": "bitmap", "bitmap": picture, "raw": True, "wrap_mode": "clamp"})
 
-            bsdf = mi.load_dict({"type": "diffuse", "reflectance": bitmap(linear)})
+            bsdf = mi.load_dict({"type": "diffuse", "reflectance": bitmap(linear * self._lit)})
             glow = bitmap(self._ambient * linear) if self._ambient else None
             self._surfaces[id(texture)] = (texture, bsdf, glow)
         return self._surfaces[id(texture)][1:]

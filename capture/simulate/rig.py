@@ -46,9 +46,10 @@ class FixedCamera:
 def fixed_cameras(
     rng: np.random.Generator, count: int, size: tuple[int, int], options: SessionOptions
 ) -> list[FixedCamera]:
-    """`count` cameras spread evenly around the object, and last the witness in their middle."""
+    """`count` cameras spread evenly around the object, and last the witness, which `fan_deg` does not turn."""
     half = options.spread_deg / 2 if count > 1 else 0.0
-    azimuths = [*np.linspace(-half, half, count), 0.0 if count % 2 == 0 else half / max(count - 1, 1)]
+    fan = options.fan_deg + np.linspace(-half, half, count)
+    azimuths = [*fan, 0.0 if count % 2 == 0 else half / max(count - 1, 1)]
     cameras = []
     for i, azimuth in enumerate(azimuths):
         name = "witness" if i == count else f"cam{i}"

@@ -1,4 +1,4 @@
-"""Shapes and textures of a simulated session: a room, a platform, props, and an object that deforms.
+"""Shapes and textures of a simulated session: a room, a platform and props.
 
 World: metres, z up, the origin on the floor in the middle of a 4 x 4 m room without a ceiling. The object
 stands around (0, 0, 1). Every texture is attached to its mesh by texture coordinates, so it moves with the
@@ -15,9 +15,7 @@ from jaxtyping import Float, Int, UInt8
 ROOM_HALF_M = 2.0
 ROOM_HEIGHT_M = 3.2  # of the walls, so that no camera looks over them
 CENTRE = np.array([0.0, 0.0, 1.0])  # what every camera looks at
-SHEET_WIDTH_M, SHEET_HEIGHT_M, SHEET_TOP_M = 0.9, 0.85, 1.45
-COLUMN_RADIUS_M, COLUMN_HEIGHT_M, COLUMN_FOOT_M = 0.2, 0.95, 0.45
-START_S = 0.4  # the motion grows to its full amplitude within this time
+PLATFORM_M = 0.35  # height of what the object stands on
 
 
 @dataclass(frozen=True)
@@ -72,111 +70,38 @@ class MovingObject:
     stand: tuple[Mesh, ...]
 
 
-def room(rng: np.random.Generator, contrast: float) -> list[Mesh]:
-    """Four walls, a floor, a platform under the object and boxes in the corners."""
+@dataclass(frozen=True)
+class Room:
+    """Where the object stands.
+
+    Attributes:
+        still: Four walls, a floor, a platform under the object, and boxes in the corners behind the fixed cameras.
+        behind: The boxes in the other two corners, which the fixed cameras see behind the object.
+    """
+
+    still: list[Mesh]
+    behind: list[Mesh]
+
+
+def room(rng: np.random.Generator, contrast: float) -> Room:
+    """The same room for the same random numbers."""
     h, top = ROOM_HALF_M, ROOM_HEIGHT_M
     corners = np.array([[h, -h], [h, h], [-h, h], [-h, -h]])
-    meshes = []
+    meshes, behind = [], []
     for i in range(4):  # each wall is seen from inside, its picture's rows going down
         a, b = corners[(i + 1) % 4], corners[i]
         quad = np.array([[*a, top], [*b, top], [*b, 0], [*a, 0]])
         meshes.append(_quad(quad, texture(rng, 533, 667, 0.006, contrast, paint=WALLS[i])))
     floor = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
     meshes.append(_quad(floor, texture(rng, 667, 667, 0.006, contrast, paint=FLOOR)))
-    meshes += box(rng, np.array([0.0, 0.0, 0.175]), np.array([1.15, 1.15, 0.35]), 8.0, contrast, WOOD)
+    meshes += box(
+        rng, np.array([0.0, 0.0, PLATFORM_M / 2]), np.array([1.15, 1.15, PLATFORM_M]), 8.0, contrast, WOOD
+    )
     for i, (x, y) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
         size = rng.uniform([0.3, 0.3, 0.4 + 0.2 * i], [0.45, 0.45, 0.6 + 0.3 * i])
         centre = np.array([1.68 * x, 1.68 * y, size[2] / 2])
-        meshes += box(rng, centre, size, rng.uniform(0, 90), contrast, BOXES[i])
-    return meshes
-
-
-def make_object(name: str, rng: np.random.Generator, contrast: float, motion_scale: float) -> MovingObject:
-    """The deforming object of a scene: a name out of `OBJECTS`."""
-    return OBJECTS[name](rng, contrast, motion_scale)
-
-
-def _sheet(rng: np.random.Generator, contrast: float, motion_scale: float) -> MovingObject:
-    """A cloth sheet that hangs from a bar and waves; every thread from top to bottom keeps its length."""
-    rows, columns = 64, 68
-    s = np.linspace(0, 1, rows)[:, None]  # along a thread, 0 at the bar
-    y0 = np.linspace(-0.5, 0.5, columns)[None, :] * SHEET_WIDTH_M
-    phases = rng.uniform(-0.4, 0.4, 4)
-
-    def vertices_at(time_s: float) -> np.ndarray:
-        amount = motion_scale * _smoothstep(time_s / START_S)
-        w = 2 * np.pi * 0.42 * max(time_s, 0.0)
-        folds = 0.10 * np.sin(2 * np.pi * y0 / 0.62 + 0.5) * np.ones_like(s)
-        swing = 0.20 * np.sin(w) + 0.16 * np.sin(w - 2.2 * s + 2.0 * y0 + phases[0])
-        wave = 0.26 * s * np.sin(1.6 * w - 5.0 * s + 3.0 * y0 / SHEET_WIDTH_M + phases[1])
-        angle = folds + amount * (swing + wave)
-        sway = amount * 0.17 * np.sin(0.8 * w + phases[2] * s) * s
-        ds = SHEET_HEIGHT_M / (rows - 1)
-        steps = np.stack(
-            [np.sin(angle) * np.cos(sway), np.sin(sway) * np.ones_like(angle), -np.cos(angle) * np.cos(sway)],
-            -1,
-        )
-        steps = np.concatenate([np.zeros_like(steps[:1]), (steps[1:] + steps[:-1]) / 2])
-        top = np.stack([np.zeros_like(y0), y0, np.full_like(y0, SHEET_TOP_M)], -1)
-        return (top + ds * np.cumsum(steps, axis=0)).reshape(-1, 3)
-
-    faces, uv = _grid(rows, columns)
-    cloth = texture(rng, 425, 450, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
-    rest = Mesh(vertices_at(0.0), faces[:, ::-1].copy(), uv, cloth, smooth=True, thickness_m=0.002)
-    stand = []
-    for side in (-1, 1):
-        post = np.array([0.0, side * (SHEET_WIDTH_M / 2 + 0.04), (SHEET_TOP_M + 0.35) / 2 + 0.01])
-        stand += box(rng, post, np.array([0.03, 0.03, SHEET_TOP_M - 0.33]), 0.0, contrast, WOOD)
-    bar = np.array([0.0, 0.0, SHEET_TOP_M + 0.018])
-    stand += box(rng, bar, np.array([0.035, SHEET_WIDTH_M + 0.14, 0.035]), 0.0, contrast, WOOD)
-    return MovingObject(rest, vertices_at, tuple(stand))
-
-
-def _column(rng: np.random.Generator, contrast: float, motion_scale: float) -> MovingObject:
-    """A soft column on a plinth that bends, twists and is squashed; its foot does not move."""
-    rows, around = 56, 72
-    rise = np.linspace(0, np.pi / 2, 17)[1:]  # angle along the rounded top
-    s = np.concatenate([np.linspace(0, 0.85, rows - 16), 0.85 + 0.15 * np.sin(rise)])[:, None]
-    turn = np.linspace(np.pi, 3 * np.pi, around)[None, :]  # the seam, there twice, is behind
-    phases = rng.uniform(-0.4, 0.4, 4)
-    bulges = 1 + 0.10 * np.sin(2 * np.pi * 1.3 * s + 0.6) + 0.07 * np.cos(3 * turn + 2 * s)
-    cap = np.concatenate([np.ones(rows - 16), np.cos(rise)])[:, None]
-    radius = COLUMN_RADIUS_M * bulges * np.maximum(cap, 0.005)  # a last ring of 1 mm keeps its normals
-
-    def vertices_at(time_s: float) -> np.ndarray:
-        amount = motion_scale * _smoothstep(time_s / START_S)
-        w = 2 * np.pi * 0.42 * max(time_s, 0.0)
-        squash = 1 - amount * 0.12 * (1 - np.cos(1.3 * w)) / 2
-        bend_x = amount * s * (0.50 * np.sin(w) + 0.16 * np.sin(1.7 * w - 2 * s + phases[0]))
-        bend_y = amount * s * (0.45 * np.sin(0.8 * w + phases[1] * s) + 0.12 * np.sin(1.9 * w - 3 * s))
-        twist = amount * 0.7 * s * np.sin(1.1 * w)
-        ds = squash * COLUMN_HEIGHT_M * np.diff(s, axis=0)
-        axis = np.concatenate(
-            [np.sin(bend_x), np.sin(bend_y) * np.cos(bend_x), np.cos(bend_y) * np.cos(bend_x)], -1
-        )
-        spine = np.cumsum(np.concatenate([np.zeros((1, 3)), ds * (axis[1:] + axis[:-1]) / 2]), axis=0)
-        side = np.concatenate([np.cos(bend_x), np.zeros_like(s), -np.sin(bend_x)], -1)
-        side -= axis * (side * axis).sum(-1, keepdims=True)
-        side /= np.linalg.norm(side, axis=-1, keepdims=True)
-        other = np.cross(axis, side)
-        r = radius / np.sqrt(squash)  # what it loses in height it gains in width
-        ring = (
-            np.cos(turn + twist)[..., None] * side[:, None] + np.sin(turn + twist)[..., None] * other[:, None]
-        )
-        foot = np.array([0.0, 0.0, COLUMN_FOOT_M])
-        return (foot + spine[:, None] + r[..., None] * ring).reshape(-1, 3)
-
-    faces, uv = _grid(rows, around)
-    skin = texture(rng, 475, 628, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
-    rest = Mesh(vertices_at(0.0), faces, uv, skin, smooth=True)
-    plinth = box(rng, np.array([0.0, 0.0, 0.4]), np.array([0.5, 0.5, 0.1]), 20.0, contrast, WOOD)
-    return MovingObject(rest, vertices_at, tuple(plinth))
-
-
-OBJECTS: dict[str, Callable[[np.random.Generator, float, float], MovingObject]] = {
-    "sheet": _sheet,
-    "column": _column,
-}
+        (meshes if x > 0 else behind).extend(box(rng, centre, size, rng.uniform(0, 90), contrast, BOXES[i]))
+    return Room(meshes, behind)
 
 
 def texture(
@@ -264,18 +189,3 @@ def picture_on_quad(corners: Float[np.ndarray, "4 3"], picture: UInt8[np.ndarray
 def _quad(corners: np.ndarray, picture: np.ndarray) -> Mesh:
     uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     return Mesh(corners.astype(np.float64), np.array([[0, 2, 1], [0, 3, 2]]), uv, picture)
-
-
-def _grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Faces and texture coordinates of a grid of vertices, row by row."""
-    n = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (q.ravel() for q in (n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]))
-    v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]), np.stack([u, v], -1).reshape(
-        -1, 2
-    )
-
-
-def _smoothstep(x: float) -> float:
-    x = float(np.clip(x, 0, 1))
-    return x * x * (3 - 2 * x)

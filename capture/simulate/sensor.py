@@ -1,12 +1,9 @@
-"""The simulated camera: light, lens, sensor and video file.
+"""The simulated sensor and its files: noise, pictures of a board alone, clips.
 
-A picture is rendered by Mitsuba (`scalar_rgb`) through an ideal pinhole camera at twice the resolution, then
-every sensor pixel gathers `SUBPIXELS`² samples of it along exactly distorted rays. Light is the sum of an
-even ambient light and a large lamp above the room with soft shadows; all surfaces are diffuse, so colours do
-not depend on the direction of view. The sensor adds noise that grows with the signal, and stores sRGB.
+The sensor adds noise that grows with the signal, and stores sRGB; `renderer.py` says what light reaches it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,121 +13,16 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate.mitsuba import (
-    ShapeMaker,
-    linear_to_srgb,
-    load_mitsuba,
-    perspective,
-    srgb_to_linear,
-)
-from devrf.capture.simulate.scenes import Mesh
+from devrf.capture.simulate.mitsuba import linear_to_srgb, srgb_to_linear
+from devrf.capture.simulate.renderer import ideal_coordinates
 
-FINE = 2  # rendered pixels per sensor pixel, each way
-SUBPIXELS = 2  # lens samples per sensor pixel, each way
 BOARD_SUBPIXELS = 4  # the same for pictures of the board alone, whose edges are sharper
-AMBIENT = 0.7  # radiance of a white surface without the lamp
-LAMP_RADIANCE, LAMP_HALF_M = 3.6, 0.7
-LAMP_POSITION = np.array([0.5, 0.3, 3.6])
 MID_GREY = 0.18  # linear
 SHOT_SHARE = 0.7  # of the noise's variance at mid grey grows with the signal
 BOARD_PIXELS_PER_SQUARE = 112  # three quarters, a marker, are 84 = 7 cells of 12
 BOARD_MARGIN_SQUARES = 0.4  # white rim around the squares
 VIDEO_TIME_BASE = Fraction(1, 90_000)
 SOUND_BLOCK = 1024  # samples in an AAC frame
-
-
-class Renderer:
-    """Renders a room that does not change and meshes that do."""
-
-    def __init__(self, still: list[Mesh], spp: int) -> None:
-        self._mi = load_mitsuba()
-        self._spp = max(1, round(spp / FINE**2))
-        self._shape = ShapeMaker(self._mi, AMBIENT)
-        self._still = self._shapes(still)
-        self._lenses: dict[tuple[object, ...], _Lens] = {}
-
-    def __call__(self, camera: Camera, moving: list[Mesh], seed: int) -> Float[np.ndarray, "h w 3"]:
-        """Linear radiance [H, W, 3] of the scene; a white surface in even light is about 0.9."""
-        mi = self._mi
-        lens = self._lens(camera)
-        K = np.array([[lens.focal, 0, lens.width / 2], [0, lens.focal, lens.height / 2], [0, 0, 1.0]])
-        fine_camera = Camera(lens.width, lens.height, K, camera.cam_from_world)
-        lamp = mi.ScalarTransform4f().look_at(LAMP_POSITION.tolist(), [*LAMP_POSITION[:2], 0.0], [0, 1, 0])
-        shapes = [*self._still, *self._shapes(moving)]
-        scene = mi.load_dict(
-            {
-                "type": "scene",
-                "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
-                "lamp": {
-                    "type": "rectangle",
-                    "to_world": lamp.scale([LAMP_HALF_M, LAMP_HALF_M, 1]),
-                    "emitter": {"type": "area", "radiance": {"type": "rgb", "value": LAMP_RADIANCE}},
-                },
-                "sensor": perspective(
-                    mi, fine_camera, {"type": "independent", "sample_count": self._spp}, "rgb"
-                ),
-                **{f"shape{i}": shape for i, shape in enumerate(shapes)},
-            }
-        )
-        fine = np.array(mi.render(scene, seed=seed), dtype=np.float32)
-        return _gather(fine, lens.maps, SUBPIXELS)
-
-    def _shapes(self, meshes: list[Mesh]) -> list[Any]:
-        shapes = []
-        for mesh in meshes:
-            shapes.append(self._shape(mesh))
-            if mesh.thickness_m:
-                behind = mesh.vertices - mesh.thickness_m * _vertex_normals(mesh.vertices, mesh.faces)
-                shapes.append(self._shape(mesh, behind, mesh.faces[:, ::-1]))
-        return shapes
-
-    def _lens(self, camera: Camera) -> "_Lens":
-        if camera.lens not in self._lenses:
-            self._lenses[camera.lens] = _make_lens(camera)
-        return self._lenses[camera.lens]
-
-
-@dataclass(frozen=True)
-class _Lens:
-    """An ideal fine picture that covers the view, and where each subpixel looks it up."""
-
-    width: int
-    height: int
-    focal: float
-    maps: np.ndarray  # [SUBPIXELS H, SUBPIXELS W, 2], OpenCV's pixel convention, float32
-
-
-def _make_lens(camera: Camera) -> _Lens:
-    ideal = _ideal_coordinates(camera, SUBPIXELS)
-    focal = FINE * float(camera.K[0, 0])
-    half = np.ceil(np.abs(ideal).reshape(-1, 2).max(axis=0) * focal) + 2
-    maps = ideal * focal + half - 0.5  # OpenCV's remap has pixel centres at whole numbers
-    return _Lens(2 * int(half[0]), 2 * int(half[1]), focal, maps.astype(np.float32))
-
-
-def _ideal_coordinates(camera: Camera, subpixels: int) -> np.ndarray:
-    """Ideal normalised coordinates [n H, n W, 2] of a regular grid of samples within every pixel."""
-    x = (np.arange(camera.width * subpixels) + 0.5) / subpixels
-    y = (np.arange(camera.height * subpixels) + 0.5) / subpixels
-    pixels = np.stack(np.meshgrid(x, y), axis=-1)
-    identity = replace(camera, cam_from_world=np.eye(3, 4))
-    rays = identity.directions(pixels)
-    return rays[..., :2] / rays[..., 2:]
-
-
-def _gather(fine: np.ndarray, maps: np.ndarray, subpixels: int) -> np.ndarray:
-    samples = cv2.remap(fine, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    h, w = samples.shape[0] // subpixels, samples.shape[1] // subpixels
-    return samples.reshape(h, subpixels, w, subpixels, -1).mean(axis=(1, 3), dtype=np.float32)
-
-
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    of_faces = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for i in range(3):
-        np.add.at(normals, faces[:, i], of_faces)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def expose(
@@ -188,7 +80,7 @@ class BoardCamera:
         squares: tuple[int, int],
         square_m: float,
     ) -> None:
-        ideal = _ideal_coordinates(camera, BOARD_SUBPIXELS)
+        ideal = ideal_coordinates(camera, BOARD_SUBPIXELS)
         self._rays = np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1)
         self._backdrop = np.repeat(np.repeat(backdrop, BOARD_SUBPIXELS, axis=0), BOARD_SUBPIXELS, axis=1)
         self._picture = srgb_to_linear(board_picture(squares))

@@ -17,8 +17,9 @@ session, up to what the video encoder makes of the same pictures.
 """
 
 import json
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,36 +28,32 @@ from devrf.capture.errors import InputError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.simulate import sound as sound
 from devrf.capture.simulate.mitsuba import load_mitsuba
-from devrf.capture.simulate.rig import CLAPPER, FixedCamera, board_pose, fixed_cameras, sweep_cameras
-from devrf.capture.simulate.scenes import (
-    WOOD,
-    Mesh,
-    MovingObject,
-    make_object,
-    picture_on_quad,
-    room,
-    texture,
-)
+from devrf.capture.simulate.objects import OBJECTS, make_object
+from devrf.capture.simulate.renderer import Finish, Renderer
+from devrf.capture.simulate.rig import FixedCamera, board_pose, fixed_cameras, sweep_cameras
+from devrf.capture.simulate.scenes import WOOD, Mesh, MovingObject, picture_on_quad, room, texture
 from devrf.capture.simulate.sensor import (
     BoardCamera,
     ClipWriter,
-    Renderer,
     board_corners,
     board_picture,
     board_poses,
     expose,
 )
+from devrf.capture.simulate.session_files import (
+    background_at,
+    clapper_distance_m,
+    ground_truth,
+    lamp_shift_m,
+    object_at,
+    scene_yaml,
+)
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.capture.writable import check_folder
 
-SCENES = {
-    "sheet": "a cloth sheet that hangs from a bar and waves",
-    "column": "a soft column that bends, twists and is squashed",
-}
+SCENES = {name: kind.about for name, kind in OBJECTS.items()}
 BOARD_FPS = 2.0
 BOARD_THICKNESS_M = 0.012
-TRACKED_POINTS = 60  # surface points whose way is written to the truth
-TRACK_FPS = 16.0
 CLAP_MARGIN_S = 0.03  # between a clap and the ends of what all cameras record
 
 
@@ -68,6 +65,7 @@ def simulate_session(
     seed: int = 0,
     size: tuple[int, int] = (480, 360),
     options: SessionOptions | None = None,
+    kept: Sequence[Path] = (),
     progress: Progress = no_progress,
 ) -> Path:
     """Render a raw session with known truth.
@@ -79,6 +77,7 @@ def simulate_session(
         seed: Different seeds give other textures, places, offsets, drifts, gains and claps.
         size: Width and height of the pictures, even numbers of pixels.
         options: Everything else.
+        kept: Clips of another session that these arguments would not change; they are copied, not rendered.
         progress: Told after every picture.
     Returns:
         The scene.yaml.
@@ -89,18 +88,17 @@ def simulate_session(
     _check(out, scene, cameras, size, options)
     load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
-    contrast = options.texture_contrast
-    still = room(seeds[0], contrast)
-    thing = make_object(scene, seeds[1], contrast, options.motion_scale)
-    still += thing.stand
+    around = room(seeds[0], options.texture_contrast)
+    thing = make_object(scene, seeds[1], options)
+    still = [*around.still, *thing.stand]
     if options.board:
         still += _standing_board(seeds[2], options)
     fixed = fixed_cameras(seeds[3], cameras, size, options)
     sweep = sweep_cameras(seeds[4], size, options)
-    renderer = Renderer(still, options.spp)
+    renderer = Renderer(still, options.spp, Finish(options.gloss, options.clear))
 
     out.mkdir(parents=True, exist_ok=True)
-    work = _Work(out, renderer, thing, options, size, seeds[5], progress)
+    work = _Work(out, renderer, thing, around.behind, options, size, seeds[5], kept, progress)
     work.total = len(sweep) + sum(len(camera.file_times_s) for camera in fixed)
     work.total += (len(fixed) + 1) * options.board_frames * options.board
     work.sweep(sweep)
@@ -114,10 +112,10 @@ def simulate_session(
             *((c.name, c.camera) for c in fixed),
         ]:
             work.board_clip(name, camera)
-    truth = _ground_truth(size, sweep, fixed, claps, thing, options, scene, seed)
+    truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed)
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
     path = out / "scene.yaml"
-    path.write_text(_scene_yaml(scene, fixed, options), encoding="utf-8")
+    path.write_text(scene_yaml(scene, fixed, options), encoding="utf-8")
     return path
 
 
@@ -137,6 +135,10 @@ def _check(out: Path, scene: str, cameras: int, size: tuple[int, int], options: 
             f"simulate: duration_s {options.duration_s} is not more than twice offset_range_s "
             f"{options.offset_range_s}; the clips would not overlap, raise duration_s"
         )
+    if options.strip_m and scene != "sheet":
+        raise InputError(
+            f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips, expected --scene sheet"
+        )
     check_folder(out, "simulate")
     if out.exists() and any(out.iterdir()):
         raise InputError(f"simulate {out}: not an empty folder; give a new one or empty it")
@@ -150,26 +152,36 @@ class _Work:
         out: Path,
         renderer: Renderer,
         thing: MovingObject,
+        behind: list[Mesh],
         options: SessionOptions,
         size: tuple[int, int],
         rng: np.random.Generator,
+        kept: Sequence[Path],
         progress: Progress,
     ) -> None:
-        self.out, self.renderer, self.thing, self.options = out, renderer, thing, options
+        self.out, self.renderer, self.thing, self.behind, self.options = out, renderer, thing, behind, options
         self.size, self.rng, self.progress = size, rng, progress
+        self.kept = {path.name: path for path in kept}
         self.total, self.done = 1, 0
 
     def sweep(self, path: list[Camera]) -> None:
-        clip = ClipWriter(self.out / "static.mp4", self.size, self.options.sweep_fps, self.options.crf)
+        options, name = self.options, "static.mp4"
+        if self._copied(name, len(path)):
+            return
+        clip = ClipWriter(self.out / name, self.size, options.sweep_fps, options.crf)
         for i, camera in enumerate(path):
-            radiance = self.renderer(camera, [self.thing.rest], self._seed())
-            clip.picture(expose(radiance, 1.0, self.options.noise, self.rng), i / self.options.sweep_fps)
-            self._tick("static.mp4")
+            file_time_s = i / options.sweep_fps
+            thing = object_at(self.thing, options.rest_s + file_time_s, options, options.sweep_motion)
+            radiance = self.renderer(camera, [thing], self._seed(), beside=self.behind)
+            clip.picture(expose(radiance, 1.0, options.noise, self.rng), file_time_s)
+            self._tick(name)
         clip.close()
 
     def clip(self, camera: FixedCamera, claps_s: np.ndarray, burst: np.ndarray) -> None:
         rate = sound.SAMPLE_RATE_HZ if self.options.sound else None
         name = f"{camera.name}.mp4"
+        if self._copied(name, len(camera.file_times_s)):
+            return
         clip = ClipWriter(self.out / name, self.size, self.options.fps, self.options.crf, rate)
         if self.options.sound:
             microphone = sound.Microphone(
@@ -193,7 +205,11 @@ class _Work:
         for file_time_s in camera.file_times_s:
             moment = camera.true_time(float(file_time_s))
             radiance = self.renderer(
-                camera.camera, [object_at(self.thing, moment, self.options)], self._seed()
+                camera.camera,
+                [object_at(self.thing, moment, self.options)],
+                self._seed(),
+                beside=background_at(self.behind, moment, self.options),
+                lamp_shift_m=lamp_shift_m(moment, self.options),
             )
             clip.picture(expose(radiance, camera.gain, self.options.noise, self.rng), float(file_time_s))
             self._tick(name)
@@ -201,7 +217,7 @@ class _Work:
 
     def board_clip(self, name: str, camera: Camera) -> None:
         options = self.options
-        backdrop = self.renderer(camera, [self.thing.rest], self._seed())
+        backdrop = self.renderer(camera, [self.thing.rest], self._seed(), beside=self.behind)
         show = BoardCamera(camera, backdrop, options.board_squares, options.board_square_m)
         poses = board_poses(
             self.rng, camera, options.board_squares, options.board_square_m, options.board_frames
@@ -212,24 +228,20 @@ class _Work:
             self._tick(f"charuco_{name}.mp4")
         clip.close()
 
+    def _copied(self, name: str, pictures: int) -> bool:
+        """Whether the clip was there already; then it is now here too."""
+        if name not in self.kept:
+            return False
+        shutil.copyfile(self.kept[name], self.out / name)
+        self.done += pictures
+        return True
+
     def _seed(self) -> int:
         return int(self.rng.integers(2**31))
 
     def _tick(self, name: str) -> None:
         self.done += 1
         self.progress(self.done / self.total, f"{name}: picture {self.done} of {self.total}")
-
-
-def object_at(thing: MovingObject, time_s: float, options: SessionOptions) -> Mesh:
-    """The object at a time on cam0's clock."""
-    since = options.motion_speed * (time_s - options.rest_s)
-    rest = thing.rest
-    return Mesh(thing.vertices_at(since), rest.faces, rest.uv, rest.texture, rest.smooth, rest.thickness_m)
-
-
-def clapper_distance_m(camera: FixedCamera) -> float:
-    """From the clapping hands to the camera's microphone."""
-    return float(np.linalg.norm(camera.camera.centre - CLAPPER))
 
 
 def _standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:
@@ -257,102 +269,3 @@ def _clap_times(rng: np.random.Generator, fixed: list[FixedCamera], options: Ses
     from_s = max(camera.offset_s for camera in fixed) + CLAP_MARGIN_S
     to_s = min(camera.true_time(float(camera.file_times_s[-1])) for camera in fixed) - 2 * CLAP_MARGIN_S
     return sound.clap_times(rng, options.claps, from_s, to_s)
-
-
-def _ground_truth(
-    size: tuple[int, int],
-    sweep: list[Camera],
-    fixed: list[FixedCamera],
-    claps_s: np.ndarray,
-    thing: MovingObject,
-    options: SessionOptions,
-    scene: str,
-    seed: int,
-) -> dict[str, Any]:
-    chosen = np.linspace(0, len(thing.rest.vertices) - 1, TRACKED_POINTS).round().astype(int)
-    last_s = max(camera.true_time(float(camera.file_times_s[-1])) for camera in fixed)
-    times_s = np.arange(0.0, last_s, 1 / TRACK_FPS)
-    tracks = [object_at(thing, float(t), options).vertices[chosen] for t in times_s]
-    truth: dict[str, Any] = {
-        "width": size[0],
-        "height": size[1],
-        "fps": options.fps,
-        **_lens_truth(fixed[0].camera),
-        "static": [camera.world_from_cam.tolist() for camera in sweep],
-        "cams": {
-            c.name: {
-                "pose": c.camera.world_from_cam.tolist(),
-                "offset_s": c.offset_s,
-                "drift_ppm": c.drift_ppm,
-                **_lens_truth(c.camera),
-                "gain": c.gain,
-                "clapper_distance_m": round(clapper_distance_m(c), 6),
-                "file_times_s": c.file_times_s.round(7).tolist(),
-            }
-            for c in fixed
-        },
-        "board": None,
-        "sweep": {"fps": options.sweep_fps, **_lens_truth(sweep[0])},
-        "claps": {"position_m": CLAPPER.tolist(), "times_s": claps_s.round(7).tolist()},
-        "object": {
-            "rest_until_s": options.rest_s,
-            "times_s": times_s.tolist(),
-            "points_m": np.round(tracks, 5).tolist(),
-        },
-        "made_by": {"scene": scene, "seed": seed, "options": options.model_dump(mode="json")},
-    }
-    if options.board:
-        truth["board"] = {
-            "world_from_board": board_pose(options).tolist(),
-            "squares": list(options.board_squares),
-            "square_m": options.board_square_m,
-            "marker_m": _marker_m(options),
-            "dictionary": "DICT_5X5_100",
-        }
-    return truth
-
-
-def _lens_truth(camera: Camera) -> dict[str, Any]:
-    K = camera.K.copy()
-    K[:2, 2] -= 0.5
-    return {"K": K.tolist(), "k1": float(camera.distortion[0])}
-
-
-def _marker_m(options: SessionOptions) -> float:
-    return round(0.75 * options.board_square_m, 6)
-
-
-def _rest(fixed: list[FixedCamera], options: SessionOptions) -> str:
-    """Whether the first moment that all cameras record is still at rest."""
-    from_s = max(camera.offset_s for camera in fixed)
-    return "start" if from_s <= options.rest_s or options.motion_scale == 0 else "none"
-
-
-def _scene_yaml(scene: str, fixed: list[FixedCamera], options: SessionOptions) -> str:
-    names = [c.name for c in fixed]
-    clips = ", ".join(f"{n}: {n}.mp4" for n in names[:-1])
-    lines = [
-        "# A simulated session; ground_truth.json beside this file holds what is true.",
-        f"name: {scene}",
-        f"output: runs/{scene}",
-        "preset: tiny                       # sized for two cores without a GPU",
-        "capture:",
-        "  static: static.mp4               # the sweep of the scene at rest",
-        f"  cameras: {{{clips}}}",
-        f"  test_cameras: {{{names[-1]}: {names[-1]}.mp4}}    # never trained on",
-        f"  rest: {_rest(fixed, options):<29}# when the moving clips show the scene as in the sweep",
-    ]
-    if options.board:
-        columns, rows = options.board_squares
-        boards = ", ".join(f"{n}: charuco_{n}.mp4" for n in ["static", *names])
-        lines += [
-            "  board:",
-            "    type: charuco",
-            f"    squares: [{columns}, {rows}]",
-            f"    square_m: {options.board_square_m}",
-            f"    marker_m: {_marker_m(options)}",
-            "    dictionary: DICT_5X5_100",
-            f"    clips: {{{boards}}}",
-        ]
-    lines.append("evaluate: {truth: ground_truth.json}")
-    return "\n".join(lines) + "\n"

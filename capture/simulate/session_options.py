@@ -16,6 +16,8 @@ class SessionOptions(BaseModel):
     """Distance of the sweep's path from the middle of the room."""
     fps: float = Field(default=16.0, gt=0, le=240)
     """Frame rate of the fixed cameras, hertz."""
+    sweep_motion: float = Field(default=0.0, ge=0, le=1)
+    """Share of its motion that the object makes already while the sweep is taken; at 0 it rests."""
     duration_s: float = Field(default=2.7, gt=0.1, le=600)
     """Length of every fixed camera's clip."""
     pts_jitter_ms: float = Field(default=0.0, ge=0, le=20)
@@ -28,6 +30,8 @@ class SessionOptions(BaseModel):
     """Speed of the motion, relative."""
     spread_deg: float = Field(default=130.0, ge=0, le=180)
     """Angle around the object between the first and the last fixed camera, degrees."""
+    fan_deg: float = Field(default=0.0, ge=-90, le=90)
+    """Azimuth of the fixed cameras' middle, degrees; the witness stays where it is at 0."""
     camera_distance_m: float = Field(default=1.65, ge=1.0, le=1.8)
     """Distance of the fixed cameras from where the hands clap, before jitter."""
     jitter_m: float = Field(default=0.03, ge=0, le=0.1)
@@ -46,6 +50,16 @@ class SessionOptions(BaseModel):
     """Standard deviation of the sensor's noise at mid grey, relative to full scale."""
     texture_contrast: float = Field(default=1.0, ge=0, le=1.5)
     """Contrast of all textures of the room and of the object; 0 gives blank walls."""
+    strip_m: float = Field(default=0.0, ge=0, le=0.2)
+    """Width of the strips that the sheet is cut into, metres, with gaps as wide; 0 leaves it whole."""
+    gloss: float = Field(default=0.0, ge=0, le=1)
+    """Share of the light that the object mirrors, as lacquer does."""
+    clear: float = Field(default=0.0, ge=0, le=1)
+    """Share of the light from behind that the object lets through, as gauze does."""
+    lamp_travel_m: float = Field(default=0.0, ge=0, le=3)
+    """Way of the lamp above the room while the object moves, metres: shadows move."""
+    background_motion_m: float = Field(default=0.0, ge=0, le=1.2)
+    """How far the two boxes behind the object move sideways and back while it moves, metres."""
     spp: int = Field(default=8, ge=4, le=1024)
     """Light paths per pixel; 8 leave about 1 % of noise, well below the sensor's."""
     crf: int = Field(default=17, ge=0, le=51)

@@ -3,24 +3,22 @@
 import numpy as np
 import pytest
 
-from devrf.capture.simulate.scenes import (
-    CENTRE,
+from devrf.capture.simulate.objects import (
     OBJECTS,
-    ROOM_HALF_M,
     SHEET_HEIGHT_M,
     SHEET_TOP_M,
-    WALLS,
+    SHEET_WIDTH_M,
     make_object,
-    room,
-    texture,
 )
+from devrf.capture.simulate.scenes import CENTRE, ROOM_HALF_M, WALLS, room, texture
+from devrf.capture.simulate.session_options import SessionOptions
 
 TIMES_S = np.linspace(0.05, 2.5, 12)
 
 
 @pytest.mark.parametrize("name", OBJECTS)
 def test_object_is_at_rest_until_it_moves_by_a_visible_amount(name: str) -> None:
-    thing = make_object(name, np.random.default_rng(0), 1.0, 1.0)
+    thing = make_object(name, np.random.default_rng(0), SessionOptions())
     for time_s in (-1.0, 0.0):
         np.testing.assert_array_equal(thing.vertices_at(time_s), thing.rest.vertices)
     way = np.stack([thing.vertices_at(t) - thing.rest.vertices for t in TIMES_S])
@@ -32,9 +30,9 @@ def test_object_is_at_rest_until_it_moves_by_a_visible_amount(name: str) -> None
     assert np.abs((lo + hi) / 2 - CENTRE)[:2].max() < 0.2
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", [name for name in OBJECTS if name != "tumbling"])
 def test_motion_is_not_rigid(name: str) -> None:
-    thing = make_object(name, np.random.default_rng(0), 1.0, 1.0)
+    thing = make_object(name, np.random.default_rng(0), SessionOptions())
     a, b = thing.rest.vertices, thing.vertices_at(1.3)
     u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
     R = vt.T @ np.diag([1, 1, np.linalg.det(vt.T @ u.T)]) @ u.T  # Kabsch: the best rigid motion
@@ -43,12 +41,12 @@ def test_motion_is_not_rigid(name: str) -> None:
 
 
 def test_motion_scale_zero_stays_at_rest() -> None:
-    thing = make_object("sheet", np.random.default_rng(0), 1.0, 0.0)
+    thing = make_object("sheet", np.random.default_rng(0), SessionOptions(motion_scale=0))
     np.testing.assert_array_equal(thing.vertices_at(1.7), thing.rest.vertices)
 
 
 def test_threads_of_the_sheet_hang_from_the_bar_and_keep_their_length() -> None:
-    thing = make_object("sheet", np.random.default_rng(0), 1.0, 1.0)
+    thing = make_object("sheet", np.random.default_rng(0), SessionOptions())
     for time_s in (0.0, 0.9, 2.1):
         threads = thing.vertices_at(time_s).reshape(64, 68, 3)
         np.testing.assert_allclose(threads[0, :, 2], SHEET_TOP_M)
@@ -57,8 +55,38 @@ def test_threads_of_the_sheet_hang_from_the_bar_and_keep_their_length() -> None:
         assert (length_m <= SHEET_HEIGHT_M + 1e-9).all() and (length_m > 0.998 * SHEET_HEIGHT_M).all()
 
 
+def test_strips_of_the_sheet_have_the_width_and_gaps_that_were_asked_for() -> None:
+    thing = make_object("sheet", np.random.default_rng(0), SessionOptions(strip_m=0.02))
+    faces, y = thing.rest.faces, thing.rest.vertices[:, 1]
+    wide = np.ptp(y[faces], axis=1)
+    np.testing.assert_allclose(wide, 0.01)  # a strip is two faces wide
+    edges = np.unique(y[faces].round(6))
+    gaps = np.diff(edges)[2::3]
+    assert gaps == pytest.approx(0.02, abs=0.002) and np.ptp(edges) == pytest.approx(SHEET_WIDTH_M)
+
+
+def test_what_appears_is_not_there_at_rest_and_halves_touch() -> None:
+    ball = make_object("appearing", np.random.default_rng(0), SessionOptions())
+    assert np.ptp(ball.rest.vertices, axis=0).max() < 0.003  # metres: less than a pixel
+    assert np.ptp(ball.vertices_at(2.0), axis=0).min() == pytest.approx(0.4, abs=0.01)
+    block = make_object("parting", np.random.default_rng(0), SessionOptions(motion_scale=0.5))
+    apart = block.vertices_at(2.0)[:, 1] - block.rest.vertices[:, 1]
+    np.testing.assert_allclose(np.abs(apart), 0.075)
+    inner = np.abs(block.rest.vertices[:, 1]).min()
+    assert inner == pytest.approx(0, abs=1e-9)
+
+
+def test_what_turns_over_shows_its_underside_and_stays_on_its_plinth() -> None:
+    thing = make_object("tumbling", np.random.default_rng(0), SessionOptions())
+    under = thing.rest.vertices[:, 2] == thing.rest.vertices[:, 2].min()
+    turned = thing.vertices_at(2.0)
+    assert turned[under, 0].min() == pytest.approx(turned[:, 0].max())  # now before the fixed cameras
+    for time_s in (0.2, 0.5, 2.0):
+        assert thing.vertices_at(time_s)[:, 2].min() == pytest.approx(thing.rest.vertices[:, 2].min())
+
+
 def test_foot_and_seam_of_the_column() -> None:
-    thing = make_object("column", np.random.default_rng(0), 1.0, 1.0)
+    thing = make_object("column", np.random.default_rng(0), SessionOptions())
     moved = thing.vertices_at(1.4).reshape(56, 72, 3)
     np.testing.assert_allclose(moved[:, 0], moved[:, -1], atol=1e-12)  # closed around
     assert np.linalg.norm(moved[-1] - moved[-1, 0], axis=-1).max() < 0.004  # closed at the top
@@ -67,11 +95,11 @@ def test_foot_and_seam_of_the_column() -> None:
 
 
 def test_faces_look_outward_or_into_the_room() -> None:
-    column = make_object("column", np.random.default_rng(0), 1.0, 1.0).rest
+    column = make_object("column", np.random.default_rng(0), SessionOptions()).rest
     a, b, c = (column.vertices[column.faces[:, i]] for i in range(3))
     outward = (np.cross(b - a, c - a)[:, :2] * ((a + b + c) / 3 - CENTRE)[:, :2]).sum(1)
     assert (outward >= -1e-9).mean() > 0.97  # bulges turn a few the other way in plan
-    for wall in room(np.random.default_rng(0), 1.0)[:4]:
+    for wall in room(np.random.default_rng(0), 1.0).still[:4]:
         a, b, c = wall.vertices[wall.faces[0]]
         middle = wall.vertices.mean(0)
         assert np.isclose(np.abs(middle[:2]).max(), ROOM_HALF_M)

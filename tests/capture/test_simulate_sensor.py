@@ -9,12 +9,12 @@ import pytest
 
 from devrf.capture.camera import Camera
 from devrf.capture.simulate.mitsuba import linear_to_srgb, srgb_to_linear
+from devrf.capture.simulate.renderer import Renderer
 from devrf.capture.simulate.rig import board_pose, look_at
 from devrf.capture.simulate.scenes import picture_on_quad
 from devrf.capture.simulate.sensor import (
     BoardCamera,
     ClipWriter,
-    Renderer,
     board_corners,
     board_picture,
     board_poses,
