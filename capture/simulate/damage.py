@@ -1,6 +1,6 @@
-"""What goes wrong in the field, done to good material on purpose: blurred or fewer pictures, wrong cameras, small box.
+"""What goes wrong in the field, done to good material on purpose: spoilt pictures and mattes, wrong cameras, small box.
 
-Nothing here is random but `turned`, which takes its generator from the caller.
+What is random takes its generator from the caller.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
+from devrf.capture.audio import INT16_MAX, read_sound
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
 from devrf.capture.simulate.sensor import ClipWriter
@@ -19,6 +20,7 @@ from devrf.capture.video import VideoReader
 
 Picture = UInt8[np.ndarray, "height width 3"]
 CRF = 17  # of a clip that is written again: as the simulator writes them
+HOLE = 0.06  # radius of a matte's hole, of the side of a square as large as the subject
 FPS = 30.0  # said by the new file where the old one says nothing; its pictures' times are exact all the same
 
 
@@ -34,16 +36,51 @@ def blurred(picture: Picture, share: float) -> Picture:
     return np.rint(255 * srgb_from_linear(light)).astype(np.uint8)
 
 
+def relit(picture: Picture, stops: Float[np.ndarray, "3"]) -> Picture:
+    """As an exposure longer by so many stops shows red, green and blue."""
+    light = linear_from_srgb(picture / 255.0) * 2.0**stops
+    return np.rint(255 * srgb_from_linear(light.clip(0, 1))).astype(np.uint8)
+
+
+def pierced(
+    alpha: UInt8[np.ndarray, "height width"], share: float, rng: np.random.Generator
+) -> UInt8[np.ndarray, "height width"]:
+    """A matte with round holes at random places of its subject, until they cover this share of it."""
+    holes = np.zeros_like(alpha)
+    subject = alpha > 127
+    rows, columns = np.nonzero(subject)
+    radius = max(1, round(HOLE * float(np.sqrt(len(rows)))))
+    while (holes[subject] > 0).mean() < share if len(rows) else False:
+        n = rng.integers(len(rows))
+        cv2.circle(holes, (int(columns[n]), int(rows[n])), radius, 255, -1)
+    return np.where(holes > 0, np.uint8(0), alpha)
+
+
 def write_again(
-    source: Path, target: Path, every: int = 1, change: Callable[[Picture], Picture] = lambda picture: picture
+    source: Path,
+    target: Path,
+    stays: Callable[[int, int], bool] = lambda number, count: True,
+    change: Callable[[Picture, float], Picture] = lambda picture, when: picture,
 ) -> None:
-    """A clip with every n-th of its pictures, each changed, at its own time; without sound."""
+    """A clip with some of its pictures, each changed, at its own time; its sound as it was.
+
+    Args:
+        source, target: Files.
+        stays: Whether a picture stays, given its number and how many there are.
+        change: Given a picture and where in the clip it is, from 0 (first) to 1 (last).
+    """
     with VideoReader(source) as reader:
-        size = (reader.info.width, reader.info.height)
-        clip = ClipWriter(target, size, reader.info.fps or FPS, CRF)
+        count = sum(1 for _ in reader)
+    sound = read_sound(source)
+    with VideoReader(source) as reader:
+        size, rate = (reader.info.width, reader.info.height), sound.rate_hz if sound else None
+        clip = ClipWriter(target, size, reader.info.fps or FPS, CRF, rate)
+        if sound is not None:
+            quiet = np.zeros(max(round(sound.start_s * sound.rate_hz), 0))
+            clip.sound(np.rint(INT16_MAX * np.concatenate([quiet, sound.samples])).astype(np.int64))
         for n, frame in enumerate(reader):
-            if n % every == 0:
-                clip.picture(change(frame.rgb), frame.time_s)
+            if stays(n, count):
+                clip.picture(change(frame.rgb, n / max(count - 1, 1)), frame.time_s)
         clip.close()
 
 

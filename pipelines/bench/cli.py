@@ -1,5 +1,6 @@
 """`devrf-pipeline bench …`: words of the command line into benchmarks."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
@@ -198,11 +199,14 @@ def reference(
 @bench.command()
 def stability(
     scene: SmallSceneArgument = None,
-    axes: Annotated[str | None, typer.Option(help="Some of the axes, by name; default: all")] = None,
+    axes: Annotated[
+        str | None, typer.Option(help="Some of the axes or groups of them, by name; default: all")
+    ] = None,
     severities: Annotated[
         int | None, typer.Option(min=1, help="How many of each axis, the worst among them; default: all")
     ] = None,
     seeds: SeedsOption = 1,
+    minutes: Annotated[float, typer.Option(min=0, help="No case begins later")] = math.inf,
     overrides: SetOption = None,
     out: OutOption = None,
     json: JsonOption = None,
@@ -214,17 +218,18 @@ def stability(
     A suite that was stopped goes on where it was, with the same --out.
     """
 
-    from devrf.pipelines.bench.stability.axes import AXES
+    from devrf.pipelines.bench.stability.axes import AXES, GROUPS, axes_of
 
     talk = talk_of(quiet)
     with errors_told(talk):  # before anything is rendered
-        chosen = list(AXES) if axes is None else _names("--axes", axes, list(AXES))
+        chosen = list(AXES) if axes is None else axes_of(_names("--axes", axes, [*GROUPS, *AXES]))
         resolve_device(device)
 
     def measure(run: Run, folder: Path) -> None:
         from devrf.pipelines.bench.stability.stability import run_stability
 
-        run_stability(run, folder, chosen, severities, range(seeds), json or folder / "stability.json")
+        path = json or folder / "stability.json"
+        run_stability(run, folder, chosen, severities, range(seeds), path, minutes)
 
     if scene is None:
         out = out or Path("bench-stability")

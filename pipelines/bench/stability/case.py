@@ -15,9 +15,8 @@ from rich.console import Console
 
 from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
-from devrf.pipelines.bench.stability import damage
 from devrf.pipelines.bench.stability.axes import AXES
-from devrf.pipelines.bench.stability.damage import Damage, Intact
+from devrf.pipelines.bench.stability.damage.intact import Damage, Intact
 from devrf.pipelines.config.scene import CacheConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
@@ -59,6 +58,7 @@ class Result:
         rotation_deg, position_m, sync_ms: Largest errors of the fixed cameras and of the clocks; None without a truth.
         seconds: That its stages took, whether they were made for this case or for another.
         complaints: All health rows that warn or fail and need no answer to compare with.
+        films_anew: Whether its test views show something else than those of the undisturbed case.
     """
 
     axis: str
@@ -74,6 +74,7 @@ class Result:
     sync_ms: float | None = None
     seconds: float = 0.0
     complaints: tuple[Complaint, ...] = ()
+    films_anew: bool = False
 
 
 class _Listener(Talk):
@@ -105,7 +106,7 @@ def run_case(
         DoesNotApply: The axis means nothing for this scene.
         InputError: The run folder cannot be used.
     """
-    folder = out / f"{axis}-{severity:g}" / f"seed{seed}"
+    folder = _folder(out, axis, severity, seed)
     folder.mkdir(parents=True, exist_ok=True)
     config = base.config.model_copy(
         update={
@@ -148,7 +149,8 @@ def _result(
     )
     stamps = [read_stamp(run_dir / stage) or {} for stage in stages]
     seconds = sum(stamp.get("seconds") or 0.0 for stamp in stamps)
-    result = Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints)
+    anew = axis in AXES and AXES[axis].films_anew
+    result = Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints, films_anew=anew)
     if stopped is not None:
         return result
     metrics = json.loads((run_dir / LAST / "metrics.json").read_text())
@@ -165,10 +167,19 @@ def _result(
     )
 
 
+def is_made(out: Path, axis: str, severity: float, seed: int) -> bool:
+    """Whether a case was run to its end already; it may have to be run again all the same."""
+    return (_folder(out, axis, severity, seed) / "run" / LAST / "stamp.json").is_file()
+
+
+def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
+    return out / f"{axis}-{severity:g}" / f"seed{seed}"
+
+
 def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:
     """The stage, and damage behind it."""
     file = folder / "damage.json"
-    code = code_version(damage.__name__)
+    code = code_version(AXES[axis].damaging.__module__)
     file.write_text(json.dumps({"axis": axis, "severity": severity, "seed": seed, "code": code}))
 
     def run(context: Any) -> None:

@@ -26,10 +26,10 @@ def build_page(
         results: Axis -> its cases.
         found: Axis -> its failure and notice point.
         charts: Axis -> its chart.
-        left_out: Axis -> why it does not apply.
+        left_out: Axis and severity -> why it was not measured.
     """
     overview = table(
-        ("axis", "what gets worse", "breaks at", "said at", "unit", "what is said there"),
+        ("axis", "what gets worse", "breaks at", "said at", "unit", "one step less", "what is said there"),
         [
             (
                 f'<a href="#{text(name)}">{text(name)}</a>',
@@ -37,14 +37,13 @@ def build_page(
                 _severity(found[name].failure),
                 _severity(found[name].notice),
                 text(AXES[name].unit),
+                text(_lessened(found[name])),
                 "<br>".join(text(words) for words in found[name].notices),
             )
             for name in results
         ],
     )
-    not_there = "".join(
-        f'<p class="source">{text(n)}: does not apply: {text(why)}</p>' for n, why in left_out.items()
-    )
+    not_there = "".join(f'<p class="source">{text(n)}: {text(why)}</p>' for n, why in left_out.items())
     lead = (
         "A result breaks where half of its seeds are stopped, or gain less over the undisturbed scene at rest than "
         "motion must. Said: a health row that the undisturbed case does not show and that needs no test view."
@@ -85,6 +84,14 @@ def _cases(cases: Sequence[Result], undisturbed: Sequence[Result]) -> str:
         for r in cases
     ]
     return table(head, rows, numeric=range(8))
+
+
+def _lessened(found: Points) -> str:
+    """What the result comes back to when damage that broke it is lessened by a step, or taken away."""
+    if found.lessened is None or found.lessened_db is None:
+        return ""
+    at = f"at {found.lessened:g}" if found.lessened else "undamaged"
+    return f"{readable(found.lessened_db, 1)} dB {at}"
 
 
 def _severity(severity: float | None) -> str:

@@ -18,11 +18,15 @@ class Points:
         failure: The first severity at which the result is no better than standing still; None: at none.
         notice: The first severity at which a health row or a message speaks up; None: at none.
         notices: What is said there: stage and check, or what stopped the run.
+        lessened: The severity below the failure point; 0 for no damage at all, None where nothing fails.
+        lessened_db: PSNR where it moves there: what becomes of the result when the damage is lessened.
     """
 
     failure: float | None
     notice: float | None
     notices: tuple[str, ...] = ()
+    lessened: float | None = None
+    lessened_db: float | None = None
 
 
 def bar_db(undisturbed: Sequence[Result]) -> float | None:
@@ -40,9 +44,14 @@ def bar_db(undisturbed: Sequence[Result]) -> float | None:
 
 
 def fails(result: Result, bar: float | None) -> bool:
-    """Whether a result is worth nothing: there is none, or it is below the bar."""
+    """Whether a result is worth nothing: there is none, or it is below the bar.
+
+    Where test views show something else than the undisturbed ones, the bar is that of their own scene at rest.
+    """
     if result.stopped is not None:
         return True
+    if result.films_anew and bar is not None:
+        bar = None if result.baseline is None else result.baseline + LEAST_GAIN_DB
     return bar is not None and (result.psnr_moving is None or result.psnr_moving < bar)
 
 
@@ -67,14 +76,22 @@ def points(results: Sequence[Result], undisturbed: Sequence[Result]) -> Points:
         undisturbed: One for every seed.
     """
     bar, of_seed = bar_db(undisturbed), {r.seed: r for r in undisturbed}
-    failure = notice = None
+    failure = notice = lessened = lessened_db = None
     notices: tuple[str, ...] = ()
+    below = undisturbed
     for severity in sorted({r.severity for r in results}):
         cases = [r for r in results if r.severity == severity]
         failed = [r for r in cases if fails(r, bar)]
         spoken = [words for r in cases if (words := said(r, of_seed[r.seed]))]
         if failure is None and 2 * len(failed) >= len(cases):
-            failure = severity
+            failure, lessened_db = severity, _mean_db(below)
+            lessened = below[0].severity
         if notice is None and 2 * len(spoken) >= len(cases):
             notice, notices = severity, tuple(dict.fromkeys(word for words in spoken for word in words))
-    return Points(failure, notice, notices)
+        below = cases
+    return Points(failure, notice, notices, lessened, lessened_db)
+
+
+def _mean_db(cases: Sequence[Result]) -> float | None:
+    reached = [r.psnr_moving for r in cases if r.psnr_moving is not None]
+    return fmean(reached) if reached else None

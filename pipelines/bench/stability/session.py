@@ -1,8 +1,11 @@
-"""The small session that the suite damages where no other scene is given, and how it is trained."""
+"""The small session that the suite damages where no other scene is given, and how sessions are made in its folders."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shutil import rmtree
+from typing import Any
 
+from devrf.capture.progress import Progress, no_progress
 from devrf.capture.simulate.session import simulate_session
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.console import Talk
@@ -31,12 +34,26 @@ SETTINGS = (
 
 
 def session(out: Path, talk: Talk) -> Path:
-    """The session's scene.yaml in `out`; rendered where it is not there yet, whole or not at all."""
-    folder = out / "session"
+    """The session's scene.yaml in `out`."""
+    made_by = {"scene": SCENE, "cameras": CAMERAS, "seed": 0, "size": SIZE, "options": OPTIONS}
+    with talk.progress("simulate") as progress:
+        return rendered(out / "session", made_by, progress=progress)
+
+
+def rendered(
+    folder: Path, made_by: Mapping[str, Any], kept: Sequence[Path] = (), progress: Progress = no_progress
+) -> Path:
+    """A session's scene.yaml; rendered where it is not there yet, whole or not at all.
+
+    Args:
+        folder: Of the session.
+        made_by: The arguments of `simulate_session`.
+        kept: Clips that are there already.
+        progress: Told after every picture.
+    """
     if not (folder / "scene.yaml").is_file():
-        new = out / ".new-session"
+        new = folder.with_name(f".new-{folder.name}")
         rmtree(new, ignore_errors=True)
-        with talk.progress("simulate") as progress:
-            simulate_session(new, SCENE, cameras=CAMERAS, size=SIZE, options=OPTIONS, progress=progress)
+        simulate_session(new, **made_by, kept=kept, progress=progress)
         new.rename(folder)
     return folder / "scene.yaml"

@@ -1,5 +1,7 @@
 """`bench stability`: a scene along axes of damage, through the real pipeline; where it breaks, and what it says."""
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,9 +11,9 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
 from devrf.pipelines.bench.stability.axes import AXES
-from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, run_case
+from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, is_made, run_case
 from devrf.pipelines.bench.stability.chart import axis_chart
-from devrf.pipelines.bench.stability.damage import DoesNotApply
+from devrf.pipelines.bench.stability.damage.intact import DoesNotApply
 from devrf.pipelines.bench.stability.page import build_page
 from devrf.pipelines.bench.stability.points import Points, bar_db, points
 from devrf.pipelines.bench.trainings import Bench, about, device_name, spread
@@ -31,7 +33,13 @@ MEASURES = {
 
 
 def run_stability(
-    base: Run, out: Path, names: Sequence[str], severities: int | None, seeds: Sequence[int], json_path: Path
+    base: Run,
+    out: Path,
+    names: Sequence[str],
+    severities: int | None,
+    seeds: Sequence[int],
+    json_path: Path,
+    minutes: float = math.inf,
 ) -> list[Row]:
     """Damage the scene along axes; print, draw and write what came of it.
 
@@ -42,11 +50,12 @@ def run_stability(
         severities: How many of each axis, the worst among them; None: all.
         seeds: Of the trainings and of what is drawn at random.
         json_path: Where the rows go; charts and the page are written beside it.
+        minutes: No case begins later; what there is by then is written.
     Raises:
         DevrfError: The undisturbed scene has no result.
         InputError: It has no test camera that sees something move.
     """
-    talk, capture = base.talk, base.config.capture
+    talk, capture, until = base.talk, base.config.capture, time.monotonic() + 60 * minutes
     needs = "bench stability needs a test camera of what moves (capture.test_cameras, or the data set's test split)"
     if capture is not None and not capture.test_names:
         raise InputError(f"{base.config.name}: no test camera is named; {needs}")
@@ -66,15 +75,19 @@ def run_stability(
             f"the undisturbed result gains less than {LEAST_GAIN_DB:g} dB over the scene at rest: "
             "only what stops the pipeline counts as a failure"
         )
+    _forecast(talk, out, names, severities, seeds, fmean(r.seconds for r in undisturbed))
     results: dict[str, list[Result]] = {}
     left_out: dict[str, str] = {}
     for name in names:
         for severity in AXES[name].some(severities):
             for seed in seeds:
+                if time.monotonic() > until:
+                    left_out.setdefault(name, f"from {severity:g} on not begun within {minutes:g} minutes")
+                    break
                 try:
                     result, _ = run_case(base, out, name, severity, seed, scenes[seed])
                 except DoesNotApply as reason:
-                    left_out[name] = str(reason)  # of its worst severity, where more of them mean nothing
+                    left_out[name] = f"does not apply: {reason}"  # of its worst severity, if only from there on
                     break
                 _tell(talk, result)
                 results.setdefault(name, []).append(result)
@@ -86,7 +99,7 @@ def run_stability(
         rows += _points_rows(name, found[name])
     print_rows(talk, f"Stability, {base.config.name}", rows)
     for name, why in left_out.items():
-        talk.say(f"{name}: does not apply: {why}")
+        talk.say(f"{name}: {why}")
     json_path.parent.mkdir(parents=True, exist_ok=True)
     charts = {
         name: axis_chart(
@@ -118,6 +131,27 @@ def run_stability(
     return rows
 
 
+def _forecast(
+    talk: Talk,
+    out: Path,
+    names: Sequence[str],
+    severities: int | None,
+    seeds: Sequence[int],
+    case_s: float,
+) -> None:
+    """Say how long the suite will take: every case that is not there yet as long as the undisturbed one.
+
+    Less is needed where damage is done behind a late stage, more where a session is simulated again.
+    """
+    cases = [
+        (name, severity, seed) for name in names for severity in AXES[name].some(severities) for seed in seeds
+    ]
+    to_do = sum(not is_made(out, *case) for case in cases)
+    talk.say(
+        f"{len(cases)} cases, {to_do} of them to do; as long as the undisturbed one each: {duration(to_do * case_s)}"
+    )
+
+
 def _tell(talk: Talk, result: Result) -> None:
     what = f"{result.axis} {result.severity:g}, seed {result.seed}"
     if result.stopped is not None:
@@ -142,7 +176,9 @@ def _rows(name: str, cases: Sequence[Result]) -> list[Row]:
 
 def _points_rows(name: str, found: Points) -> list[Row]:
     unit = AXES[name].unit
+    rows = [] if found.lessened is None else [Row(f"stability/{name}/one step less", found.lessened_db, "dB")]
     return [
+        *rows,
         Row(f"stability/{name}/failure point", found.failure, unit, why=_never(found.failure, "breaks")),
         Row(f"stability/{name}/notice point", found.notice, unit, why=_never(found.notice, "is noticed")),
     ]

@@ -1,0 +1,123 @@
+"""Damage to what is filmed, or to how: a simulated session made again with other options, in the axis' own folder.
+
+It applies wherever a scene's truth says how it was simulated, and is made once for all seeds. Where only the fixed
+cameras see a difference, the sweep's clip is kept as it is, and the other way round.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from devrf.capture.errors import InputError
+from devrf.capture.simulate.session_options import SessionOptions
+from devrf.pipelines.bench.stability.damage.intact import (
+    Damage,
+    Damaging,
+    DoesNotApply,
+    Intact,
+    with_capture,
+)
+from devrf.pipelines.bench.stability.session import rendered
+from devrf.pipelines.config.scene import SceneConfig
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """How the scene was simulated: the arguments of `simulate_session`."""
+
+    scene: str
+    cameras: int
+    seed: int
+    size: tuple[int, int]
+    options: SessionOptions
+
+
+def again(
+    change: Callable[[SessionOptions, float], dict[str, Any]],
+    scene: str | None = None,
+    *,
+    sweep_stays: bool = False,
+    cameras_stay: bool = False,
+) -> Damaging:
+    """A damage that simulates the session again.
+
+    Args:
+        change: Given the options and the severity: which options become what.
+        scene: Another object in front of the cameras; None: the same.
+        sweep_stays, cameras_stay: Clips that these options do not change.
+    """
+
+    def damage(intact: Intact) -> Damage:
+        was = simulated(intact)
+        folder = intact.folder.resolve().parent / "session"  # the same for all seeds
+        kept = [
+            path
+            for name, path in _clips(intact).items()
+            if (sweep_stays if name == "static" else cameras_stay)
+        ]
+        try:
+            options = was.options.model_dump() | change(was.options, intact.severity)
+            made_by = {
+                "scene": scene or was.scene,
+                "cameras": was.cameras,
+                "seed": was.seed,
+                "size": was.size,
+                "options": SessionOptions.model_validate(options),
+            }
+            rendered(folder, made_by, kept)
+        except (InputError, ValidationError) as error:
+            raise DoesNotApply(str(error)) from error
+        return Damage(_filmed_in(intact, folder))
+
+    return damage
+
+
+def simulated(intact: Intact) -> Simulated:
+    """How the scene was simulated.
+
+    Raises:
+        DoesNotApply: It was not, or nobody knows how.
+    """
+    truth = None if intact.capture is None else intact.config.truth_path(intact.scene_dir)
+    content = {} if truth is None else json.loads(truth.read_text())
+    if "made_by" not in content:
+        raise DoesNotApply("it is no simulated session, which could be made again")
+    made_by = content["made_by"]
+    return Simulated(
+        made_by["scene"],
+        len(content["cams"]) - 1,  # the last is the witness
+        made_by["seed"],
+        (content["width"], content["height"]),
+        SessionOptions.model_validate(made_by["options"]),
+    )
+
+
+def _clips(intact: Intact) -> dict[str, Path]:
+    """All clips of the scene by the names that the simulator gives them."""
+    capture, path = intact.capture, intact.config.path
+    assert capture is not None and capture.static is not None  # of a simulated session
+    clips = {"static": capture.static, **capture.all_cameras}
+    return {name: path(intact.scene_dir, clip) for name, clip in clips.items()}
+
+
+def _filmed_in(intact: Intact, folder: Path) -> SceneConfig:
+    """The configuration with this session's files."""
+    clips = {name: str(folder / path.name) for name, path in _clips(intact).items()}
+    capture = intact.capture
+    assert capture is not None
+    changes: dict[str, Any] = {
+        "static": clips["static"],
+        "cameras": {name: clips[name] for name in capture.cameras},
+    }
+    if isinstance(capture.test_cameras, dict):
+        changes["test_cameras"] = {name: clips[name] for name in capture.test_cameras}
+    if capture.board is not None:
+        boards = {name: str(folder / Path(clip).name) for name, clip in capture.board.clips.items()}
+        changes["board"] = capture.board.model_copy(update={"clips": boards})
+    config = with_capture(intact.config, **changes)
+    evaluate = config.evaluate.model_copy(update={"truth": str(folder / "ground_truth.json")})
+    return config.model_copy(update={"evaluate": evaluate})
