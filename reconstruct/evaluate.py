@@ -11,32 +11,31 @@ import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
 from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.reconstruct.confidence_curve import ErrorCurve
+from devrf.reconstruct.error_map import confidence_picture, error_map
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, moving_pixels
+
+if TYPE_CHECKING:  # it needs torch
+    from devrf.reconstruct.confidence import Confidence
 
 Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
 """`render(camera, time)`: RGB of a camera in the box frame at a time in [0, 1]; None: the scene at rest."""
 
 METRICS = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
 EXTRA_PICTURES = 12  # error maps and pictures at rest that are kept, spread over the views
-ERROR_GAIN = 4  # an error of a quarter of the range is the brightest colour
-# matplotlib's colour map "inferno": every 15th of its 256 colours
-INFERNO = (
-    "0000040a07221e0c45380962510e6c69166e801f6c982766"
-    "b0315bc63d4dd94d3de9612bf47918fa9407fcb014f8cd37f2ea69fcffa4"
-)
 SAME_TIME = 1e-6
 
 Scored = dict[str, float | None]
@@ -65,7 +64,12 @@ class LpipsNets:
 
 
 def evaluate(
-    scene: Scene, render: Render, lpips: LpipsNets, out: Path, progress: Progress = no_progress
+    scene: Scene,
+    render: Render,
+    lpips: LpipsNets,
+    out: Path,
+    progress: Progress = no_progress,
+    confidence: "Confidence | None" = None,
 ) -> dict[str, Any]:
     """Render and score all test pictures; see the module's text for the blocks of the result.
 
@@ -73,16 +77,20 @@ def evaluate(
         scene: With its cameras in any frame; they are moved into the box frame here.
         render: The model.
         lpips: Networks for LPIPS.
-        out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error}.png` into.
+        out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error,confidence}.png` into.
+        progress: Told how far it is.
+        confidence: Expected errors of the same model's pictures; None: nothing is said of them.
     Returns:
-        `test`, `test_static`, `test_moving`, `static_baseline`, `per_view`, `render_fps`.
+        `test`, `test_static`, `test_moving`, `static_baseline`, `per_view`, `render_fps`; with `confidence` also
+        `confidence`: `test` and `test_moving`, expected errors against measured ones (`ErrorCurve.summary`), of the
+        pictures that confidence is kept of.
     """
     scene = scene.in_box_frame()
     moving = sorted(
         (f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.camera_name, f.time or 0.0, f.index)
     )
     still = [f for f in scene.static if f.split == "test"]
-    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still))
+    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), confidence)
     first = min((f.time or 0.0 for f in moving), default=0.0)
     extra = _spread(len(moving), EXTRA_PICTURES)
     views = [session.moving_view(f, first, n in extra) for n, f in enumerate(moving)]
@@ -101,6 +109,10 @@ def evaluate(
         name: [v[name] for v in later if v[name]["psnr"] is not None] for name in ("moving", "rest_moving")
     }
     no_pixels = absent if not later else "no pixel differs from the scene at rest"
+    curves = {
+        "test": (session.curve if scene.dynamic else session.still_curve).summary(absent),
+        "test_moving": session.moving_curve.summary(no_pixels),
+    }
     return {
         "test": test,
         "test_static": test_static,
@@ -111,6 +123,7 @@ def evaluate(
         },
         "per_view": [_row(view) for view in views + still_views],
         "render_fps": session.frames_per_second(),
+        **({} if confidence is None else {"confidence": curves}),
     }
 
 
@@ -118,10 +131,19 @@ class _Session:
     """Renders and scores one view after the other; keeps the last picture at rest of a camera that stands."""
 
     def __init__(
-        self, scene: Scene, render: Render, lpips: LpipsNets, out: Path, progress: Progress, count: int
+        self,
+        scene: Scene,
+        render: Render,
+        lpips: LpipsNets,
+        out: Path,
+        progress: Progress,
+        count: int,
+        confidence: "Confidence | None",
     ) -> None:
         self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
         self.progress, self.count, self.done = progress, count, 0
+        self.confidence = confidence
+        self.curve, self.moving_curve, self.still_curve = ErrorCurve(), ErrorCurve(), ErrorCurve()
         self.seconds: list[float] = []
         self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
@@ -129,7 +151,7 @@ class _Session:
         """Scores of a test picture of the moving scene, of the baseline, and of both near motion."""
         true, camera = self._true(frame)
         rest = self._at_rest(camera)
-        rendered = self._timed(camera, frame.time)
+        rendered, expected = self._timed(camera, frame.time, extra)
         true_features = self._features(true)
         moved, still = Comparison(rendered, true), Comparison(rest, true)
         view = {
@@ -145,19 +167,27 @@ class _Session:
             view["moving"] = _scored(moved.part(where))
             view["rest_moving"] = _scored(still.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
+            if expected is not None:
+                self.moving_curve.add(expected, rendered, true, where)
         pictures = {"true": true, "rendered": rendered}
         if extra:
-            pictures |= {"rest": rest, "error": _error_map(rendered, true)}
+            pictures |= {"rest": rest, "error": error_map(rendered, true)}
+        if expected is not None:
+            self.curve.add(expected, rendered, true)
+            pictures["confidence"] = confidence_picture(expected)
         view["files"] = self._save(frame, pictures)
         return view
 
     def still_view(self, frame: PosedFrame, extra: bool) -> dict[str, Any]:
         """Scores of a held-out sweep picture."""
         true, camera = self._true(frame)
-        rendered = self._timed(camera, None)
+        rendered, expected = self._timed(camera, None, extra)
         pictures = {"true": true, "rendered": rendered}
         if extra:
-            pictures["error"] = _error_map(rendered, true)
+            pictures["error"] = error_map(rendered, true)
+        if expected is not None:
+            self.still_curve.add(expected, rendered, true)
+            pictures["confidence"] = confidence_picture(expected)
         return {
             **_identity(frame),
             "scores": _scored(Comparison(rendered, true).whole())
@@ -182,11 +212,16 @@ class _Session:
             self.rest = (key, self.render(camera, None))
         return self.rest[1]
 
-    def _timed(self, camera: Camera, time: float | None) -> np.ndarray:
+    def _timed(self, camera: Camera, time: float | None, extra: bool) -> tuple[np.ndarray, np.ndarray | None]:
+        """A picture and, where one is kept, its expected errors; only rendering is timed."""
         begin = clock.perf_counter()
-        rendered = self.render(camera, time)
+        if self.confidence is None or not extra:
+            rendered = self.render(camera, time)
+            self.seconds.append(clock.perf_counter() - begin)
+            return rendered, None
+        layers = self.confidence.render(camera, time)
         self.seconds.append(clock.perf_counter() - begin)
-        return rendered
+        return layers[0], self.confidence.expected(camera, time, layers)
 
     def _features(self, picture: np.ndarray) -> dict[str, Any]:
         if min(picture.shape[:2]) < LPIPS_SMALLEST_SIDE:
@@ -205,7 +240,8 @@ class _Session:
         files = {}
         for kind, picture in pictures.items():
             path = folder / f"{frame.index:06d}_{kind}.png"
-            write_png(path, np.clip(np.round(picture * 255), 0, 255).astype(np.uint8))
+            exact = picture if picture.dtype == np.uint8 else np.clip(np.round(picture * 255), 0, 255)
+            write_png(path, exact.astype(np.uint8))
             files[kind] = path.relative_to(self.out).as_posix()
         return files
 
@@ -254,16 +290,6 @@ def _why(metric: str, example: Scored, lpips: LpipsNets) -> str:
         return "LPIPS is defined on whole pictures only"
     too_small = f"pictures have fewer than {LPIPS_SMALLEST_SIDE} pixels a side"
     return lpips.why.get(metric.removeprefix("lpips_"), too_small)
-
-
-def _error_map(
-    rendered: Float[np.ndarray, "height width 3"], true: Float[np.ndarray, "height width 3"]
-) -> Float32[np.ndarray, "height width 3"]:
-    """The largest difference over channels, from black over red to yellow."""
-    size = np.clip(ERROR_GAIN * np.abs(rendered - true).max(axis=-1), 0, 1)
-    table = np.frombuffer(bytes.fromhex(INFERNO), np.uint8).reshape(-1, 3) / 255
-    at = np.linspace(0, 1, len(table))
-    return np.stack([np.interp(size, at, channel) for channel in table.T], axis=-1).astype(np.float32)
 
 
 def _spread(count: int, wanted: int) -> set[int]:

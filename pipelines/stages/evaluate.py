@@ -13,9 +13,12 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.trained_model import load_renderer, model_files
+from devrf.pipelines.trained_model import load_trained, model_files, renderer
+from devrf.reconstruct.confidence import Confidence
+from devrf.reconstruct.confidence_regions import weakest_regions
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
@@ -31,12 +34,15 @@ NEEDS_TEST_VIEWS = (
 
 
 def run(context: StageContext) -> None:
-    """Write `metrics.json` and `views/`."""
+    """Write `metrics.json`, `confidence.json` and `views/`."""
     config = context.config
     scene = read_scene(context.run_dir / "scene")
     lpips = lpips_nets(config, context.scene_dir, context.device)
-    render = load_renderer(context.run_dir, context.device, context.allowance.at_once)
-    metrics = evaluate(scene, render, lpips, context.out, context.progress)
+    model = load_trained(context.run_dir, context.device, context.allowance.at_once)
+    confidence = Confidence(scene, model)
+    confidence.budget.save(context.out / "confidence.json")
+    metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence)
+    metrics["confidence"] |= weakest_regions(scene, confidence)
     metrics |= {
         "train": training(context.run_dir),
         "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
@@ -46,7 +52,7 @@ def run(context: StageContext) -> None:
     truth_file = config.truth_path(context.scene_dir)
     if truth_file is not None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
-    context.health.extend(health(metrics, scene))
+    context.health.extend(health(metrics, scene) + confidence_rows(metrics["confidence"]))
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
 
 

@@ -10,7 +10,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.picture_files import write_png
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.evaluate import _error_map
+from devrf.reconstruct.error_map import error_map
 from devrf.reconstruct.hull import silhouette
 from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.rays import RaySet
@@ -101,5 +101,5 @@ def test_error_map_is_opencvs_inferno() -> None:
     levels = np.arange(256, dtype=np.uint8)[None]
     theirs = cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1] / 255
     true = np.zeros((1, 256, 3), np.float32)
-    ours = _error_map(np.repeat(levels[..., None] / 255, 3, axis=2).astype(np.float32) / 4, true)
+    ours = error_map(np.repeat(levels[..., None] / 255, 3, axis=2).astype(np.float32) / 4, true)
     np.testing.assert_allclose(ours, theirs, atol=6 / 255)  # between every 15th colour

@@ -1,0 +1,156 @@
+"""How wrong a rendered picture is expected to be, pixel by pixel: never by looking at a true picture of that view.
+
+The expected squared error is a sum of causes (`error_causes.py`), each with a factor that is not negative: nothing
+becomes surer by being seen less, or explained worse. The factors are fitted to the errors of a few training
+pictures, their own camera's differences left out of what is known, as a generalised linear model with gamma errors
+(McCullagh & Nelder, Generalized Linear Models, 1989, ch. 8): the scatter of a squared error grows with it.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Float64
+from scipy.optimize import nnls
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.reconstruct.error_causes import (
+    CAUSES,
+    DISPLACED,
+    FAINT,
+    Ground,
+    Layers,
+    Surface,
+    causes,
+    slope,
+    surface_of,
+)
+from devrf.reconstruct.evidence import Evidence, spread, training
+from devrf.reconstruct.model import DynamicModel, render_layers
+
+FORMAT = 1
+FITTED_ON = 4  # training pictures; where something moves, all but one of them show it
+FIT_PIXELS = 15_000  # of each of them
+FIT_STEPS = 12
+LEAST = 1e-5  # a squared error of a grey level: less cannot be told from rounding
+BLACK_DB, WHITE_DB = (
+    10.0,
+    40.0,
+)  # expected PSNR of the darkest and the brightest pixel of a confidence picture
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """What was learned: what holds for all pictures, and the causes' factors.
+
+    Attributes:
+        ground: Measured on the training pictures.
+        factors: By cause.
+        fitted_on: Camera and index of the pictures that the factors were fitted on.
+    """
+
+    ground: Ground
+    factors: dict[str, float]
+    fitted_on: tuple[tuple[str, int], ...]
+
+    def save(self, path: Path) -> None:
+        """Write as JSON."""
+        path.write_text(json.dumps({"format": FORMAT, **asdict(self)}, indent=1, allow_nan=False) + "\n")
+
+
+class Confidence:
+    """Expected errors of pictures of a model.
+
+    Args:
+        scene: Only its training pictures are read; cameras in any frame.
+        model: As it is rendered.
+    Attributes:
+        evidence: What the training pictures know.
+        budget: What was learned of their errors.
+    """
+
+    def __init__(self, scene: Scene, model: DynamicModel) -> None:
+        scene = scene.in_box_frame()
+        self.model, self.evidence = model, Evidence(scene, model)
+        self.budget = _learn(scene, self.evidence, _chosen(scene, model.motion is not None))
+
+    def render(self, camera: Camera, time: float | None) -> Layers:
+        """RGB, depth and opacity of a camera in the box frame at a time in [0, 1]; None: the scene at rest."""
+        return render_layers(self.model, camera, time)
+
+    def expected(self, camera: Camera, time: float | None, layers: Layers) -> Float32[np.ndarray, "h w"]:
+        """Root of each pixel's expected squared error (mean over channels), of the full range.
+
+        Args:
+            camera, time: As rendered.
+            layers: What `render` gave.
+        """
+        return self.expected_of(surface_of(self.evidence, camera, time, layers), camera, layers)
+
+    def expected_of(self, surface: Surface, camera: Camera, layers: Layers) -> Float32[np.ndarray, "h w"]:
+        """The same, of a surface that has been looked up."""
+        ground, factors = self.budget.ground, self.budget.factors
+        parts = causes(surface, camera, layers, ground) * [factors[name] for name in CAUSES]
+        most = ground.unrelated * np.maximum(layers[2], FAINT)
+        for n in DISPLACED:  # what is displaced can be no more wrong than what has nothing to do with it
+            parts[..., n] /= 1 + parts[..., n] / most
+        return np.sqrt(np.clip(parts.sum(-1), LEAST, 1.0)).astype(np.float32)
+
+
+def _chosen(scene: Scene, moves: bool) -> list[PosedFrame]:
+    """Training pictures to fit on: of the moving cameras in turn, at times spread over the clip, and of the sweep."""
+    rest, moving = training(scene.static), training(scene.dynamic) if moves else []
+    if not moving:
+        return spread(rest, FITTED_ON)
+    count = FITTED_ON - 1 if rest else FITTED_ON
+    names = sorted({f.camera_name for f in moving})
+    chosen = []
+    for n in range(count):
+        mine = [f for f in moving if f.camera_name == names[n * len(names) // count % len(names)]]
+        mine.sort(key=lambda f: f.time or 0.0)
+        chosen.append(mine[int((n + 0.5) / count * len(mine))])
+    return chosen + rest[len(rest) // 2 :][:1]
+
+
+def _learn(scene: Scene, evidence: Evidence, frames: Sequence[PosedFrame]) -> ErrorBudget:
+    trues = [load_image(f, scene.image_scale, scene.background).astype(np.float32) / 255 for f in frames]
+    cameras = [f.camera.scaled(scene.image_scale) for f in frames]
+    ground = Ground(
+        texture=float(np.mean([slope(true).mean() for true in trues])),
+        focal_px=float(np.mean([camera.K[0, 0] for camera in cameras])),
+        unrelated=float(np.mean([2 * true.reshape(-1, 3).var(axis=0).mean() for true in trues])) + LEAST,
+        sweep=_mean_residual(evidence.sweep),
+        motion=_mean_residual([w for witnesses in evidence.fixed.values() for w in witnesses]),
+    )
+    terms, errors = [], []
+    for frame, camera, true in zip(frames, cameras, trues, strict=True):
+        layers = render_layers(evidence.model, camera, frame.time)
+        surface = surface_of(evidence, camera, frame.time, layers, besides=frame)
+        every = -(-true[..., 0].size // FIT_PIXELS)
+        found = causes(surface, camera, layers, ground)
+        most = ground.unrelated * layers[2][..., None]
+        found[..., DISPLACED] = np.minimum(found[..., DISPLACED], most)
+        terms.append(found.reshape(-1, len(CAUSES))[::every])
+        errors.append(((layers[0] - true) ** 2).mean(-1).reshape(-1)[::every])
+    x, y = np.concatenate(terms), np.concatenate(errors).astype(np.float64)
+    factors: dict[str, float] = dict(zip(CAUSES, _fit(x, y).tolist(), strict=True))
+    return ErrorBudget(ground, factors, tuple((f.camera_name, f.index) for f in frames))
+
+
+def _fit(x: Float64[np.ndarray, "n causes"], y: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " causes"]:
+    """Factors >= 0 with x @ factors the mean of y, for errors of y in proportion to its mean (reweighted NNLS)."""
+    unit = np.maximum(x.mean(axis=0), 1e-12)
+    mean = np.full(len(y), max(float(y.mean()), LEAST))
+    factors = np.zeros(x.shape[1])
+    for _ in range(FIT_STEPS):
+        weighted = x / unit / mean[:, None]
+        factors, _ = nnls(weighted, y / mean)
+        mean = np.maximum(x / unit @ factors, LEAST)
+    return factors / unit
+
+
+def _mean_residual(witnesses: Sequence) -> float:
+    return float(np.mean([w.residual.mean() for w in witnesses])) if witnesses else 0.0

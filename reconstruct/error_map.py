@@ -1,0 +1,31 @@
+"""Pictures of errors: where a rendered picture differs from the true one, and where it may."""
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+ERROR_GAIN = 4  # an error of a quarter of the range is the brightest colour
+# matplotlib's colour map "inferno": every 15th of its 256 colours
+INFERNO = (
+    "0000040a07221e0c45380962510e6c69166e801f6c982766"
+    "b0315bc63d4dd94d3de9612bf47918fa9407fcb014f8cd37f2ea69fcffa4"
+)
+BLACK_DB, WHITE_DB = (
+    10.0,
+    40.0,
+)  # expected PSNR of the darkest and the brightest pixel of a confidence picture
+
+
+def error_map(
+    rendered: Float[np.ndarray, "height width 3"], true: Float[np.ndarray, "height width 3"]
+) -> Float32[np.ndarray, "height width 3"]:
+    """The largest difference over channels, from black over red to yellow, RGB in [0, 1]."""
+    size = np.clip(ERROR_GAIN * np.abs(rendered - true).max(axis=-1), 0, 1)
+    table = np.frombuffer(bytes.fromhex(INFERNO), np.uint8).reshape(-1, 3) / 255
+    at = np.linspace(0, 1, len(table))
+    return np.stack([np.interp(size, at, channel) for channel in table.T], axis=-1).astype(np.float32)
+
+
+def confidence_picture(expected: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """Expected errors as grey: 0 for an expected PSNR of 10 dB or less, 255 (sure) for 40 dB or more, even in dB."""
+    db = -20 * np.log10(np.maximum(expected, 1e-6))
+    return np.clip(np.round(255 * (db - BLACK_DB) / (WHITE_DB - BLACK_DB)), 0, 255).astype(np.uint8)
