@@ -2,15 +2,15 @@
 
 import json
 import sys
-from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 import devrf
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_file, check_folder
+from devrf.pipelines import run_command
 from devrf.pipelines.bench.cli import bench
 from devrf.pipelines.cli_options import (
     DeviceOption,
@@ -19,17 +19,14 @@ from devrf.pipelines.cli_options import (
     SceneArgument,
     SetOption,
     VerboseOption,
-    configured,
     errors_told,
     talk_of,
 )
 from devrf.pipelines.console import Talk
-from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import DONE, STOPPED, UNHEALTHY
-from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.own_folder import check_run_folder
-from devrf.pipelines.runner.plan import Choice, Standing, is_chosen
-from devrf.pipelines.runner.run import Run, check_choice, check_reads, dry_run
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import dry_run
 from devrf.pipelines.runner.supervise import supervised
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.status import print_status, status_dict
@@ -78,7 +75,7 @@ def check(
 ) -> None:
     """Look at a few pictures of every clip before the crew goes home: go or no-go."""
     talk = talk_of(quiet, verbose)
-    job = _prepare(talk, scene, preset, overrides, None)
+    job = run_command.prepare(talk, scene, preset, overrides, None)
     with errors_told(talk):
         check_folder(job.run_dir, "output:")
         if as_json is not None:
@@ -113,14 +110,14 @@ def run(
     """Run the stages of a scene; resume where the last run stopped."""
     talk = talk_of(quiet, verbose)
     choice = Choice(first, until, tuple(force or ()), allow_unhealthy)
-    job = _prepare(talk, scene, preset, overrides, choice)
+    job = run_command.prepare(talk, scene, preset, overrides, choice)
     with errors_told(talk):
         found = job.standings()
         if dry:
             dry_run(job, found)
-        _check(job, found, device, in_full=dry)
+        run_command.check(job, found, device, in_full=dry)
     if not dry:
-        _execute(job)
+        run_command.carry_out(job)
 
 
 @app.command()
@@ -173,7 +170,7 @@ def status(
 ) -> None:
     """Show each stage: fresh, stale (and why) or missing, its time, its health."""
     talk = Talk()
-    job = _prepare(talk, scene, preset, overrides, None, check_files=False)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     with errors_told(talk):
         found = job.standings()
     job.digests.save()
@@ -193,10 +190,10 @@ def report(
 ) -> None:
     """Make the report anew from what the run folder holds, and say where it is."""
     talk = talk_of(quiet, verbose)
-    job = _prepare(talk, scene, preset, overrides, None, check_files=False)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
     if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
-        _only("report", scene, preset, overrides, talk)
+        run_command.only("report", scene, preset, overrides, talk)
     from devrf.pipelines.stages.report import report_so_far
 
     with errors_told(talk):
@@ -212,7 +209,7 @@ def report(
                 f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
             ) from None
     job.fresh.append("report")
-    say_where(job)
+    run_command.say_where(job)
 
 
 @app.command()
@@ -225,7 +222,7 @@ def render(
     verbose: VerboseOption = False,
 ) -> None:
     """Film the reconstruction anew: an orbit through space and time."""
-    _only("render", scene, preset, overrides, talk_of(quiet, verbose), device)
+    run_command.only("render", scene, preset, overrides, talk_of(quiet, verbose), device)
 
 
 @app.command()
@@ -248,7 +245,7 @@ def export(
 ) -> None:
     """Write the calibrated scene as a data set, or the cameras as a calibration, for other programs."""
     talk = talk_of(quiet)
-    job = _prepare(talk, scene, preset, overrides, None, check_files=False)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     from devrf.pipelines import export_command
 
     with errors_told(talk):
@@ -330,106 +327,6 @@ def _command() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(DONE)
-
-
-def _prepare(
-    talk: Talk,
-    scene: Path,
-    preset: str | None,
-    overrides: Sequence[str] | None,
-    choice: Choice | None,
-    *,
-    check_files: bool = True,
-) -> Run:
-    """Read and check the configuration. Ends the program with exit code 2 where it is wrong.
-
-    Without a choice nothing is going to run, and what could not be run is no mistake.
-    """
-    with errors_told(talk):
-        config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
-        if choice is not None:
-            check_choice(config, STAGES, choice)
-            check_run_folder(config.run_dir(scene_dir), stage_names())
-    return Run(config, scene_dir, STAGES, choice or Choice(), talk)
-
-
-def _execute(job: Run) -> NoReturn:
-    """Run what has been checked, say where to look, and end with the exit code."""
-    code = execute(job)
-    if code == DONE:
-        say_where(job)
-    raise typer.Exit(code)
-
-
-def _check(job: Run, found: Sequence[Standing], device: str, *, in_full: bool) -> None:
-    """Look at the device, the run folder, the raw files and the budget, where a stage is to run.
-
-    Raises:
-        DevrfError: Something stands against a run.
-    """
-    to_do = {
-        now.stage.name
-        for now in found
-        if now.state in ("stale", "missing")
-        and now.cached is None
-        and is_chosen(now.stage.name, STAGES, job.choice)
-    }
-    check_reads(job)
-    if to_do:
-        job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
-        check_folder(job.run_dir, "output:")
-        from devrf.pipelines.preflight import check_inputs
-
-        check_inputs(job.config, job.scene_dir, to_do)
-        _check_budget(job, to_do, in_full)
-
-
-def _check_budget(job: Run, stages: Collection[str], in_full: bool) -> None:
-    """Say what the stages will need, and refuse what cannot be had."""
-    try:
-        from devrf.pipelines.budget.forecast import forecast
-    except ModuleNotFoundError as error:  # training needs fewer libraries than estimates of all stages
-        job.talk.detail(f"memory, disk and time are not estimated: {error.name} is not installed")
-        return
-    found = forecast(job.config, job.scene_dir, job.run_dir, job.device, stages)
-    if found is None:
-        return
-    for line in found.lines():
-        job.talk.say(line, style="dim")
-    for line in found.details():
-        (job.talk.say if in_full else job.talk.detail)(line)
-    if found.refused:
-        raise InputError("\n".join(found.refused))
-
-
-def _only(
-    stage: str,
-    scene: Path,
-    preset: str | None,
-    overrides: Sequence[str] | None,
-    talk: Talk,
-    device: str = "cpu",
-) -> None:
-    """Run one stage of a run that has been made before."""
-    choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
-    job = _prepare(talk, scene, preset, overrides, choice)
-    with errors_told(talk):
-        check_reads(job, f"run the scene first (devrf-pipeline run {scene})")
-        job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
-    _execute(job)
-
-
-def say_where(job: Run) -> None:
-    """Name what people want to see, of the stages that are fresh now."""
-    found = [
-        ("report", "report", "index.html"),
-        ("film", "render", "*.mp4"),
-        ("numbers", "evaluate", "metrics.json"),
-    ]
-    for what, stage, pattern in found:
-        if stage in job.fresh:
-            for path in sorted((job.run_dir / stage).glob(pattern)):
-                job.talk.say(f"  {what}: {path}")
 
 
 if __name__ == "__main__":

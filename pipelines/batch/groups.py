@@ -33,7 +33,7 @@ def groups(config: SceneConfig, standing: Sequence[Standing], gpu: bool) -> list
         gpu: Whether there are GPUs. Without, one process does it all.
     """
     faster = ON_GPU if config.flow.method == "dis" else ON_GPU | {"flow"}
-    first = next((n for n, now in enumerate(standing) if now.state in ("stale", "missing")), len(standing))
+    first = next((n for n, now in enumerate(standing) if now.to_make), len(standing))
     todo = [now.stage.name for now in standing[first:]]
     split = next((n for n, name in enumerate(todo) if gpu and name in faster), len(todo))
     parts = ((todo[:split], False), (todo[split:], True))

@@ -83,7 +83,7 @@ class BatchScene:
     @property
     def to_do(self) -> list[str]:
         """Stages that are to be made."""
-        return [now.stage.name for now in self.standing if now.state in ("stale", "missing")]
+        return [now.stage.name for now in self.standing if now.to_make]
 
 
 def look(paths: Sequence[Path], options: Options, *, unique_names: bool = False) -> list[BatchScene]:

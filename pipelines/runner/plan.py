@@ -62,6 +62,11 @@ class Standing:
     cached: str | None = None
 
     @property
+    def to_make(self) -> bool:
+        """Whether nothing else than running it gives what is needed."""
+        return self.state in ("stale", "missing") and self.cached is None
+
+    @property
     def verdict(self) -> Verdict | None:
         """The worst of the health rows; None where there are none."""
         return worst(row.verdict for row in self.health)

@@ -27,6 +27,7 @@ RUNNER_FILES = (
     "stages",
     "cli",
     "cli_options",
+    "run_command",
     "budget.allowance",
     "budget.memory",
     "budget.need",

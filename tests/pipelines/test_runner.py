@@ -18,12 +18,13 @@ from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage
 from tests.waiting import wait_for
 
 from devrf.capture.errors import CaptureError, HealthError, InputError
-from devrf.pipelines.cli import render, say_where
+from devrf.pipelines.cli import render
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import row
+from devrf.pipelines.run_command import say_where
 from devrf.pipelines.runner import plan
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice, standings

@@ -1,0 +1,113 @@
+"""Commands that run stages: what has to be right before anything starts, and what is said in the end."""
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import typer
+
+from devrf.capture.errors import InputError
+from devrf.capture.writable import check_folder
+from devrf.pipelines.cli_options import configured, errors_told
+from devrf.pipelines.console import Talk
+from devrf.pipelines.device import resolve_device
+from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.runner.plan import Choice, Standing, is_chosen
+from devrf.pipelines.runner.run import Run, check_choice, check_reads
+from devrf.pipelines.stages import STAGES, stage_names
+
+
+def prepare(
+    talk: Talk,
+    scene: Path,
+    preset: str | None,
+    overrides: Sequence[str] | None,
+    choice: Choice | None,
+    *,
+    check_files: bool = True,
+) -> Run:
+    """Read and check the configuration. Ends the program with exit code 2 where it is wrong.
+
+    Without a choice nothing is going to run, and what could not be run is no mistake.
+    """
+    with errors_told(talk):
+        config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
+        if choice is not None:
+            check_choice(config, STAGES, choice)
+            check_run_folder(config.run_dir(scene_dir), stage_names())
+    return Run(config, scene_dir, STAGES, choice or Choice(), talk)
+
+
+def carry_out(job: Run) -> NoReturn:
+    """Run what has been checked, say where to look, and end with the exit code."""
+    code = execute(job)
+    if code == DONE:
+        say_where(job)
+    raise typer.Exit(code)
+
+
+def check(job: Run, found: Sequence[Standing], device: str, *, in_full: bool) -> None:
+    """Look at the device, the run folder, the raw files and the budget, where a stage is to run.
+
+    Raises:
+        DevrfError: Something stands against a run.
+    """
+    to_do = {now.stage.name for now in found if now.to_make and is_chosen(now.stage.name, STAGES, job.choice)}
+    check_reads(job)
+    if to_do:
+        job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
+        check_folder(job.run_dir, "output:")
+        from devrf.pipelines.preflight import check_inputs
+
+        check_inputs(job.config, job.scene_dir, to_do)
+        _check_budget(job, to_do, in_full)
+
+
+def only(
+    stage: str,
+    scene: Path,
+    preset: str | None,
+    overrides: Sequence[str] | None,
+    talk: Talk,
+    device: str = "cpu",
+) -> NoReturn:
+    """Run one stage of a run that has been made before, and end with the exit code."""
+    choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
+    job = prepare(talk, scene, preset, overrides, choice)
+    with errors_told(talk):
+        check_reads(job, f"run the scene first (devrf-pipeline run {scene})")
+        job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
+    carry_out(job)
+
+
+def say_where(job: Run) -> None:
+    """Name what people want to see, of the stages that are fresh now."""
+    found = [
+        ("report", "report", "index.html"),
+        ("film", "render", "*.mp4"),
+        ("numbers", "evaluate", "metrics.json"),
+    ]
+    for what, stage, pattern in found:
+        if stage in job.fresh:
+            for path in sorted((job.run_dir / stage).glob(pattern)):
+                job.talk.say(f"  {what}: {path}")
+
+
+def _check_budget(job: Run, stages: Collection[str], in_full: bool) -> None:
+    """Say what the stages will need, and refuse what cannot be had."""
+    try:
+        from devrf.pipelines.budget.forecast import forecast
+    except ModuleNotFoundError as error:  # training needs fewer libraries than estimates of all stages
+        job.talk.detail(f"memory, disk and time are not estimated: {error.name} is not installed")
+        return
+    found = forecast(job.config, job.scene_dir, job.run_dir, job.device, stages)
+    if found is None:
+        return
+    for line in found.lines():
+        job.talk.say(line, style="dim")
+    for line in found.details():
+        (job.talk.say if in_full else job.talk.detail)(line)
+    if found.refused:
+        raise InputError("\n".join(found.refused))
