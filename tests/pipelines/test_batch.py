@@ -1,5 +1,6 @@
 """Batches on the local pool, with real stages on tiny scenes: what runs, what is refused, what the summary says."""
 
+import contextlib
 import json
 import os
 import signal
@@ -276,7 +277,8 @@ def test_a_run_that_is_killed_is_a_failure_with_a_message(tmp_path: Path) -> Non
     def kill_it() -> bool:
         for lock in run_dir.glob(".lock"):
             if list(run_dir.glob(".new-canonical*")):
-                os.kill(json.loads(lock.read_text())["pid"], signal.SIGKILL)
+                with contextlib.suppress(ProcessLookupError):  # killed, and its lock not cleared away yet
+                    os.kill(json.loads(lock.read_text())["pid"], signal.SIGKILL)
         return False
 
     ended = run_task(task, kill_it)
