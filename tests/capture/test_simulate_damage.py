@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 from devrf.calibration.truth import rotation_angle_deg
+from devrf.capture.audio import read_sound
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
-from devrf.capture.simulate.damage import blurred, turned, with_smaller_box, write_again, zoomed
+from devrf.capture.simulate.damage import (
+    Picture,
+    blurred,
+    pierced,
+    relit,
+    turned,
+    with_smaller_box,
+    write_again,
+    zoomed,
+)
 from devrf.capture.simulate.sensor import ClipWriter
 from devrf.capture.srgb import linear_from_srgb
 from devrf.capture.video import VideoReader
@@ -72,8 +82,52 @@ def test_a_clip_written_again_keeps_the_times_of_what_is_left(tmp_path: Path) ->
     for n, time_s in enumerate(times):
         clip.picture(np.full((16, 32, 3), 40 * n, np.uint8), time_s)
     clip.close()
-    write_again(tmp_path / "old.mp4", tmp_path / "new.mp4", 2, lambda picture: picture // 2)
+    write_again(
+        tmp_path / "old.mp4",
+        tmp_path / "new.mp4",
+        lambda number, count: number % 2 == 0,
+        lambda picture, when: picture // 2,
+    )
     with VideoReader(tmp_path / "new.mp4") as reader:
         found = [(frame.time_s, float(frame.rgb.mean())) for frame in reader]
     assert [time for time, _ in found] == pytest.approx(times[::2], abs=1e-3)
     assert [level for _, level in found] == pytest.approx([0, 40, 80], abs=3)
+
+
+def test_a_clip_written_again_keeps_its_sound_and_says_where_in_the_clip_a_picture_is(tmp_path: Path) -> None:
+    clip = ClipWriter(tmp_path / "old.mp4", (32, 16), 10.0, 17, 48_000)
+    loud = np.zeros(24_000, np.int64)
+    loud[9_600:9_700] = 20_000  # at 0.2 s
+    clip.sound(loud)
+    for n in range(5):
+        clip.picture(np.full((16, 32, 3), 100, np.uint8), n / 10)
+    clip.close()
+    asked: list[float] = []
+
+    def change(picture: Picture, when: float) -> Picture:
+        asked.append(when)
+        return picture
+
+    write_again(tmp_path / "old.mp4", tmp_path / "new.mp4", lambda number, count: number + 1 < count, change)
+    assert asked == [0.0, 0.25, 0.5, 0.75]
+    sounds = [read_sound(tmp_path / name) for name in ("old.mp4", "new.mp4")]
+    peaks_s = [s.start_s + np.abs(s.samples).argmax() / s.rate_hz for s in sounds if s is not None]
+    assert len(peaks_s) == 2 and peaks_s[0] == pytest.approx(peaks_s[1], abs=0.001)
+
+
+def test_a_stop_is_twice_the_light() -> None:
+    picture = np.full((4, 4, 3), 100, np.uint8)
+    light, was = (
+        linear_from_srgb(relit(picture, np.array([1.0, 0.0, -1.0])) / 255.0),
+        linear_from_srgb(np.array([100 / 255.0])),
+    )
+    np.testing.assert_allclose(light[0, 0] / was, [2.0, 1.0, 0.5], rtol=0.02)
+
+
+def test_holes_cover_the_share_of_the_subject_that_was_asked_for() -> None:
+    alpha = np.zeros((60, 80), np.uint8)
+    alpha[10:50, 20:60] = 255
+    holed = pierced(alpha, 0.3, np.random.default_rng(0))
+    lost = 1 - (holed > 0).sum() / (alpha > 0).sum()
+    assert 0.3 <= lost < 0.32 and not holed[alpha == 0].any()
+    np.testing.assert_array_equal(pierced(0 * alpha, 0.3, np.random.default_rng(0)), 0)

@@ -9,26 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, read_rig, write_rig
-from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.errors import FlowError, InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
-from devrf.capture.progress import no_progress
-from devrf.capture.scene import Scene
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
-from devrf.capture.simulate.sensor import ClipWriter
-from devrf.capture.video import VideoReader
 from devrf.flow.store import read_flows
-from devrf.pipelines.bench.stability import damage
-from devrf.pipelines.bench.stability.axes import AXES
+from devrf.pipelines.bench.stability.axes import AXES, GROUPS, axes_of
 from devrf.pipelines.bench.stability.case import Complaint, Result, run_case
-from devrf.pipelines.bench.stability.damage import Damage, DoesNotApply, Intact
+from devrf.pipelines.bench.stability.damage.intact import Damage, Intact
 from devrf.pipelines.bench.stability.points import bar_db, fails, points, said
 from devrf.pipelines.bench.stability.stability import run_stability
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
+from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
@@ -112,109 +105,30 @@ def test_some_severities_are_spread_and_hold_the_worst(count: int | None, chosen
     assert axis.some(count) == chosen
 
 
+def test_a_group_stands_for_its_axes_and_none_comes_twice() -> None:
+    assert axes_of(["flow_zero", "flow"]) == ["flow_zero", "flow_wrong", "flow_noise"]
+    assert set(axes_of(list(GROUPS))) == set(AXES) and not set(GROUPS) & set(AXES)
+
+
+def test_where_something_else_is_filmed_its_own_scene_at_rest_is_the_bar() -> None:
+    bar = bar_db(CALM)
+    assert bar == 21.0
+    harder = replace(result(1.0, 18.0), baseline=16.0)
+    assert fails(harder, bar) and not fails(replace(harder, films_anew=True), bar)
+    assert fails(replace(harder, films_anew=True, psnr_moving=16.9), bar)
+
+
+def test_what_comes_back_when_the_damage_is_lessened() -> None:
+    found = points([result(1.0, 24.0), result(2.0, 23.0), result(4.0, 20.0)], CALM)
+    assert (found.failure, found.lessened, found.lessened_db) == (4, 2, 23)
+    at_once = points([result(1.0, 20.0)], CALM)
+    assert (at_once.failure, at_once.lessened, at_once.lessened_db) == (1, 0, 25)  # undamaged
+    assert points([result(1.0, 24.0)], CALM).lessened is None
+
+
 def test_severities_rise() -> None:
     for axis in AXES.values():
         assert list(axis.severities) == sorted(set(axis.severities)) and 3 <= len(axis.severities) <= 4
-
-
-# --- damage before the run ---
-
-CAPTURE = """
-name: sheet
-preset: tiny
-capture: {static: static.mp4, cameras: {cam0: a.mp4, cam1: b.mp4, cam2: c.mp4}, test_cameras: [cam1]}
-"""
-
-
-@pytest.fixture
-def intact(tmp_path: Path, odd_scene: Scene) -> Intact:
-    (tmp_path / "scene.yaml").write_text(CAPTURE)
-    config = load_scene(tmp_path / "scene.yaml", check_files=False)
-    return Intact(config, tmp_path, odd_scene, tmp_path, 1.0, 0)
-
-
-def test_cameras_are_left_out_but_never_the_test_cameras(intact: Intact) -> None:
-    assert intact.cameras == ("cam0", "cam1")  # of the scene
-    config = damage.fewer_cameras(_severe(intact, 1.0)).config
-    assert config.capture is not None and list(config.capture.cameras) == ["cam0", "cam1"]
-    with pytest.raises(DoesNotApply, match="2 training cameras"):
-        damage.fewer_cameras(_severe(intact, 2.0))
-
-
-def test_keys_of_the_configuration_are_damaged(intact: Intact) -> None:
-    assert damage.learning_rate(_severe(intact, 10.0)).config.reconstruct.learning_rate == 10
-    seeds = {damage.other_seed(_severe(intact, n)).config.reconstruct.seed for n in (1.0, 2.0)}
-    assert len(seeds) == 2 and 0 not in seeds
-
-
-def test_a_sweep_of_photos_is_not_blurred(intact: Intact) -> None:
-    (intact.scene_dir / "static.mp4").mkdir()
-    with pytest.raises(DoesNotApply, match="folder of photos"):
-        damage.blurred_sweep(intact)
-
-
-def _severe(intact: Intact, severity: float) -> Intact:
-    return replace(intact, severity=severity)
-
-
-def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_the_same_each_time(intact: Intact) -> None:
-    clip = ClipWriter(intact.scene_dir / "static.mp4", (32, 16), 10.0, 17)
-    for n in range(7):
-        clip.picture(np.full((16, 32, 3), 30 * n, np.uint8), n / 10)
-    clip.close()
-    (intact.scene_dir / "ground_truth.json").write_text(json.dumps({"static": list(range(7)), "cams": {}}))
-    folder = intact.folder / "case"
-    folder.mkdir()
-    spoilt = replace(intact, folder=folder, severity=3.0)
-    config = damage.fewer_sweep_pictures(spoilt).config
-    assert config.capture is not None and config.capture.static is not None
-    written = Path(config.capture.static)
-    before = written.read_bytes()
-    with VideoReader(written) as reader:
-        assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.3, 0.6]
-    truth = config.truth_path(intact.scene_dir)
-    assert truth is not None and json.loads(truth.read_text()) == {"static": [0, 3, 6], "cams": {}}
-    damage.fewer_sweep_pictures(spoilt)
-    assert written.read_bytes() == before
-
-
-# --- damage behind a stage ---
-
-
-def test_the_rig_is_damaged_but_not_its_test_camera(intact: Intact, tmp_path: Path) -> None:
-    cameras = {f.camera_name: f.camera for f in intact.scene.dynamic}
-    right = Rig({name: RigCamera(camera, "self") for name, camera in cameras.items()}, ARBITRARY)
-    for damaging, severity in ((damage.turned_cameras, 2.0), (damage.wrong_focal_lengths, 10.0)):
-        write_rig(tmp_path / "rig.json", right)
-        done = damaging(_severe(intact, severity))
-        assert done.stage == "rig"
-        done.behind(_context(intact, tmp_path))
-        wrong = read_rig(tmp_path / "rig.json").cameras
-        assert np.array_equal(wrong["witness"].camera.cam_from_world, cameras["witness"].cam_from_world)
-        for name in intact.cameras:
-            turn = rotation_angle_deg(
-                wrong[name].camera.cam_from_world[:, :3], cameras[name].cam_from_world[:, :3]
-            )
-            zoom = wrong[name].camera.K[0, 0] / cameras[name].K[0, 0]
-            assert (turn, zoom) == pytest.approx((2.0, 1.0) if severity == 2.0 else (0.0, 1.1), abs=1e-4)
-
-
-def test_the_last_training_cameras_clock_is_late_by_frames(intact: Intact, tmp_path: Path) -> None:
-    frames = tuple(FrameRecord(n, n / 20, 100.0, True, None) for n in range(5))
-    clip = CameraFrames("camera", "b.mp4", 80, 56, 20.0, False, False, None, 0, frames)
-    (tmp_path / "ingest").mkdir()
-    FrameSet({"cam0": clip, "cam1": clip}).write(tmp_path / "ingest")
-    entry = {"offset_s": 0.5, "drift_ppm": 3.0}
-    (tmp_path / "sync.json").write_text(json.dumps({"cameras": {"cam0": entry, "cam1": entry}}))
-    done = damage.late_clock(_severe(intact, 2.0))
-    assert done.stage == "sync"
-    done.behind(_context(intact, tmp_path))
-    found = json.loads((tmp_path / "sync.json").read_text())["cameras"]
-    assert found == {"cam0": entry, "cam1": entry | {"offset_s": pytest.approx(0.6)}}
-
-
-def _context(intact: Intact, folder: Path) -> StageContext:
-    return StageContext(intact.config, intact.scene_dir, folder, folder, no_progress, "cpu")
 
 
 # --- through the pipeline ---
@@ -298,21 +212,9 @@ def test_axes_that_do_not_exist_are_named(
         assert not (tmp_path / "o").exists()
 
 
-def test_a_scene_without_test_camera_is_refused_before_anything_runs(intact: Intact, tmp_path: Path) -> None:
-    assert intact.capture is not None
-    capture = intact.capture.model_copy(update={"test_cameras": ()})
-    base = Run(
-        intact.config.model_copy(update={"capture": capture}), tmp_path, STAGES, Choice(), Talk("quiet")
-    )
-    with pytest.raises(InputError, match="no test camera"):
-        run_stability(base, tmp_path / "o", ["seeds"], 1, [0], tmp_path / "o/s.json")
-    assert not (tmp_path / "o").exists()
-
-
-def test_a_stage_that_fails_is_a_result(
-    suite: tuple[Path, list[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, arguments, _ = suite
+@pytest.fixture
+def base(suite: tuple[Path, list[str], str], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """The suite's scene, with another axis that loses all flow."""
 
     def lose(intact: Intact) -> Damage:
         def behind(context: StageContext) -> None:
@@ -321,9 +223,13 @@ def test_a_stage_that_fails_is_a_result(
         return Damage(intact.config, "flow", behind)
 
     monkeypatch.setitem(AXES, "lost", replace(AXES["flow_wrong"], damaging=lose))
-    scene = Path(arguments[2])
+    scene = Path(suite[1][2])
     overrides = [f"reconstruct.{key}={value}" for key, value in SMALL.items()]
-    base = Run(load_scene(scene / "scene.yaml", overrides), scene, STAGES, Choice(), Talk("quiet"))
+    return Run(load_scene(scene / "scene.yaml", overrides), scene, STAGES, Choice(), Talk("quiet"))
+
+
+def test_a_stage_that_fails_is_a_result(suite: tuple[Path, list[str], str], base: Run) -> None:
+    out = suite[0]
     undisturbed = read_scene(out / "undisturbed-0/seed0/run/scene")
     whole, run_dir = run_case(base, out, "flow_wrong", 100.0, 0, undisturbed)
     (out / "lost-100/seed0").mkdir(parents=True)
@@ -338,17 +244,40 @@ def test_a_stage_that_fails_is_a_result(
     assert "ERROR" in log and "all flow is lost" in log
 
 
-def test_a_folder_that_another_run_holds_is_no_result(
-    suite: tuple[Path, list[str], str],
-) -> None:
-    out, arguments, _ = suite
-    scene = Path(arguments[2])
-    base = Run(load_scene(scene / "scene.yaml"), scene, STAGES, Choice(), Talk("quiet"))
-    lock = Lock(out / "undisturbed-0/seed0/run")
+def test_a_folder_that_another_run_holds_is_no_result(suite: tuple[Path, list[str], str], base: Run) -> None:
+    lock = Lock(suite[0] / "undisturbed-0/seed0/run")
     lock.take()
     with pytest.raises(InputError, match="another run"):
-        run_case(base, out, "undisturbed", 0.0, 0)
+        run_case(base, suite[0], "undisturbed", 0.0, 0)
     lock.release()
+
+
+def test_a_failed_run_goes_on_once_the_damage_is_gone_and_reaches_the_undisturbed_value(
+    suite: tuple[Path, list[str], str], base: Run
+) -> None:
+    out, last = suite[0], "evaluate/metrics.json"
+    calm = out / "undisturbed-0/seed0/run"
+    stopped, run_dir = run_case(base, out, "lost", 1.0, 0, read_scene(calm / "scene"))
+    assert stopped.stopped == "flow: all flow is lost" and not (run_dir / last).exists()
+    config = base.config.model_copy(update={"output": str(run_dir)})  # and no cache to take the answer from
+    mended = Run(config, base.scene_dir, STAGES, Choice(last="evaluate", allow_unhealthy=True), Talk("quiet"))
+    assert execute(mended) == 0
+    assert mended.executed == ["flow", "canonical", "deformation", "evaluate"]
+    reached, undisturbed = (
+        json.loads((folder / last).read_text())["test_moving"] for folder in (run_dir, calm)
+    )
+    assert reached == undisturbed
+
+
+def test_no_case_begins_after_the_time_that_was_given(
+    suite: tuple[Path, list[str], str], base: Run, tmp_path: Path
+) -> None:
+    late = tmp_path / "late.json"
+    run_stability(base, suite[0], ["flow_wrong", "pose_noise"], 1, [0], late, minutes=0)
+    content = json.loads(late.read_text())
+    assert set(content["left_out"]) == {"flow_wrong", "pose_noise"} and not content["points"]
+    assert "from 100 on not begun within 0 minutes" in content["left_out"]["flow_wrong"]
+    assert late.with_suffix(".html").is_file()
 
 
 def _file(path: Path) -> int:

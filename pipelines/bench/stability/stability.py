@@ -87,7 +87,9 @@ def run_stability(
                 try:
                     result, _ = run_case(base, out, name, severity, seed, scenes[seed])
                 except DoesNotApply as reason:
-                    left_out[name] = f"does not apply: {reason}"  # of its worst severity, if only from there on
+                    left_out[name] = (
+                        f"does not apply: {reason}"  # of its worst severity, if only from there on
+                    )
                     break
                 _tell(talk, result)
                 results.setdefault(name, []).append(result)
