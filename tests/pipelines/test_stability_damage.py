@@ -26,6 +26,7 @@ from devrf.pipelines.bench.stability.damage.intact import Damage, DoesNotApply, 
 from devrf.pipelines.bench.stability.session import rendered
 from devrf.pipelines.bench.stability.stability import run_stability
 from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.config.scene import CaptureConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
@@ -212,12 +213,21 @@ def test_a_session_is_made_again_once_for_all_seeds_with_the_clips_that_stay(
 ) -> None:
     config = load_scene(session)
     for axis, stays in (("moving_light", "static.mp4"), ("sweep_motion", "cam0.mp4")):
-        seeds = [tmp_path / axis / f"seed{n}" for n in range(2)]
-        for folder in seeds:
-            folder.mkdir(parents=True)
-            spoilt = Intact(config, session.parent, odd_scene, folder, 0.5, 0)
-            capture = AXES[axis].damaging(spoilt).config.capture
         made = tmp_path / axis / "session"
+
+        def filmed(seed: int, axis: str = axis) -> CaptureConfig | None:
+            folder = tmp_path / axis / f"seed{seed}"
+            folder.mkdir(parents=True)
+            return (
+                AXES[axis]
+                .damaging(Intact(config, session.parent, odd_scene, folder, 0.5, seed))
+                .config.capture
+            )
+
+        filmed(0)
+        when = (made / "scene.yaml").stat().st_mtime_ns
+        capture = filmed(1)
+        assert (made / "scene.yaml").stat().st_mtime_ns == when
         assert capture is not None and capture.static == str(made / "static.mp4")
         assert [*capture.all_cameras.values()] == [str(made / f"{n}.mp4") for n in ("cam0", "witness")]
         same = {
