@@ -42,13 +42,26 @@ def axis_chart(
         axes.set_xlabel(axis.unit)
         axes.set_title(label, fontsize=9)
         axes.grid(True, axis="y", alpha=0.3)
-    still = [r.baseline for r in undisturbed if r.baseline is not None]
-    if still:
-        table[0].axhline(fmean(still), color=STILL, linestyle=":", label="standing still (static_baseline)")
+    _standing_still(table[0], axis, places, results, undisturbed)
     table[0].legend(fontsize=6.5)
     figure.suptitle(f"{name}: {axis.what}", fontsize=10)
     figure.savefig(path, dpi=DPI)
     return path
+
+
+def _standing_still(
+    axes: Any, axis: Axis, places: Sequence[float], results: Sequence[Result], undisturbed: Sequence[Result]
+) -> None:
+    """The scene at rest: the undisturbed one, or where something else is filmed that of each severity."""
+    label = "standing still (static_baseline)"
+    if not axis.films_anew:
+        still = _known(undisturbed, lambda r: r.baseline)
+        if still:
+            axes.axhline(fmean(still), color=STILL, linestyle=":", label=label)
+        return
+    columns = [list(undisturbed), *([r for r in results if r.severity == p] for p in places)]
+    own = {n: v for n, cases in enumerate(columns) if (v := _known(cases, lambda r: r.baseline))}
+    axes.plot(list(own), [fmean(v) for v in own.values()], ":", color=STILL, label=label)
 
 
 def _lines(
