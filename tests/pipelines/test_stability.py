@@ -273,7 +273,7 @@ def test_no_case_begins_after_the_time_that_was_given(
     suite: tuple[Path, list[str], str], base: Run, tmp_path: Path
 ) -> None:
     late = tmp_path / "late.json"
-    run_stability(base, suite[0], ["flow_wrong", "pose_noise"], 1, [0], late, minutes=0)
+    run_stability(base, suite[0], ["flow_wrong", "pose_noise"], 1, [0], late, minutes=0.0)
     content = json.loads(late.read_text())
     assert set(content["left_out"]) == {"flow_wrong", "pose_noise"} and not content["points"]
     assert "from 100 on not begun within 0 minutes" in content["left_out"]["flow_wrong"]
