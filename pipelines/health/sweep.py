@@ -152,8 +152,10 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
         ),
         _texture(r),
     ]
-    if len(r["models"]) > 1:
-        joined = "; ".join(f"{len(m)}: {_some(m)}" for m in r["other_models"])
+    lost = set(r["unregistered"])  # pictures that the largest model has too are missed by nobody
+    apart = [m for m in r["other_models"] if lost.intersection(m)]
+    if apart:
+        joined = "; ".join(f"{len(m)}: {_some(m)}" for m in apart)
         rows.append(
             note(
                 "one model",

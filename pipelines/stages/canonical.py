@@ -5,11 +5,13 @@ from dataclasses import asdict
 from typing import Any
 
 from devrf.capture.formats.scene_files import read_scene
+from devrf.pipelines.health.at_rest import at_rest_rows
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.check_rest import check_rest
 from devrf.reconstruct.model_io import FILE, save_rest
 from devrf.reconstruct.train_canonical import train_canonical
 
@@ -27,7 +29,16 @@ def run(context: StageContext) -> None:
     for line in model.metrics["decisions"]:
         context.say(f"  {line}")
     decisions = fits + model.metrics["decisions"]
-    metrics: dict[str, Any] = model.metrics | {"decisions": decisions, "options": asdict(options)}
+    cameras, sweep = check_rest(scene, model)
+    fits_at_rest = {
+        "cameras": {n: asdict(f) for n, f in cameras.items()},
+        "sweep": [asdict(f) for f in sweep],
+    }
+    metrics: dict[str, Any] = model.metrics | {
+        "decisions": decisions,
+        "options": asdict(options),
+        "check": fits_at_rest,
+    }
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
         row(
@@ -40,3 +51,4 @@ def run(context: StageContext) -> None:
             "exposure was locked and that the poses are right (report), or train longer.",
         )
     )
+    context.health.extend(at_rest_rows(cameras, sweep))

@@ -6,11 +6,15 @@ from dataclasses import asdict, replace
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks_in_use import clock_stds
+from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.check_motion import check_motion
+from devrf.reconstruct.clocks import LearnedClock, with_clocks
+from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
 from devrf.reconstruct.sizing import levels_for
 from devrf.reconstruct.train_deformation import train_deformation
@@ -45,7 +49,13 @@ def run(context: StageContext) -> None:
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
-    metrics |= {"decisions": fits + metrics["decisions"], "options": asdict(options)}
+    clocks = {name: LearnedClock(**clock) for name, clock in metrics.get("clocks", {}).items()}
+    cameras = check_motion(with_clocks(scene, clocks), DynamicModel(rest, motion, tuned), options.seed)
+    metrics |= {
+        "decisions": fits + metrics["decisions"],
+        "options": asdict(options),
+        "check": {name: asdict(fit) for name, fit in cameras.items()},
+    }
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     context.health.append(
         row(
@@ -59,6 +69,7 @@ def run(context: StageContext) -> None:
             "rests, or let the fixed cameras see all of its way so that the box is made larger.",
         )
     )
+    context.health.extend(in_motion_rows(cameras))
     context.health.extend(clock_rows(metrics.get("clocks", {})))
 
 

@@ -14,6 +14,7 @@ from devrf.capture.scene import Scene
 from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
+from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
@@ -22,7 +23,6 @@ from devrf.reconstruct.confidence_regions import weakest_regions
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
-LEAST_GAIN_DB = 1.0  # motion that gains less than this over standing still is not worth its name
 TEST_VIEWS = "PSNR of test views"
 GAIN = "what motion gains over the scene at rest, where it moves"
 AGAINST_TRUTH = "largest error against the truth"

@@ -432,6 +432,8 @@ def test_small_and_many_models_are_named(corner):
     small = changed(corner.model, registered=2, given=24, unregistered=["static/000007.png"])
     row = fired(small)["registered share of the sweep"]
     assert row.verdict == "fail" and "A small model can look perfect" in row.remedy
-    many = changed(corner.model, models=[61, 22, 9], other_models=[["a.png"], ["b.png"]])
+    lost = ["a.png", "b.png"]
+    many = changed(corner.model, models=[61, 22, 9], other_models=[["a.png"], ["b.png"]], unregistered=lost)
     row = fired(many)["one model"]
     assert row.value == "3 models: 61, 22, 9 pictures" and "a.png" in row.remedy
+    assert "one model" not in fired(changed(corner.model, models=[61, 2], other_models=[["a.png", "b.png"]]))

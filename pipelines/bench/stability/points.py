@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from devrf.pipelines.bench.stability.case import Complaint, Result
-from devrf.pipelines.stages.evaluate import LEAST_GAIN_DB
+from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 
 WORSE = {"warn": 1, "fail": 2}
 

@@ -18,8 +18,8 @@ from devrf.pipelines.bench.stability.page import build_page
 from devrf.pipelines.bench.stability.points import Points, bar_db, points
 from devrf.pipelines.bench.trainings import Bench, about, device_name, spread
 from devrf.pipelines.console import Talk, duration
+from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.runner.run import Run
-from devrf.pipelines.stages.evaluate import LEAST_GAIN_DB
 
 MEASURES = {
     "psnr_moving": "dB",

@@ -1,0 +1,207 @@
+"""The motion that was learned against the pictures that it was learned from, camera by camera.
+
+Pictures say more of a motion than its loss does. Where they change, four things are measured on a few rays of a few
+pictures: by how much the motion explains them better than the scene at rest; how much of what the scene at rest leaves
+unexplained lies where the model shows nothing at any time, so that no motion can explain it; how much of the surface
+that changes no other camera sees, so that its depth is a guess; and whether the pictures would fit better as if they
+had been taken a little earlier or later.
+
+A motion has far fewer numbers than the pictures have pixels, so pixels need not be held back from training for this.
+What fits each picture by a motion of its own (wrong cameras) is not seen here but at rest (`check_rest.py`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.grids import voxel_size
+from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
+from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
+from devrf.reconstruct.options import CHUNK
+from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.render import render_rest
+from devrf.reconstruct.surroundings import PixelSurroundings
+
+PICTURES = 8  # of each camera, spread over its clip
+RAYS = 96  # of each picture, where pictures change: a camera's gain is known to a tenth of a decibel or two
+SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # pictures by which a camera is tried to be early or late
+OPAQUE = 0.5  # opacity from which something is there
+SAME_SURFACE = (
+    6.0  # voxels, between depths of two cameras: a surface two to three voxels thick, seen at a slant
+)
+SURE = 2.0  # standard errors of what another time gains, picture by picture: it is no chance
+LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
+
+
+@dataclass(frozen=True)
+class MotionFit:
+    """What the pictures of one camera say of the motion.
+
+    Attributes:
+        gain_db: Error of the scene at rest over that of the motion, where the camera's pictures change.
+        unreachable: Share of the error of the scene at rest where the box is empty at rest and at the picture's time.
+        alone: Share of the changing surface that no other training camera sees; None where no surface changes.
+        better_at: Pictures by which they would have to be later (> 0) or earlier (< 0) to fit the motion clearly
+            better, of SHIFTS; 0 where none is clearly better.
+    """
+
+    gain_db: float
+    unreachable: float
+    alone: float | None
+    better_at: float
+
+
+Rays = tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"], Float[Tensor, " n"]]
+"""Origins, directions and times."""
+
+
+@torch.no_grad()
+def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, MotionFit]:
+    """Look at every training camera whose pictures change.
+
+    Args:
+        scene: Any frame; its times are the ones that the motion was learned with.
+        model: With its motion.
+        seed: Of the pixels that are looked at.
+    """
+    scene = scene.in_box_frame()
+    clips: dict[str, list[PosedFrame]] = {}
+    for frame in scene.dynamic:
+        if frame.split == "train" and frame.time is not None:
+            clips.setdefault(frame.camera_name, []).append(frame)
+    frames = tuple(frame for clip in clips.values() for frame in _spread(clip))
+    device = model.rest.canonical.density.device
+    rays = RaySet(frames, scene.image_scale, scene.background, str(device))
+    changing = changing_pixels(rays)
+    everywhere = torch.arange(len(frames), device=device)
+    generator = torch.Generator().manual_seed(seed)
+    batch = draw_with_importance(rays, changing, RAYS * len(frames), 1.0, everywhere, generator)
+    around = PixelSurroundings(model, rays).at(batch.frame, batch.pixel)
+
+    def error(rgb: Tensor, left: Tensor) -> Tensor:
+        return ((around.compose(rgb, left) - batch.rgb) ** 2).mean(1)
+
+    rest_rgb, rest_left = _at_rest(model, batch.rays_o, batch.rays_d)
+    at_rest = error(rest_rgb, rest_left)
+    names = list(clips)
+    camera = torch.tensor([names.index(f.camera_name) for f in frames], device=device)[batch.frame]
+    gaps = [_gap([f.time or 0.0 for f in clips[name]]) for name in names]
+    gap = torch.tensor(gaps, device=device)[camera]
+    seen = {s: _at(model, (batch.rays_o, batch.rays_d, batch.time + s * gap)) for s in SHIFTS}
+    _, left, depth = seen[0.0]
+    errors = torch.stack([error(rgb, through) for rgb, through, _ in seen.values()], dim=1)
+    empty = torch.minimum(left, rest_left) > OPAQUE
+    solid = (left < OPAQUE).nonzero()[:, 0]
+    surface = batch.rays_o + (depth / (1 - left).clamp_min(1e-6))[:, None] * batch.rays_d
+    others = _seen_by_others(model, rays, camera, solid, surface[solid], batch.time[solid])
+    out = {}
+    for n, name in enumerate(names):
+        mine = camera == n
+        if not any(len(changing.of_frame[k]) for k, f in enumerate(frames) if f.camera_name == name):
+            continue
+        before = max(float(at_rest[mine].sum()), 1e-12)
+        told = mine & _known(model, batch.time, gap)
+        pictures = [errors[told & (batch.frame == k)] for k in batch.frame[told].unique()]
+        curves = np.array([part.sum(0).tolist() for part in pictures]).reshape(-1, len(SHIFTS))
+        out[name] = MotionFit(
+            gain_db=10 * math.log10(before / max(float(errors[mine, SHIFTS.index(0.0)].sum()), 1e-12)),
+            unreachable=float(at_rest[mine & empty].sum()) / before,
+            alone=float((~others[mine[solid]]).float().mean()) if bool(mine[solid].any()) else None,
+            better_at=better_shift(curves),
+        )
+    return out
+
+
+def better_shift(curves: Float[np.ndarray, "pictures shifts"]) -> float:
+    """The shift at which pictures fit clearly better than as they are, by their squared errors at SHIFTS; else 0."""
+    if len(curves) < 2:
+        return 0.0
+    now = SHIFTS.index(0.0)
+    best = int(curves.sum(0).argmin())
+    gained = curves[:, now] - curves[:, best]
+    sure = gained.sum() > SURE * gained.std(ddof=1) * math.sqrt(len(gained))
+    much = curves[:, now].sum() > 10 ** (LEAST_SHIFT_DB / 10) * curves[:, best].sum()
+    return SHIFTS[best] if sure and much else 0.0
+
+
+def _at_rest(model: DynamicModel, rays_o: Tensor, rays_d: Tensor) -> tuple[Tensor, Tensor]:
+    """Colour and transmittance of the box at rest along rays."""
+    black, parts = torch.zeros(3, device=rays_o.device), []
+    for o, d in zip(rays_o.split(CHUNK), rays_d.split(CHUNK), strict=True):
+        middle = torch.full((2, len(o)), 0.5, device=o.device)
+        rest = model.rest
+        seen = render_rest(rest.canonical, None, black, o, d, near=rest.near, far=rest.far, jitter=middle)
+        parts.append((seen.rgb, seen.left))
+    rgb, left = (torch.cat(part) for part in zip(*parts, strict=True))
+    return rgb, left
+
+
+def _at(model: DynamicModel, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
+    """Colour, transmittance and weighted depth of the box along rays, each at its own time."""
+    rays_o, rays_d, time = rays
+    assert model.motion is not None  # asked of models with motion only
+    motion, rest = model.motion, model.in_motion or model.rest
+    tau = motion.tau(time)
+    interval = tau.long().clamp(max=motion.keys - 2)
+    rgb, left, depth = torch.zeros_like(rays_o), torch.ones_like(time), torch.zeros_like(time)
+    for first in interval.unique().tolist():
+        window = motion.window(first, first + 1, rays_o.device)
+        mine = (interval == first).nonzero()[:, 0]
+        live = live_distance(rest, window, (tau[mine] - first).unique(), 1)
+        for part in mine.split(CHUNK):
+            at, middle = (tau[part] - first).contiguous(), torch.full_like(tau[part], 0.5)
+            seen = render_moved(rest, window, live, rays_o[part], rays_d[part], at, middle)
+            rgb[part], left[part], depth[part] = seen.rgb, seen.left, seen.depth
+    return rgb, left, depth
+
+
+def _seen_by_others(
+    model: DynamicModel,
+    rays: RaySet,
+    camera: Int[Tensor, " n"],
+    solid: Int[Tensor, " s"],
+    points: Float[Tensor, "s 3"],
+    time: Float[Tensor, " s"],
+) -> Bool[Tensor, " s"]:
+    """Whether a training camera other than its own sees a point of the moving surface at the point's time."""
+    canonical = model.rest.canonical
+    tolerance = SAME_SURFACE * voxel_size(canonical.aabb, canonical.shape)
+    views = {f.camera_name: n for n, f in enumerate(rays.frames)}
+    seen = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+    for number, view in enumerate(views.values()):
+        other = rays.cameras[view]
+        pixel = np.nan_to_num(other.project(points.double().cpu().numpy()), nan=-1.0)
+        inside = ((pixel >= 0) & (pixel < [other.width, other.height])).all(-1)
+        asked = (torch.from_numpy(inside).to(seen.device) & (camera[solid] != number) & ~seen).nonzero()[:, 0]
+        towards = points[asked] - rays.centres[view]
+        away = towards.norm(dim=1)
+        origin = rays.centres[view].expand(len(asked), 3).contiguous()
+        _, left, depth = _at(model, (origin, towards / away[:, None], time[asked]))
+        hit = depth / (1 - left).clamp_min(1e-6)
+        seen[asked] = (left < OPAQUE) & ((hit - away).abs() < tolerance)
+    return seen
+
+
+def _known(model: DynamicModel, time: Float[Tensor, " n"], gap: Float[Tensor, " n"]) -> Bool[Tensor, " n"]:
+    """Whether the motion covers all the times that a ray is tried at."""
+    assert model.motion is not None  # as above
+    first, last = SHIFTS[0] * gap + time, SHIFTS[-1] * gap + time
+    return (first >= model.motion.t_first - 1e-6) & (last <= model.motion.t_last + 1e-6)
+
+
+def _gap(times: Sequence[float]) -> float:
+    """Time from one picture of a camera to its next."""
+    ordered = sorted(times)
+    return median(b - a for a, b in zip(ordered, ordered[1:], strict=False)) if len(times) > 1 else 0.0
+
+
+def _spread(clip: Sequence[PosedFrame]) -> list[PosedFrame]:
+    chosen = np.unique(np.linspace(0, len(clip) - 1, min(PICTURES, len(clip))).round().astype(int))
+    return [clip[n] for n in chosen]

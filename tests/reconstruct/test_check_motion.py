@@ -1,0 +1,126 @@
+"""The motion against the pictures it was learned from: the ball's true motion, and what can be wrong with it."""
+
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from devrf.pipelines.health.in_motion import in_motion_rows
+from devrf.reconstruct.check_motion import SHIFTS, MotionFit, better_shift, check_motion
+from devrf.reconstruct.clocks import LearnedClock, with_clocks
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.train_canonical import RestModel
+
+GAP = 0.25  # from one of the ball's pictures to the next
+
+
+@pytest.fixture(scope="module")
+def true(ball, rest: RestModel) -> DynamicModel:
+    """The ball at rest as it was learned, with the motion that it really has."""
+    return moved(ball, rest, 1.0)
+
+
+def moved(ball, rest: RestModel, way: float) -> DynamicModel:
+    aabb = torch.tensor(ball.scene.aabb).float()
+    motion = MotionField.still(aabb, 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    motion.backward[1] -= way * torch.tensor(ball.travel).float()
+    return DynamicModel(rest, motion)
+
+
+def warnings(fits: dict[str, MotionFit]) -> list[str]:
+    return [row.check for row in in_motion_rows(fits) if row.verdict == "warn"]
+
+
+def test_the_true_motion_fires_nothing(ball, true: DynamicModel) -> None:
+    fits = check_motion(ball.scene, true)
+    assert list(fits) == ["cam0", "cam1", "cam2"]
+    assert all(f.gain_db > 5 and f.unreachable < 0.1 and f.better_at == 0 for f in fits.values()), fits
+    assert warnings(fits) == []
+
+
+@pytest.mark.parametrize("way", [0.0, -1.0])
+def test_no_motion_and_motion_the_other_way_gain_nothing(ball, rest: RestModel, way: float) -> None:
+    fits = check_motion(ball.scene, moved(ball, rest, way))
+    assert all(fit.gain_db < 0.1 for fit in fits.values())
+    assert any(check.startswith("gain of motion") for check in warnings(fits))
+
+
+def test_a_box_that_holds_little_of_the_motion_cannot_explain_it(ball, rest: RestModel) -> None:
+    """A small box in a corner of the scene, which the ball never enters."""
+    corner = copy(rest.canonical)
+    corner.aabb = 0.1 * rest.canonical.aabb + 0.85
+    model = moved(ball, replace(rest, canonical=corner), 1.0)
+    assert model.motion is not None
+    model.motion.aabb = corner.aabb
+    fits = check_motion(ball.scene, model)
+    assert all(fit.unreachable > 0.9 and fit.alone is None for fit in fits.values()), fits
+    assert any(check.startswith("change where the model is empty") for check in warnings(fits))
+
+
+def test_what_others_see_of_a_ball(ball, true: DynamicModel) -> None:
+    """Far cameras see half of a ball each: one a quarter turn away shares half of that, one on either side all of it,
+    one opposite nothing. These stand 5.8 radii away and see 80 degrees to each side of the middle, 78 of every 160 in
+    common at the height of the middle.
+    """
+    fits = check_motion(ball.scene, true)
+    alone = {
+        name: fit.alone for name, fit in fits.items()
+    }  # cam0, cam1 and cam2 stand at 0, 90 and 180 degrees
+    assert alone["cam0"] == pytest.approx(0.5, abs=0.15) and alone["cam2"] == pytest.approx(0.5, abs=0.15)
+    assert alone["cam1"] is not None and alone["cam1"] < 0.15
+    one = replace(ball.scene, dynamic=tuple(f for f in ball.scene.dynamic if f.camera_name == "cam0"))
+    fits = check_motion(one, true)
+    assert fits["cam0"].alone == 1.0
+    assert any(check.startswith("moving surface") for check in warnings(fits))
+
+
+def test_a_late_clock_is_named(ball, true: DynamicModel) -> None:
+    """cam1's pictures are said to be half a gap later than they are: they fit the true motion half a gap earlier."""
+    late = with_clocks(ball.scene, {"cam1": LearnedClock(GAP / 2, None, 0.0)})
+    fits = check_motion(late, true)
+    assert fits["cam1"].better_at == -0.5 and fits["cam0"].better_at == fits["cam2"].better_at == 0.0
+    (said,) = [check for check in warnings(fits) if check.startswith("pictures by which")]
+    assert "cam1" in said
+
+
+def test_another_time_must_be_clearly_better() -> None:
+    rng = np.random.default_rng(0)
+    shifts = np.array(SHIFTS)
+    right = 1 + 0.3 * shifts**2 + np.zeros((6, 1))
+    assert better_shift(right) == 0.0
+    assert better_shift(1 + 0.3 * (shifts + 1) ** 2 + np.zeros((6, 1))) == -1.0
+    assert better_shift(right[:1]) == 0.0  # one picture tells nothing
+    noise = 1 + 0.2 * rng.standard_normal((6, len(SHIFTS)))
+    assert better_shift(noise) == 0.0
+    assert (
+        better_shift(1 + 1e-3 * (shifts - 0.5) ** 2 + np.zeros((6, 1))) == 0.0
+    )  # sure, and not worth a word
+
+
+FINE = MotionFit(gain_db=4.0, unreachable=0.1, alone=0.2, better_at=0.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says", "remedy"),
+    [
+        ({"gain_db": 0.9}, "gain of motion", "check the clock and the pose of right"),
+        ({"unreachable": 0.6}, "change where the model is empty", "in right is not in the box"),
+        ({"better_at": -0.5}, "pictures by which", "The clock of right"),
+        ({"alone": None}, None, ""),
+    ],
+)
+def test_what_is_too_much(wrong: dict[str, Any], says: str | None, remedy: str) -> None:
+    fired = [
+        row for row in in_motion_rows({"left": FINE, "right": replace(FINE, **wrong)}) if row.verdict != "ok"
+    ]
+    assert [row.check.startswith(says or "") and remedy in row.remedy for row in fired] == [True] * (
+        says is not None
+    )
+
+
+def test_where_nothing_changes_nothing_is_said() -> None:
+    assert in_motion_rows({}) == []

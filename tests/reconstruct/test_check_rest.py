@@ -1,0 +1,98 @@
+"""The scene at rest against fixed cameras: silent where they are right, heard where they or the pictures are wrong."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import pytest
+
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.simulate.damage import zoomed
+from devrf.pipelines.health.at_rest import at_rest_rows
+from devrf.reconstruct.check_rest import RestFit, check_rest
+from devrf.reconstruct.displacement import Displacement
+from devrf.reconstruct.train_canonical import RestModel
+
+
+def words(scene: Scene, rest: RestModel) -> dict[str, str]:
+    """Row -> verdict."""
+    return {row.check.split(",")[0]: row.verdict for row in at_rest_rows(*check_rest(scene, rest))}
+
+
+def changed(scene: Scene, change: Callable[[PosedFrame], PosedFrame], name: str = "cam1") -> Scene:
+    """The scene with one camera's pictures changed."""
+    return replace(scene, dynamic=tuple(change(f) if f.camera_name == name else f for f in scene.dynamic))
+
+
+def test_cameras_that_are_right_fire_nothing(ball, rest: RestModel) -> None:
+    cameras, sweep = check_rest(ball.scene, rest)
+    assert list(cameras) == ["cam0", "cam1", "cam2"] and len(sweep) == 2  # no test camera is asked
+    assert {row.verdict for row in at_rest_rows(cameras, sweep)} == {"ok"}
+
+
+def test_a_voxel_is_measured_at_the_middle_of_the_box(ball, rest: RestModel) -> None:
+    """The box around the ball is some 1.1 wide, R = 40; cameras 2.6 to 2.9 away, 60 / 48 of a width focal length."""
+    cameras, _ = check_rest(ball.scene, rest)
+    side = float((rest.canonical.aabb[1] - rest.canonical.aabb[0]).max()) / 40
+    camera = ball.scene.dynamic[0].camera
+    away = float((camera.centre**2).sum() ** 0.5)
+    assert cameras["cam0"].voxel == pytest.approx(side * 60 / 48 / away, rel=0.15)
+
+
+def test_a_clip_that_does_not_begin_at_rest_is_seen(ball, rest: RestModel) -> None:
+    """cam1's first picture shows the ball where it is at the end."""
+    last = [f for f in ball.scene.dynamic if f.camera_name == "cam1"][-1]
+    scene = changed(ball.scene, lambda f: replace(f, path=last.path))
+    assert words(scene, rest)["PSNR of the scene at rest"] == "warn"
+
+
+def test_a_wrong_focal_length_is_seen(ball, rest: RestModel) -> None:
+    scene = changed(ball.scene, lambda f: replace(f, camera=zoomed(f.camera, 1.2)))
+    assert "warn" in words(scene, rest).values()
+
+
+def test_a_picture_of_other_exposure_is_seen(ball, rest: RestModel, tmp_path: Path) -> None:
+    def darker(frame: PosedFrame) -> PosedFrame:
+        picture = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
+        assert picture is not None
+        picture[..., :3] //= 2
+        cv2.imwrite(str(tmp_path / frame.path.name), picture)
+        return replace(frame, path=tmp_path / frame.path.name)
+
+    assert words(changed(ball.scene, darker), rest)["PSNR of the scene at rest"] == "warn"
+
+
+def test_where_the_clips_never_rest_their_still_pixels_are_asked(ball, rest: RestModel) -> None:
+    """Before plain white nothing is still but the background: nothing is told, nothing is claimed."""
+    cameras, sweep = check_rest(replace(ball.scene, rest_time=None), rest)
+    assert all(fit.displaced is None for fit in cameras.values())
+    assert "warn" not in {row.verdict for row in at_rest_rows(cameras, sweep)}
+
+
+def test_a_scene_at_rest_alone_has_no_cameras_to_ask(ball, rest: RestModel) -> None:
+    cameras, sweep = check_rest(replace(ball.scene, dynamic=(), rest_time=None), rest)
+    assert at_rest_rows(cameras, sweep) == []
+
+
+RIGHT = RestFit(25.0, Displacement(0.002, 0.0005), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (replace(RIGHT, displaced=Displacement(0.007, 0.0005)), "picture beside the scene at rest"),
+        (replace(RIGHT, psnr=21.0), "PSNR of the scene at rest"),
+    ],
+)
+def test_what_is_too_much(wrong: RestFit, says: str) -> None:
+    """Half a voxel and two standard deviations are 0.6 % of the width; 3 dB below 24 to 25 are 21.5."""
+    rows = at_rest_rows({"left": RIGHT, "right": wrong}, [RIGHT, replace(RIGHT, psnr=24.0)])
+    (fired,) = [row for row in rows if row.verdict == "warn"]
+    assert fired.check.startswith(says) and "right" in fired.check and "right" in fired.remedy
+
+
+def test_a_sweep_that_lies_beside_its_own_model_says_how_much_is_usual() -> None:
+    shaky = [replace(RIGHT, displaced=Displacement(0.008, 0.0005))] * 2
+    rows = at_rest_rows({"cam0": replace(RIGHT, displaced=Displacement(0.007, 0.0005))}, shaky)
+    assert {row.verdict for row in rows} == {"ok"}
