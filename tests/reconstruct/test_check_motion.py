@@ -107,7 +107,7 @@ FINE = MotionFit(gain_db=4.0, unreachable=0.1, alone=0.2, better_at=0.0)
 @pytest.mark.parametrize(
     ("wrong", "says", "remedy"),
     [
-        ({"gain_db": 0.9}, "gain of motion", "check the clock and the pose of right"),
+        ({"gain_db": 1.4}, "gain of motion", "check the clock and the pose of right"),
         ({"unreachable": 0.6}, "change where the model is empty", "in right is not in the box"),
         ({"better_at": -0.5}, "pictures by which", "The clock of right"),
         ({"alone": None}, None, ""),

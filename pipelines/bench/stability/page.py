@@ -5,6 +5,7 @@ from pathlib import Path
 
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import Result
+from devrf.pipelines.bench.stability.heard import SUFFERED_DB, Heard
 from devrf.pipelines.bench.stability.points import Points, said
 from devrf.pipelines.report.html import figure, page, readable, section, table, text
 from devrf.pipelines.report.pictures import data_uri
@@ -15,6 +16,7 @@ def build_page(
     undisturbed: Sequence[Result],
     results: Mapping[str, Sequence[Result]],
     found: Mapping[str, Points],
+    known: Heard,
     charts: Mapping[str, Path],
     left_out: Mapping[str, str],
 ) -> str:
@@ -25,6 +27,7 @@ def build_page(
         undisturbed: The undisturbed case of every seed.
         results: Axis -> its cases.
         found: Axis -> its failure and notice point.
+        known: Precision and recall of what is said.
         charts: Axis -> its chart.
         left_out: Axis and severity -> why it was not measured.
     """
@@ -48,7 +51,7 @@ def build_page(
         "A result breaks where half of its seeds are stopped, or gain less over the undisturbed scene at rest than "
         "motion must. Said: a health row that the undisturbed case does not show and that needs no test view."
     )
-    body = section("overview", "Where it breaks", lead, overview + not_there)
+    body = section("overview", "Where it breaks", lead, _heard(known) + overview + not_there)
     body += section("undisturbed", "Undisturbed", "The same scene without damage.", _cases(undisturbed, ()))
     for name, cases in results.items():
         image = data_uri(charts[name].read_bytes(), "image/png")
@@ -56,6 +59,19 @@ def build_page(
         body += section(name, name, f"{AXES[name].what}.", picture + _cases(cases, undisturbed))
     head = f'<header><p class="kind">Stability</p><h1>{text(title)}</h1></header>'
     return page(f"{title}: stability", f"{head}<main>{body}</main>")
+
+
+def _heard(known: Heard) -> str:
+    """Precision and recall in words."""
+    lines = [
+        f"Recall: of {len(known.broken)} axes that break, {len(known.broken) - len(known.missed)} are noticed in time."
+        + (f" Missed: {', '.join(known.missed)}." if known.missed else ""),
+        f"Precision: of {len(known.spoken)} cases with a complaint, {len(known.spoken) - len(known.unfounded)} lost "
+        f"{SUFFERED_DB:g} dB or more."
+        + (f" The others: {'; '.join(known.unfounded)}." if known.unfounded else ""),
+        f"Said of the undisturbed scene: {'; '.join(known.alarms) or 'nothing'}.",
+    ]
+    return "".join(f"<p>{text(line)}</p>" for line in lines)
 
 
 def _cases(cases: Sequence[Result], undisturbed: Sequence[Result]) -> str:

@@ -9,11 +9,12 @@ from statistics import fmean
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
+from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, is_made, run_case
 from devrf.pipelines.bench.stability.chart import axis_chart
 from devrf.pipelines.bench.stability.damage.intact import DoesNotApply
+from devrf.pipelines.bench.stability.heard import SUFFERED_DB, Heard, heard
 from devrf.pipelines.bench.stability.page import build_page
 from devrf.pipelines.bench.stability.points import Points, bar_db, points
 from devrf.pipelines.bench.trainings import Bench, about, device_name, spread
@@ -30,6 +31,7 @@ MEASURES = {
     "sync_ms": "ms",
     "seconds": "s",
 }
+HEARD_GOAL = 0.9  # of recall, and of precision
 
 
 def run_stability(
@@ -99,6 +101,8 @@ def run_stability(
         for severity in sorted({r.severity for r in cases}):
             rows += _rows(f"{name}/{severity:g}", [r for r in cases if r.severity == severity])
         rows += _points_rows(name, found[name])
+    known = heard(results, undisturbed, found)
+    rows += _heard_rows(known)
     print_rows(talk, f"Stability, {base.config.name}", rows)
     for name, why in left_out.items():
         talk.say(f"{name}: {why}")
@@ -116,7 +120,7 @@ def run_stability(
     }
     page = json_path.with_suffix(".html")
     title = f"{base.config.name}, {base.config.preset}, {device_name(base.device)}"
-    page.write_text(build_page(title, undisturbed, results, found, charts, left_out), encoding="utf-8")
+    page.write_text(build_page(title, undisturbed, results, found, known, charts, left_out), encoding="utf-8")
     write_rows(
         json_path,
         rows,
@@ -126,6 +130,7 @@ def run_stability(
         left_out=left_out,
         axes={name: {"what": a.what, "unit": a.unit} for name, a in AXES.items() if name in results},
         points={name: asdict(p) for name, p in found.items()},
+        heard=asdict(known) | {"recall": known.recall, "precision": known.precision},
         cases=[asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
     )
     say_files(talk, json_path)
@@ -183,6 +188,22 @@ def _points_rows(name: str, found: Points) -> list[Row]:
         *rows,
         Row(f"stability/{name}/failure point", found.failure, unit, why=_never(found.failure, "breaks")),
         Row(f"stability/{name}/notice point", found.notice, unit, why=_never(found.notice, "is noticed")),
+    ]
+
+
+def _heard_rows(known: Heard) -> list[Row]:
+    """Recall, precision and false alarms, and what keeps them from being perfect."""
+    missed = f"nothing is said in time of {', '.join(known.missed)}" if known.missed else None
+    lost = f"less than {SUFFERED_DB:g} dB lost: {'; '.join(known.unfounded)}" if known.unfounded else None
+    said_anyway = f"said of the undisturbed scene: {'; '.join(known.alarms)}" if known.alarms else None
+    recall = Row("stability/recall", known.recall, "", why=missed if known.broken else "nothing breaks")
+    precision = Row(
+        "stability/precision", known.precision, "", why=lost if known.spoken else "nothing is said"
+    )
+    return [
+        with_goal(recall, HEARD_GOAL),
+        with_goal(precision, HEARD_GOAL),
+        Row("stability/undisturbed/complaints", float(len(known.alarms)), "", why=said_anyway),
     ]
 
 
