@@ -35,6 +35,7 @@ class CameraFlow:
         flow: Vectors [N, height, width, 2]: u right, v down, pixels of the stored size.
         valid: Where the flow can be trusted [N, height, width].
         confidence: How much, 0 (not at all) to 15 [N, height, width]; None: what is valid is so alike.
+        agreement: How far the pictures bear each vector out, 0 to 15 [N, height, width]; None: they were not asked.
     """
 
     camera: str
@@ -42,6 +43,7 @@ class CameraFlow:
     flow: Float16[np.ndarray, "N height width 2"]
     valid: Bool[np.ndarray, "N height width"]
     confidence: UInt8[np.ndarray, "N height width"] | None = None
+    agreement: UInt8[np.ndarray, "N height width"] | None = None
 
 
 def pair_path(folder: Path, camera: str, index: int) -> Path:

@@ -19,6 +19,7 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
+from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.losses import entropy_loss, rendering_loss
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
@@ -80,18 +81,23 @@ def fine_tune(
         progress: Told how far it is.
         checkpoint: Where to keep the state between two iterations, and to take it up from.
     Raises:
-        ReconstructError: The loss diverged.
+        ReconstructError: The loss diverges with small steps, too.
     """
     options = levels_for(options, rest.canonical) if options.adapt else options
     log, iterations = TrainingLog(device, LOG_EVERY), options.fine_tuning
     recipe = _Recipe(scene.in_box_frame(), rest, motion, options, device)
     saved = checkpoint.found(log)
     begin = 0 if saved is None else recipe.take_up(saved)
-    for iteration in range(begin, iterations):
-        log.add(2 * options.rays, recipe.step(iteration))
+    iteration = begin
+    while iteration < iterations:
+        if recipe.guard.ran_away(log, 2 * options.rays, recipe.step(iteration)):
+            recipe.go_back(log, rest, iteration)
+            iteration = 0
+            continue
         if iteration % 10 == 0:
             progress(iteration / iterations, f"fine-tuning, iteration {iteration} of {iterations}")
-        checkpoint.keep(iteration + 1, iterations, log, recipe.state)
+        iteration += 1
+        checkpoint.keep(iteration, iterations, log, recipe.state)
     log.close_row()
     model = recipe.model()
     before, after = recipe.held_before, recipe.held_error()
@@ -99,7 +105,7 @@ def fine_tune(
     if options.adapt and not options.fine_tuning_given and gain is not None and gain < LEVEL_PAYS_DB:
         reason = f"it gained {gain:+.2f} dB on pixels held back, less than {LEVEL_PAYS_DB}"
         model, decision = None, Decision("fine-tuning", "none", f"{iterations} iterations", reason)
-    return FineTuned(model, gain, decision, log.summary())
+    return FineTuned(model, gain, decision, log.summary() | recipe.guard.summary())
 
 
 class _Recipe:
@@ -125,6 +131,7 @@ class _Recipe:
         for grid in self._grids().values():
             grid.visit(reachable)
         self.net = torch.optim.Adam(canonical.net.parameters(), 0.0, BETAS, EPS)
+        self.guard = Guard()
         self.windows = _windows(motion, device)
         self.held_before = self.held_error()  # and its last window is entered
 
@@ -157,7 +164,7 @@ class _Recipe:
         )  # fmt: skip
         parts_at_rest = rendering_loss(out.rgb, batch.rgb), entropy_loss(out.left)
         (parts_at_rest[0] + ENTROPY * parts_at_rest[1]).backward()
-        lr = o.fine_tuning_lr * 0.1 ** (iteration / o.fine_tuning)
+        lr = self.guard.rate * o.fine_tuning_lr * 0.1 ** (iteration / o.fine_tuning)
         self.features.update(lr, flag=self.density.grad[0])
         self.density.update(lr)
         for group in self.net.param_groups:
@@ -169,7 +176,24 @@ class _Recipe:
     def state(self) -> State:
         """Everything that the next iteration depends on."""
         tensors = {"generator": self.generator.get_state()} | net_state(self.rest.canonical.net, self.net)
-        return tensors | grids_state(self._grids()), {"window": self.window}
+        return tensors | grids_state(self._grids()), {"window": self.window, "guard": self.guard.state()}
+
+    def go_back(self, log: TrainingLog, rest: RestModel, iteration: int) -> None:
+        """To the scene at rest as the sweep has taught it, with smaller steps.
+
+        Raises:
+            ReconstructError: Steps are small enough.
+        """
+        where = f"fine-tuning, iteration {iteration}"
+        if not self.guard.go_back(log, where):
+            raise diverged(f"the loss of {where} ran away")
+        canonical = self.rest.canonical
+        canonical.density.copy_(rest.canonical.density)
+        canonical.features.copy_(rest.canonical.features)
+        canonical.net.load_state_dict(rest.canonical.net.state_dict())
+        for grid in self._grids().values():
+            grid.forget()
+        self.net.state.clear()
 
     def take_up(self, saved: Saved) -> int:
         """Go on from a `state`; returns the number of iterations behind it."""
@@ -177,6 +201,7 @@ class _Recipe:
         take_up_grids(self._grids(), tensors)
         take_up_net(self.rest.canonical.net, self.net, tensors)
         self.generator.set_state(tensors["generator"])
+        self.guard.take_up(numbers["guard"])
         self.enter(numbers["window"])
         return done
 

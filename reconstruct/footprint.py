@@ -37,7 +37,10 @@ PIXEL = 3
 MATTE = 1  # per pixel of pictures before a plain background
 LENS_PIXEL = 36  # of a lens: a viewing direction; the rest while lens distortion is undone
 VIEW_PIXEL = 28  # of a camera that stands still: what is outside the box; twice that while it is put together
-FLOW_PIXEL_READ, FLOW_PIXEL = 6, 5  # vectors and confidence as they are read, and in training's order
+FLOW_PIXEL_READ, FLOW_PIXEL = (
+    8,
+    6,
+)  # vectors, confidence, agreement as they are read and checked; in training's order
 
 CHANNELS = 13  # density and features
 REST_VERTEX = 4 * CHANNELS + 1  # of a scene at rest that is looked at

@@ -14,6 +14,7 @@ from devrf.reconstruct.kernels.adam import masked_step
 
 BETAS = (0.9, 0.99)  # DirectVoxGO's; the papers say "Adam"
 EPS = 1e-8
+TOUCHED = 1e-30  # in place of a second moment: next to none, but not none
 FEW = (
     0.25  # share of the vertices below which a checkpoint holds them one by one, else the whole grid: no copy
 )
@@ -102,6 +103,13 @@ class GridTrainer:
         values, moment1, moment2 = (x.view(-1, channels) for x in (self.values, self.moment1, self.moment2))
         grad, flags = self.grad.view(self.copies, -1, channels), None if flag is None else flag.view(-1)
         masked_step(values, grad, moment1, moment2, self.reachable, self.step, lr, BETAS, EPS, flags)
+
+    def forget(self) -> None:
+        """Fresh moments; what has been touched stays so."""
+        self.step = 0
+        self.grad.zero_()
+        self.moment1.zero_()
+        self.moment2 = torch.where(self.moment2 == 0, 0.0, TOUCHED)
 
     def touched(self) -> Bool[Tensor, "X Y Z"]:
         """Vertices that have ever had a gradient."""

@@ -30,16 +30,19 @@ def flow_loss(
     target_px: Float[Tensor, "S 2"],
     weights: Float[Tensor, " S"],
     confidence: Float[Tensor, " S"],
+    agreement: Float[Tensor, " S"],
 ) -> Float[Tensor, ""]:
     """Optical flow supervision, DeVRF Eq. 6: weighted L1 distance between where a point was and where flow says.
 
     As the program has it: divided by twice the number of valid samples instead of the number of rays, weights
     not detached, and only pixels whose flow is consistent forward and backward. Departure: distances are in
     pixels of a picture 400 wide (the published size), so that the weight does not depend on resolution; and a vector
-    counts by its confidence, from 0 to 1, where the published program has 0 or 1 (`reference` keeps these).
+    counts by its confidence, from 0 to 1, where the published program has 0 or 1 (`reference` keeps these), times how
+    far the pictures agree with it. That is not divided by: vectors that are all wrong are not to count as much as
+    vectors that are all right.
     """
     apart = (moved_px - target_px).abs().sum(-1)
-    kept = torch.where(confidence > 0, confidence * weights * apart, 0.0)
+    kept = torch.where(confidence > 0, confidence * agreement * weights * apart, 0.0)
     return kept.sum() / (2 * confidence.sum() + 1e-8)
 
 

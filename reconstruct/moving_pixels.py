@@ -86,7 +86,7 @@ def same(rays: RaySet, a: int, b: int) -> bool:
     """Whether two pictures of a camera show the same; not where it has moved, nor of one picture twice."""
     if a == b or _view(rays.cameras[a]) != _view(rays.cameras[b]):
         return False
-    one, other = (_smooth(_picture(rays, n)).astype(np.float32) / 255 for n in (a, b))
+    one, other = (_smooth(rays.picture(n)).astype(np.float32) / 255 for n in (a, b))
     return not _as_a_whole(np.abs(one - other).max(axis=2)).any()
 
 
@@ -98,7 +98,7 @@ def _view(camera: Camera) -> bytes:
 def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) -> np.ndarray:
     """True where the pictures of one camera change or move [H, W], and a little around."""
     camera = rays.cameras[members[0]]
-    smooth = np.stack([_smooth(_picture(rays, n)) for n in members])
+    smooth = np.stack([_smooth(rays.picture(n)) for n in members])
     apart = np.empty(smooth.shape[1:3], np.float32)
     rows = max(1, AT_ONCE // smooth[:, 0].size)
     for at in range(0, len(apart), rows):  # in floating point all would be many times as large
@@ -116,7 +116,9 @@ def _moves(clip: CameraFlow) -> np.ndarray:
     """Where flow moves at any time, and is sure of it [H, W]."""
     out = np.zeros(clip.flow.shape[1:3], bool)
     for n, vectors in enumerate(clip.flow):
-        sure = clip.valid[n] if clip.confidence is None else clip.confidence[n] >= SURE
+        sure = clip.valid[n]
+        if clip.confidence is not None:
+            sure = sure & (clip.confidence[n] >= SURE)
         out |= _whole_blocks(sure & (np.hypot(*vectors.astype(np.float32).transpose(2, 0, 1)) > MOVES_PX))
     return out
 
@@ -128,12 +130,6 @@ def _as_a_whole(apart: np.ndarray) -> np.ndarray:
 
 def _whole_blocks(mask: np.ndarray) -> np.ndarray:
     return minimum_filter(mask, size=2, mode="constant", cval=1)
-
-
-def _picture(rays: RaySet, n: int) -> np.ndarray:
-    """A picture of the set [H, W, 3]."""
-    camera, (begin, end) = rays.cameras[n], rays.first[n : n + 2].tolist()
-    return rays.pixels[begin:end].cpu().numpy().reshape(camera.height, camera.width, 3)
 
 
 def _smooth(picture: np.ndarray) -> np.ndarray:

@@ -100,7 +100,8 @@ class MotionOptions:
         one_camera: Each step draws from one camera, the cameras in turn, as published.
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
-        flow_confidence: A vector of flow counts by its confidence (False: all valid ones alike, as published).
+        flow_confidence: A vector of flow counts by its confidence and by how far the pictures agree with it
+            (`checked_flow.py`; False: all valid ones alike, as published).
         live_every: Iterations between rebuilds of where the moving scene may be.
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.

@@ -33,7 +33,7 @@ class PixelFlow:
             for n, index in enumerate(flow.index)
         }
         number = {(f.camera_name, f.index): n for n, f in enumerate(rays.frames)}
-        previous, first, vectors, confidence, size = [], [], [], [], 0
+        previous, first, vectors, confidence, agreement, size = [], [], [], [], [], 0
         for n, (frame, camera) in enumerate(zip(rays.frames, rays.cameras, strict=True)):
             before = max((i for c, i in number if c == frame.camera_name and i < frame.index), default=None)
             found = entry.get((frame.camera_name, frame.index))
@@ -45,12 +45,14 @@ class PixelFlow:
             first.append(size)
             vectors.append(found[0].flow[found[1]].reshape(-1, 2))
             confidence.append(_confidence(*found, weighted).reshape(-1))
+            agreement.append(_agreement(*found).reshape(-1))
             size += camera.width * camera.height
         self.pictures = len(vectors)
         device = rays.device
         self.previous, self.first = torch.tensor(previous, device=device), torch.tensor(first, device=device)
         self.vectors = torch.from_numpy(np.concatenate(vectors or [np.zeros((1, 2), np.float16)])).to(device)
         self.confidence = torch.from_numpy(np.concatenate(confidence or [np.zeros(1, np.uint8)])).to(device)
+        self.agreement = torch.from_numpy(np.concatenate(agreement or [np.zeros(1, np.uint8)])).to(device)
         self.width = torch.tensor([c.width for c in rays.cameras], device=device)
         self.height = torch.tensor([c.height for c in rays.cameras], device=device)
         focal = [[c.K[i, i] * PUBLISHED_WIDTH / c.width for i in (0, 1)] for c in rays.cameras]
@@ -58,8 +60,11 @@ class PixelFlow:
 
     def at(
         self, frame: Int[Tensor, " n"], pixel: Int[Tensor, " n"]
-    ) -> tuple[Float[Tensor, "n 2"], Int[Tensor, " n"], Float[Tensor, " n"]]:
-        """Where pixels were, in which picture, and how far that can be trusted: from 0, not at all, to 1."""
+    ) -> tuple[Float[Tensor, "n 2"], Int[Tensor, " n"], Float[Tensor, " n"], Float[Tensor, " n"]]:
+        """Where pixels were, in which picture, how far that can be trusted, and how far pictures agree.
+
+        Both from 0, not at all, to 1.
+        """
         has = self.first[frame] >= 0
         index = torch.where(has, self.first[frame] + pixel, 0)
         width, height = self.width[frame], self.height[frame]
@@ -68,7 +73,8 @@ class PixelFlow:
         inside = ((at >= 0) & (at <= torch.stack([width, height], dim=-1) - 1)).all(-1)
         direction = self._direction(frame, at)
         target = direction[:, :2] / direction[:, 2:] * self.focal[frame]
-        return target, self.previous[frame], (has & inside) * self.confidence[index].float() / BEST
+        confidence, agreement = (x[index].float() / BEST for x in (self.confidence, self.agreement))
+        return target, self.previous[frame], (has & inside) * confidence, agreement
 
     def project(self, points: Float[Tensor, "S 3"], frame: Int[Tensor, " S"]) -> Float[Tensor, "S 2"]:
         """Pinhole projection into the cameras of pictures, relative to the principal point."""
@@ -93,3 +99,10 @@ def _confidence(flow: CameraFlow, n: int, weighted: bool) -> UInt8[np.ndarray, "
     if weighted and flow.confidence is not None:
         return flow.confidence[n]
     return BEST * flow.valid[n].astype(np.uint8)
+
+
+def _agreement(flow: CameraFlow, n: int) -> UInt8[np.ndarray, "height width"]:
+    """Of entry `n`, 0 to 15; the best where pictures were not asked."""
+    if flow.agreement is not None:
+        return flow.agreement[n]
+    return np.full(flow.valid[n].shape, BEST, np.uint8)

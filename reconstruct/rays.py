@@ -151,6 +151,11 @@ class RaySet:
         count = self.first[frame + 1] - self.first[frame]
         return self.at(frame, (share.to(self.device) * count).long())
 
+    def picture(self, n: int) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture of the set as it is trained on."""
+        camera, (begin, end) = self.cameras[n], self.first[n : n + 2].tolist()
+        return self.pixels[begin:end].cpu().numpy().reshape(camera.height, camera.width, 3)
+
     def keep_only(self, pixels: Bool[Tensor, " pixels"]) -> None:
         """Draw only these of all pixels from now on, where no pictures are named."""
         if bool(pixels.any()):

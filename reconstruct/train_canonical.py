@@ -20,6 +20,7 @@ from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.coarse_box import find_subject
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
+from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.adam import add_total_variation
 from devrf.reconstruct.kernels.launch import copies_for
@@ -47,6 +48,7 @@ LOG_EVERY = 25
 FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
+GOOD = "good "  # before the names of what a checkpoint holds of the last good point
 
 
 @dataclass
@@ -79,7 +81,7 @@ def train_canonical(
         checkpoint: Where to keep the state between two iterations, and to take it up from.
         watch: Shown the model (a `RestModel` without metrics) now and then.
     Raises:
-        ReconstructError: No training pictures, nothing in the box, or the loss diverged.
+        ReconstructError: No training pictures, nothing in the box, or the loss diverges with small steps, too.
     """
     scene = scene.in_box_frame()
     frames = tuple(f for f in scene.static if f.split == "train")
@@ -105,18 +107,22 @@ def train_canonical(
         hand_on(coarse, seen, recipe.canonical, recipe.shell, rays.centres)
         recipe.restart()
     begun = READING + (COARSE if options.box_search == "coarse" and plain is not None else 0.0)
-    begin = 0 if saved is None else recipe.take_up(saved, generator)
-    for iteration in range(begin, options.iterations):
+    iteration = 0 if saved is None else recipe.take_up(saved, generator)
+    while iteration < options.iterations:
         recipe.before(iteration)
         parts = recipe.step(rays.draw(recipe.rays_now, generator), generator)
-        log.add(recipe.rays_now, parts, samples=recipe.samples_per_ray * recipe.rays_now)
+        samples = recipe.samples_per_ray * recipe.rays_now
+        if recipe.guard.ran_away(log, recipe.rays_now, parts, samples=samples):
+            iteration = recipe.go_back(log, iteration)
+            continue
         if iteration % 10 == 0:
             done = begun + (1 - begun) * iteration / options.iterations
             last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
             progress(done, f"iteration {iteration} of {options.iterations}{last}")
             if watch is not None:
                 watch(log, lambda: recipe.model({}))
-        checkpoint.keep(iteration + 1, options.iterations, log, lambda: recipe.state(generator))
+        iteration += 1
+        checkpoint.keep(iteration, options.iterations, log, lambda: recipe.state(generator))
     recipe.finish()
     log.close_row()
     progress(1.0, "scene at rest learned")
@@ -126,6 +132,7 @@ def train_canonical(
         "aabb": recipe.canonical.aabb.tolist(),
         "occupied": float((recipe.canonical.distance == 0).float().mean()),
         "decisions": [str(decision)] if decision is not None else [],
+        **recipe.guard.summary(),
     }
     return recipe.model(metrics)
 
@@ -223,6 +230,9 @@ class _Recipe:
             )
         self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), options.lr_mlp, BETAS, EPS)
         self.decay = 1.0
+        self.guard = Guard()
+        self.good: dict[str, Tensor] = {}  # values at the last good point
+        self.good_iteration = -1
         self.samples_per_ray = float(
             self.canonical.shape[0] + self.canonical.shape[1]
         )  # a guess to begin with
@@ -235,8 +245,10 @@ class _Recipe:
         return max(FEWEST_DRAWN, min(self.options.rays, fitting))
 
     def before(self, iteration: int) -> None:
-        """Refine when it is time to; rebuild the occupancy every so often."""
-        self.decay = 0.1 ** (iteration / self.options.iterations)
+        """Refine when it is time to; rebuild the occupancy every so often: these are points to go back to."""
+        self.decay = self.guard.rate * 0.1 ** (iteration / self.options.iterations)
+        if iteration == self.good_iteration:
+            return  # gone back to
         if iteration in self.scalings:
             self._clear_untouched()
             del self.density, self.features, self.surround  # their memory is what the next resolution needs
@@ -245,8 +257,32 @@ class _Recipe:
             if self.shell is not None:
                 self.shell.refine(self._shell_size(level), self.rays.centres)
             self.restart()
+            self.guard.begin()
         elif iteration and iteration % self.options.occupancy_every == 0:
             self._find_reachable()
+        elif iteration:
+            return
+        self.good = {name: grid.values.clone() for name, grid in self._grids().items()}
+        self.good |= {f"net.{name}": x.clone() for name, x in self.canonical.net.state_dict().items()}
+        self.good_iteration = iteration
+        self.guard.good_point()
+
+    def go_back(self, log: TrainingLog, iteration: int) -> int:
+        """To the last good point, with smaller steps; returns its iteration.
+
+        Raises:
+            ReconstructError: Steps are small enough.
+        """
+        if not self.guard.go_back(log, f"scene at rest, iteration {iteration}"):
+            raise diverged(f"the loss of the scene at rest ran away at iteration {iteration}")
+        for name, grid in self._grids().items():
+            grid.values.copy_(self.good[name])
+            grid.forget()
+        net = {name: self.good[f"net.{name}"] for name in self.canonical.net.state_dict()}
+        self.canonical.net.load_state_dict(net)
+        self.net_optimiser.state.clear()
+        self._find_reachable()
+        return self.good_iteration
 
     def model(self, metrics: dict[str, Any]) -> RestModel:
         """As it is now."""
@@ -306,7 +342,12 @@ class _Recipe:
         tensors |= net_state(self.canonical.net, self.net_optimiser) | grids_state(self._grids())
         if self.shell is not None:
             tensors["surround distance"] = self.shell.distance
-        return tensors, {"samples_per_ray": self.samples_per_ray}
+        tensors |= {f"{GOOD}{name}": values for name, values in self.good.items()}
+        return tensors, {
+            "samples_per_ray": self.samples_per_ray,
+            "good_iteration": self.good_iteration,
+            "guard": self.guard.state(),
+        }
 
     def take_up(self, saved: Saved, generator: torch.Generator) -> int:
         """Go on from a `state`; returns the number of iterations behind it."""
@@ -319,7 +360,10 @@ class _Recipe:
         if self.shell is not None:
             self.shell.grid = torch.empty_like(tensors["surround"], device=device)
             self.shell.distance = tensors["surround distance"].to(device)
-        self.samples_per_ray = numbers["samples_per_ray"]
+        self.samples_per_ray, self.good_iteration = numbers["samples_per_ray"], numbers["good_iteration"]
+        self.guard.take_up(numbers["guard"])
+        good = {name.removeprefix(GOOD): x for name, x in tensors.items() if name.startswith(GOOD)}
+        self.good = {name: x.to(device) for name, x in good.items()}
         take_up_net(self.canonical.net, self.net_optimiser, tensors)
         self._new_trainers()
         take_up_grids(self._grids(), tensors)

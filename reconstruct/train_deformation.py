@@ -63,5 +63,6 @@ def train_deformation(
     for name in ("peak_rss_gb", "peak_gpu_gb"):
         metrics[name] = max(metrics[name], tuned.metrics[name]) if metrics[name] is not None else None
     metrics["rays_per_s"] = round(metrics["rays"] / max(metrics["seconds"], 1e-9))
+    metrics["restarts"] += tuned.metrics["restarts"]
     metrics |= {"fine_tuning_s": tuned.metrics["seconds"], "fine_tuning_gain_db": tuned.gain_db}
     return motion, tuned.model, metrics

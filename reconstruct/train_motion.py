@@ -25,9 +25,11 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.clocks import SHIFTS, Clocks, LearnedClock, error_curves
 from devrf.reconstruct.grids import BETAS, EPS
+from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
@@ -85,7 +87,7 @@ def train_motion(
         clock_stds: Standard deviations of the clocks, the reference first, seconds, where they are learned; None or
             absent: not known.
     Raises:
-        ReconstructError: No training pictures of the scene in motion, or the loss diverged.
+        ReconstructError: No training pictures of the scene in motion, or the loss diverges with small steps, too.
     """
     scene = scene.in_box_frame()
     frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
@@ -110,11 +112,12 @@ def train_motion(
             recipe.follow(key)
             continue
         recipe.enter_key(key)
-        for _ in range(options.iterations[level]):
-            log.add(recipe.options.rays, recipe.step(), level=float(level), key=float(key))
+        while not recipe.train_key(log):
+            if not recipe.go_back(log):
+                break
         recipe.leave_key()
         last = f", PSNR {log.rows[-1]['psnr']:.1f} dB" if log.rows else ""
-        progress(0.05 + 0.95 * log.iteration / total, f"level {level + 1}, key {key}{last}")
+        progress(min(1.0, 0.05 + 0.95 * log.iteration / total), f"level {level + 1}, key {key}{last}")
         checkpoint.keep(n + 1, len(visits), log, recipe.state)
         if watch is not None:
             watch(log, lambda: recipe.motion)
@@ -127,8 +130,11 @@ def train_motion(
         "left_box_share": recipe.left_box / max(1, recipe.seen),
         "largest_motion": max(float(key.norm(dim=-1).max()) for key in recipe.motion.forward),
         "flow_pictures": recipe.flow.pictures,
+        "flow_contradicted": recipe.flow_contradicted,
         "level_gains_db": [round(gain, 3) for gain in recipe.gains],
         "decisions": [str(decision) for decision in recipe.decisions],
+        "keys_left": recipe.keys_left,
+        **recipe.guard.summary(),
     }
     if clocks is not None:
         metrics["clocks"] = {name: asdict(clock) for name, clock in clocks.learned.items()}
@@ -168,6 +174,8 @@ class _Recipe:
         self.decisions: list[Decision] = []
         self.options = options = levels_for(options, rest.canonical) if options.adapt else options
         self.generator = torch.Generator().manual_seed(options.seed)
+        checked = checked_flow(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
+        flows, self.flow_contradicted = checked.flows, checked.contradicted
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows, options.flow_confidence)
         self.changing = changing_pixels(rays, flows) if options.importance > 0 else None
@@ -197,6 +205,8 @@ class _Recipe:
         # Published units per unit of the box frame; in normalised device coordinates they are the same.
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
         self.left_box = self.seen = 0
+        self.guard = Guard()
+        self.keys_left = 0  # as they were before, because training made them worse
         self.level, self.key, self.step_of_key = 0, 0, 0
         self.device = device
         self.held_back = HeldBack(rays, self.changing) if options.adapt else None
@@ -237,7 +247,7 @@ class _Recipe:
     def lr(self) -> float:
         """Learning rate of the present level."""
         levels = len(self.options.levels)
-        return self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
+        return self.guard.rate * self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
 
     def state(self) -> State:
         """Everything that the next key depends on."""
@@ -246,8 +256,9 @@ class _Recipe:
             "forward": self.motion.forward,
             "generator": self.generator.get_state(),
         }
-        names = ("level", "left_box", "seen", "errors", "gains")
+        names = ("level", "left_box", "seen", "errors", "gains", "keys_left")
         numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
+        numbers["guard"] = self.guard.state()
         if self.clocks is not None:
             numbers["learned"] = {name: asdict(clock) for name, clock in self.clocks.learned.items()}
         return tensors, numbers
@@ -255,6 +266,7 @@ class _Recipe:
     def take_up(self, saved: Saved) -> int:
         """Go on from a `state`; returns how many keys of how many levels it has behind it."""
         done, tensors, numbers = saved
+        self.guard.take_up(numbers.pop("guard"))
         if self.clocks is not None:
             learned = numbers.pop("learned")
             self.clocks.learned = {name: LearnedClock(**clock) for name, clock in learned.items()}
@@ -293,7 +305,6 @@ class _Recipe:
         if self.level == 0 and 0 <= before < motion.keys:
             motion.backward[key] = motion.backward[before]
             motion.forward[key] = motion.forward[before]
-        self.step_of_key = 0
         choose = self.key_pictures.around if self.level else self.key_pictures.tracked
         self.pictures = choose(key)
         self.views = self.key_pictures.by_camera(self.pictures)
@@ -302,12 +313,44 @@ class _Recipe:
         last = max(int(looked_at.max().ceil()), key, self.first + 1)
         self.window = motion.window(self.first, last, self.device)
         self.key = key - self.first
-        self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
-        self.live: Tensor | None = None
+        self.begun = [field[self.key].clone() for field in (self.window.backward, self.window.forward)]
+        self.guard.good_point()
+        self._begin()
         self.asked = (
             self.held_back.rays_of(self.pictures) if self.level and self.held_back is not None else None
         )
         self.errors[0] += self._held_error()
+
+    def _begin(self) -> None:
+        """No step yet: a fresh Adam."""
+        self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
+        self.live: Tensor | None = None
+        self.step_of_key = 0
+        self.guard.begin()
+
+    def train_key(self, log: TrainingLog) -> bool:
+        """All steps of the present key; whether it fits its pictures no worse than before."""
+        labels = {"level": float(self.level), "key": float(self.first + self.key)}
+        for _ in range(self.options.iterations[self.level]):
+            if self.guard.ran_away(log, self.options.rays, self.step(), **labels):
+                return False
+        return not self.guard.made_it_worse()
+
+    def go_back(self, log: TrainingLog) -> bool:
+        """To the key as it was; False if it has been tried with steps that are small enough, and stays so.
+
+        Raises:
+            ReconstructError: Its pictures make no number of it, without any step.
+        """
+        where = f"motion, level {self.level + 1}, key {self.first + self.key}"
+        if self.guard.hopeless:
+            raise diverged(f"the loss of the {where} is not a number")
+        for field, begun in zip((self.window.backward, self.window.forward), self.begun, strict=True):
+            field[self.key] = begun
+        again = self.guard.go_back(log, where)
+        self.keys_left += not again
+        self._begin()
+        return again
 
     def follow(self, key: int) -> None:
         """A key at which nothing has changed: its motion is that of the key before."""
@@ -402,9 +445,9 @@ class _Recipe:
     def _flow_loss(self, batch: RayBatch, ray_id: Tensor, x0: Tensor, weights: Tensor) -> Tensor:
         if self.options.flow == 0 or not self.flow.pictures:
             return x0.new_zeros(())
-        target, previous, confidence = self.flow.at(batch.frame, batch.pixel)
+        target, previous, confidence, agreement = self.flow.at(batch.frame, batch.pixel)
         was = self.window.from_rest(x0, self._tau(previous)[ray_id])
         if self.rest.canonical.ndc is not None:
             was = self.rest.canonical.ndc.to_world(was)
         moved = self.flow.project(was, batch.frame[ray_id])
-        return flow_loss(moved, target[ray_id], weights, confidence[ray_id])
+        return flow_loss(moved, target[ray_id], weights, confidence[ray_id], agreement[ray_id])

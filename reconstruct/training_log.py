@@ -15,6 +15,10 @@ from devrf.capture.amounts import GB
 from devrf.capture.errors import ReconstructError
 
 
+class Diverged(ReconstructError):
+    """A loss that is not a finite number."""
+
+
 class TrainingLog:
     """Gathers numbers during training; `rows` are means over the iterations since the row before."""
 
@@ -32,7 +36,7 @@ class TrainingLog:
         """Count one iteration and its (unweighted) losses; `mse` becomes the row's PSNR.
 
         Raises:
-            ReconstructError: A loss is not a finite number.
+            Diverged: A loss is not a finite number.
         """
         self.iteration += 1
         self.rays += rays
@@ -49,7 +53,7 @@ class TrainingLog:
         self._sums.clear()
         for name, value in means.items():
             if not math.isfinite(value):
-                raise ReconstructError(
+                raise Diverged(
                     f"training diverged: loss '{name}' is {value} at iteration {self.iteration}; "
                     "check poses and times (report), then lower reconstruct.resolution or change the seed"
                 )
@@ -57,6 +61,10 @@ class TrainingLog:
         if "mse" in means:
             row["psnr"] = round(psnr(means["mse"]), 3)
         self.rows.append(row | {name: float(f"{value:.4g}") for name, value in means.items()})
+
+    def forget(self) -> None:
+        """Leave out what has gathered since the last row."""
+        self._sums.clear()
 
     def state(self) -> dict[str, Any]:
         """All of it as plain numbers, for a checkpoint."""

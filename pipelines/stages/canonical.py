@@ -7,6 +7,7 @@ from typing import Any
 from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.health.at_rest import at_rest_rows
 from devrf.pipelines.health.rows import row
+from devrf.pipelines.health.training import restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -52,3 +53,4 @@ def run(context: StageContext) -> None:
         )
     )
     context.health.extend(at_rest_rows(cameras, sweep))
+    context.health.extend(restart_rows(metrics))

@@ -8,6 +8,7 @@ from devrf.flow.store import read_flows
 from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.training import flow_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -70,6 +71,8 @@ def run(context: StageContext) -> None:
         )
     )
     context.health.extend(in_motion_rows(cameras))
+    context.health.extend(restart_rows(metrics))
+    context.health.extend(flow_rows(metrics["flow_contradicted"]))
     context.health.extend(clock_rows(metrics.get("clocks", {})))
 
 

@@ -27,16 +27,19 @@ def test_cycle_loss_is_half_the_squared_distance() -> None:
 
 def test_flow_loss_counts_valid_samples_only() -> None:
     moved, target = torch.tensor([[1.0, 2], [9.0, 9]]), torch.zeros(2, 2)
-    weights = torch.tensor([0.5, 1.0])
-    assert flow_loss(moved, target, weights, torch.tensor([1.0, 0.0])) == pytest.approx(0.75)
-    assert flow_loss(moved, target, weights, torch.tensor([0.0, 0.0])) == 0
+    weights, ones = torch.tensor([0.5, 1.0]), torch.ones(2)
+    assert flow_loss(moved, target, weights, torch.tensor([1.0, 0.0]), ones) == pytest.approx(0.75)
+    assert flow_loss(moved, target, weights, torch.tensor([0.0, 0.0]), ones) == 0
     # 0.75 of confidence 1 and 9 of confidence 1/4: (1.5 + 18 / 4) / (2 * 1.25)
-    assert flow_loss(moved, target, weights, torch.tensor([1.0, 0.25])) == pytest.approx(2.4)
+    assert flow_loss(moved, target, weights, torch.tensor([1.0, 0.25]), ones) == pytest.approx(2.4)
+    # pictures that contradict the second take its share, and give it to nobody
+    agreement = torch.tensor([1.0, 0.0])
+    assert flow_loss(moved, target, weights, ones, agreement) == pytest.approx(0.375)
 
 
 def test_flow_loss_ignores_points_behind_the_camera_that_are_not_valid() -> None:
     moved = torch.tensor([[float("nan"), 0], [1.0, 0]])
-    loss = flow_loss(moved, torch.zeros(2, 2), torch.ones(2), torch.tensor([0.0, 1.0]))
+    loss = flow_loss(moved, torch.zeros(2, 2), torch.ones(2), torch.tensor([0.0, 1.0]), torch.ones(2))
     assert loss == pytest.approx(0.5)
 
 

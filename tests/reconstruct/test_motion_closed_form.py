@@ -90,12 +90,12 @@ def test_flow_loss_is_zero_at_the_true_motion(size: tuple[int, int]) -> None:
     pixel = torch.from_numpy(rng.integers(0, size[0] * size[1], 300))
     batch = rays.at(frame, pixel)
     x = batch.rays_o - batch.rays_o[:, 2:] / batch.rays_d[:, 2:] * batch.rays_d
-    target, previous, valid = flow.at(frame, pixel)
-    assert valid.float().mean() > 0.8 and (previous == frame - 1).all()
+    target, previous, valid, agreement = flow.at(frame, pixel)
+    assert (agreement == 1).all() and valid.float().mean() > 0.8 and (previous == frame - 1).all()
     was = x - torch.from_numpy(slide).float()
     weights = torch.ones(300)
-    exact = flow_loss(flow.project(was, frame), target, weights, valid)
-    still = flow_loss(flow.project(x, frame), target, weights, valid)
+    exact = flow_loss(flow.project(was, frame), target, weights, valid, agreement)
+    still = flow_loss(flow.project(x, frame), target, weights, valid, agreement)
     assert exact < 2e-3 * PUBLISHED_WIDTH / min(size) and still > 50 * exact
 
 
@@ -110,7 +110,7 @@ def test_flow_counts_by_its_confidence(weighted: bool, expected: list[float]) ->
         "cam0", np.array([1], np.int32), np.zeros((1, 6, 8, 2), np.float16), confidence > 0, confidence
     )
     pixel = torch.tensor([2 * 8 + 3, 2 * 8 + 4, 2 * 8 + 5])
-    _, _, found = PixelFlow(rays, {"cam0": flow}, weighted).at(torch.ones(3, dtype=torch.int64), pixel)
+    _, _, found, _ = PixelFlow(rays, {"cam0": flow}, weighted).at(torch.ones(3, dtype=torch.int64), pixel)
     torch.testing.assert_close(found, torch.tensor(expected))
 
 

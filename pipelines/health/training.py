@@ -1,0 +1,57 @@
+"""Health rows of both trainings: whether steps were too large, and whether the flow fits the pictures."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from devrf.pipelines.health.rows import HealthRow, row
+
+MOSTLY_CONTRADICTED = 0.5  # more of what moves is followed wrongly than rightly
+
+
+def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
+    """Whether training ran away and was restarted; and what of the motion had to be left as it was."""
+    if not metrics["restarts"] and not metrics.get("keys_left"):
+        return []
+    rows = [
+        row(
+            "times that training ran away and went back",
+            float(metrics["restarts"]),
+            "",
+            warn=0.0,
+            low_is_bad=False,
+            remedy=f"Its steps were too large and were made smaller ({metrics['rate']:.2g} times); the result may stand. "
+            "Lower reconstruct.learning_rate as much, and look at poses and clocks in the report if it happens again.",
+        )
+    ]
+    if metrics.get("keys_left"):
+        rows.append(
+            row(
+                "key times at which training the motion made it worse",
+                float(metrics["keys_left"]),
+                "",
+                warn=0.0,
+                low_is_bad=False,
+                remedy="Their motion was left as it was before: cameras contradict one another there. Look at poses "
+                "and clocks in the report, and at what comes into view or leaves it at these times.",
+            )
+        )
+    return rows
+
+
+def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
+    """Whether pictures bear the flow out where anything moves; none where none was asked."""
+    if not contradicted:
+        return []
+    worst = max(contradicted, key=lambda name: contradicted[name])
+    return [
+        row(
+            f"share of what moves whose flow the pictures contradict, worst camera ({worst})",
+            contradicted[worst],
+            "",
+            warn=MOSTLY_CONTRADICTED,
+            low_is_bad=False,
+            remedy="Such flow does not count in training, so the motion rests on colours alone there. Run again with "
+            "--force flow, or film with a higher frame rate and more texture; of a data set that brings its flow look at "
+            "the direction, the order and the size of its vectors.",
+        )
+    ]

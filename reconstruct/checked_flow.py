@@ -1,0 +1,51 @@
+"""Flow held against the pictures that it is between: what they contradict does not count, and is counted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from devrf.flow.agreement import agreement
+from devrf.flow.store import BEST, CameraFlow
+from devrf.reconstruct.rays import RaySet
+
+
+@dataclass(frozen=True)
+class CheckedFlow:
+    """Flow of all cameras, and what pictures say of it.
+
+    Attributes:
+        flows: By camera, with their `agreement`; what is contradicted is not valid.
+        contradicted: By camera: of the pixels where anything moves and pictures can tell, the share whose vectors they
+            contradict. Only cameras with such pixels.
+    """
+
+    flows: dict[str, CameraFlow]
+    contradicted: dict[str, float]
+
+
+def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
+    """Ask the training pictures about each pair's flow; flow of other pictures or another size stays as it is."""
+    numbers: dict[str, dict[int, int]] = {}
+    for n, frame in enumerate(rays.frames):
+        numbers.setdefault(frame.camera_name, {})[frame.index] = n
+    out, contradicted = dict(flows), {}
+    for name, clip in flows.items():
+        mine = numbers.get(name, {})
+        order = sorted(mine)
+        before = {index: mine[earlier] for earlier, index in zip(order, order[1:], strict=False)}
+        agrees = np.full(clip.valid.shape, BEST, np.uint8)
+        asked = against = 0
+        for n, index in enumerate(clip.index.tolist()):
+            if index not in before:
+                continue
+            current, previous = rays.picture(mine[index]), rays.picture(before[index])
+            if not current.shape == previous.shape == (*clip.valid[n].shape, 3):
+                continue
+            found = agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
+            agrees[n] = np.rint(BEST * found.weight)
+            asked, against = asked + found.asked, against + found.contradicted
+        out[name] = replace(clip, agreement=agrees, valid=clip.valid & (agrees > 0))
+        if asked:
+            contradicted[name] = against / asked
+    return CheckedFlow(out, contradicted)

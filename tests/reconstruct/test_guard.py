@@ -1,0 +1,125 @@
+"""Trainings that run away are caught, go on from their last good point, and say so."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tests.reconstruct.conftest import REST
+from tests.reconstruct.deaths import until_done
+
+from devrf.capture.errors import ReconstructError
+from devrf.pipelines.health.training import flow_rows, restart_rows
+from devrf.reconstruct import fine_tune as fine_tuning
+from devrf.reconstruct.guard import MOST, SMALLER, Guard
+from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.training_log import TrainingLog
+
+QUICK = replace(REST, iterations=30, scale_at=(0.5,), occupancy_every=10)
+MOTION = MotionOptions(
+    levels=(4,), iterations=(25,), rays=300, importance=0.7, lr=6e-3, most_keys=3, weight_threshold=1e-3
+)
+
+
+def _losses(guard: Guard, *losses: float) -> list[bool]:
+    log = TrainingLog("cpu", 1000)
+    return [guard.ran_away(log, 1, {"mse": torch.tensor(loss)}) for loss in losses]
+
+
+def test_a_loss_that_doubles_has_run_away() -> None:
+    guard = Guard()
+    assert not any(_losses(guard, *[1.0] * 5, *[1.9] * 5))
+    assert _losses(guard, *[2.1] * 5) == [False] * 4 + [True]
+    guard.begin()
+    assert not any(_losses(guard, *[2.1] * 10))  # compared with nothing before
+
+
+def test_single_batches_may_be_bad() -> None:
+    assert not any(_losses(Guard(), 1.0, 9.0, 1.0, 1.0, 9.0, 0.9))
+
+
+def test_no_number_has_run_away_and_before_the_first_step_nothing_helps() -> None:
+    guard = Guard()
+    assert _losses(guard, 1.0, 1.0, float("nan"), 1.0, 1.0)[-1] and not guard.hopeless
+    guard.begin()
+    assert _losses(guard, float("inf")) == [True] and guard.hopeless
+
+
+def test_steps_get_smaller_only_so_often_at_one_point() -> None:
+    guard, log = Guard(), TrainingLog("cpu", 10)
+    assert all(guard.go_back(log, "here") for _ in range(MOST))
+    assert guard.rate == pytest.approx(SMALLER**MOST)
+    assert not guard.go_back(log, "here") and guard.rate == 1.0  # it is not the steps
+    guard.good_point()
+    assert guard.go_back(log, "there") and guard.restarts == MOST + 1
+
+
+def test_what_ends_worse_than_it_began_is_seen() -> None:
+    guard = Guard()
+    _losses(guard, 1.0, *[1.5] * 4)
+    assert guard.made_it_worse()
+    guard.begin()
+    _losses(guard, 1.0, *[1.2] * 4)
+    assert not guard.made_it_worse()
+
+
+def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
+    ball, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As well as with the right ones, to 1.5 dB; and bit by bit the same if it is killed on the way."""
+    good = train_canonical(ball.scene, QUICK)
+    assert good.metrics["restarts"] == 0
+    wild = replace(QUICK, lr_grid=30 * QUICK.lr_grid, lr_mlp=30 * QUICK.lr_mlp)
+    caught = train_canonical(ball.scene, wild)
+    assert caught.metrics["restarts"] >= 1 and "last good point" in caplog.text
+    assert caught.metrics["train_psnr"] > good.metrics["train_psnr"] - 1.5
+    deaths = {("", done) for done in (2, 4, 11, 17)}
+    again = until_done(lambda state: train_canonical(ball.scene, wild, checkpoint=state), tmp_path, deaths)
+    assert torch.equal(caught.canonical.density, again.canonical.density)
+    assert again.metrics["restarts"] == caught.metrics["restarts"]
+
+
+def test_motion_comes_through_steps_thirty_times_too_large(ball, rest: RestModel, tmp_path: Path) -> None:
+    _, good = train_motion(ball.scene, rest, {}, MOTION)
+    assert good["restarts"] == good["keys_left"] == 0
+    wild = replace(MOTION, lr=30 * MOTION.lr)
+    motion, caught = train_motion(ball.scene, rest, {}, wild)
+    assert caught["restarts"] >= 1 and caught["keys_left"] == 0
+    assert caught["train_psnr"] > good["train_psnr"] - 1.5
+    again, _ = until_done(
+        lambda state: train_motion(ball.scene, rest, {}, wild, checkpoint=state), tmp_path, {("", 1)}
+    )
+    assert torch.equal(motion.backward, again.backward)
+
+
+def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> None:
+    motion, _ = train_motion(ball.scene, rest, {}, replace(MOTION, iterations=(10,)))
+    options = replace(MOTION, fine_tuning=20, fine_tuning_lr=20.0, fine_tuning_given=True)
+    tuned = fine_tuning.fine_tune(ball.scene, rest, motion, options)
+    assert tuned.metrics["restarts"] >= 1 and tuned.metrics["rate"] < 1
+    assert (tuned.gain_db or 0) > -1
+
+
+def test_what_smaller_steps_do_not_help_ends_with_a_message(
+    ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
+    with pytest.raises(ReconstructError, match=r"diverged: .* smaller steps do not help; .*learning_rate"):
+        train_canonical(ball.scene, QUICK)
+    motion, metrics = train_motion(ball.scene, rest, {}, MOTION)
+    assert metrics["keys_left"] == motion.keys - 1  # a key that only gets worse stays as it was
+    assert (motion.backward == 0).all() and metrics["rate"] == 1.0
+
+
+def test_health_says_so_and_is_silent_where_nothing_happened() -> None:
+    assert restart_rows({"restarts": 0, "rate": 1.0, "keys_left": 0}) == []
+    found = restart_rows({"restarts": 2, "rate": 1 / 9, "keys_left": 3})
+    assert [(r.verdict, r.value) for r in found] == [("warn", 2.0), ("warn", 3.0)]
+    assert "reconstruct.learning_rate" in found[0].remedy and "0.11 times" in found[0].remedy
+    assert flow_rows({}) == []
+    (ok,) = flow_rows({"cam0": 0.1, "cam1": 0.35})
+    assert ok.verdict == "ok" and "cam1" in ok.check
+    (bad,) = flow_rows({"cam0": 0.9, "cam1": 0.35})
+    assert bad.verdict == "warn" and "cam0" in bad.check and "--force flow" in bad.remedy
