@@ -19,7 +19,7 @@ def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
             "",
             warn=0.0,
             low_is_bad=False,
-            remedy=f"Its steps were too large and were made smaller ({metrics['rate']:.2g} times); the result may stand. "
+            remedy=f"Steps were too large and were made smaller ({metrics['rate']:.2g} times); the result may stand. "
             "Lower reconstruct.learning_rate as much, and look at poses and clocks in the report if it happens again.",
         )
     ]
@@ -51,7 +51,7 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
             warn=MOSTLY_CONTRADICTED,
             low_is_bad=False,
             remedy="Such flow does not count in training, so the motion rests on colours alone there. Run again with "
-            "--force flow, or film with a higher frame rate and more texture; of a data set that brings its flow look at "
-            "the direction, the order and the size of its vectors.",
+            "--force flow, or film with a higher frame rate and more texture; of a data set that brings its flow look "
+            "at the direction, the order and the size of its vectors.",
         )
     ]

@@ -81,10 +81,10 @@ def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     assert again.metrics["restarts"] == caught.metrics["restarts"]
 
 
-def test_motion_comes_through_steps_thirty_times_too_large(ball, rest: RestModel, tmp_path: Path) -> None:
+def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestModel, tmp_path: Path) -> None:
     _, good = train_motion(ball.scene, rest, {}, MOTION)
     assert good["restarts"] == good["keys_left"] == 0
-    wild = replace(MOTION, lr=30 * MOTION.lr)
+    wild = replace(MOTION, lr=100 * MOTION.lr)
     motion, caught = train_motion(ball.scene, rest, {}, wild)
     assert caught["restarts"] >= 1 and caught["keys_left"] == 0
     assert caught["train_psnr"] > good["train_psnr"] - 1.5
@@ -96,10 +96,10 @@ def test_motion_comes_through_steps_thirty_times_too_large(ball, rest: RestModel
 
 def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> None:
     motion, _ = train_motion(ball.scene, rest, {}, replace(MOTION, iterations=(10,)))
-    options = replace(MOTION, fine_tuning=20, fine_tuning_lr=20.0, fine_tuning_given=True)
+    options = replace(MOTION, fine_tuning=20, fine_tuning_lr=300.0, fine_tuning_given=True)
     tuned = fine_tuning.fine_tune(ball.scene, rest, motion, options)
     assert tuned.metrics["restarts"] >= 1 and tuned.metrics["rate"] < 1
-    assert (tuned.gain_db or 0) > -1
+    assert (tuned.gain_db or 0) > -3  # no more than doubles the error: else it would have gone back again
 
 
 def test_what_smaller_steps_do_not_help_ends_with_a_message(
