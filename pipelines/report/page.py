@@ -13,6 +13,7 @@ from devrf.pipelines.report.calibration import rig_section
 from devrf.pipelines.report.capture import capture_section
 from devrf.pipelines.report.clocks import sync_section
 from devrf.pipelines.report.colour import colour_section
+from devrf.pipelines.report.confidence import confidence_section
 from devrf.pipelines.report.evidence import evidence_section
 from devrf.pipelines.report.flow import flow_section
 from devrf.pipelines.report.html import (
@@ -49,6 +50,7 @@ SECTIONS = (  # key, title, what makes it
     ("flow", "Flow", flow_section),
     ("training", "Training", training_section),
     ("views", "Views", views_section),
+    ("confidence", "Confidence", confidence_section),
 )
 OPTIONAL = (("speed", "Speed", speed_section),)  # only where it has been measured; by `bench`, not a stage
 

@@ -81,6 +81,15 @@ def test_every_section_is_there_and_none_is_empty(full_run):
         assert words.lower() in page.text.lower()
 
 
+def test_confidence_shows_pictures_curve_and_regions(full_run):
+    html, page = _page(full_run)
+    quoted = {key: value for file, key, value in page.numbers if file == "evaluate/metrics.json"}
+    assert quoted["confidence.test.spearman"] == 0.625
+    assert quoted["confidence.regions.0.expected_rms"] == 40.5
+    assert html.count('alt="confidence picture"') == 2  # of the two test views in motion
+    assert "measured error, grey levels" in html and "back, low" in page.text
+
+
 def test_speed_is_shown_where_it_was_measured(full_run):
     _, page = _page(full_run)
     assert "speed" not in page.ids
@@ -302,7 +311,7 @@ def test_curves_are_drawn(full_run):
     html, page = _page(full_run)
     for words in ("PSNR of training rays, dB", "cam0 and wit<b>ness: audio", "level 2", "PSNR, dB"):
         assert words in page.text
-    assert html.count('<figure class="chart">') == 2 * 2 + 1 + 1
+    assert html.count('<figure class="chart">') == 2 * 2 + 1 + 1 + 1
 
 
 def test_size_stays_small(full_run):

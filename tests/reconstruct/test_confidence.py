@@ -95,7 +95,9 @@ def test_errors_fall_with_confidence(ball, known: Confidence) -> None:
     assert found["spearman"] > 0.5
     assert measured[-1] > 3 * np.mean(measured[:5])
     assert found["ause"] < 0.5 * found["ause_random"]
-    assert 0.5 < found["expected_rms"] / found["measured_rms"] < 2
+    # the motion is the true one even where nobody could see it: there, more is expected than comes
+    assert 1 < found["expected_rms"] / found["measured_rms"] < 4
+    assert found["bins"][-2]["expected_rms"] == pytest.approx(found["bins"][-2]["measured_rms"], rel=0.5)
 
 
 def test_test_pictures_are_never_read(ball, known: Confidence, moving: DynamicModel, tmp_path: Path) -> None:
@@ -167,7 +169,9 @@ def test_rooms_and_forward_scenes(ball, kind: str, tmp_path: Path) -> None:
         aabb, 16, 16, channels=4, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-4,
         weight_threshold=1e-4, device="cpu", seed=0, planes=16 if ndc else None, ndc=ndc,
     )  # fmt: skip
-    canonical.density += 2 * torch.randn(canonical.density.shape, generator=torch.Generator().manual_seed(0))
+    canonical.density += 4 + 2 * torch.randn(
+        canonical.density.shape, generator=torch.Generator().manual_seed(0)
+    )
     canonical.rebuild_occupancy()
     canonical.net.requires_grad_(False)
     shell = None

@@ -16,6 +16,8 @@ from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import evaluate, render
+from devrf.reconstruct.confidence import ErrorBudget
+from devrf.reconstruct.error_causes import CAUSES, Ground
 
 K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
 MOVE = np.diag([2.0, 2.0, 2.0, 1.0])  # the recovered world is twice as large as the true one
@@ -114,8 +116,36 @@ def _known(moves: bool = True) -> Callable:
     return lambda run_dir, device, pieces: render
 
 
-def _run(context: StageContext, monkeypatch, moves: bool = True) -> dict:
-    monkeypatch.setattr(evaluate, "load_renderer", _known(moves))
+class _Unsure:
+    """Expects the known model to be wrong by 0.02 everywhere."""
+
+    budget = ErrorBudget(Ground(0.0, 60.0, 1.0, 0.0, 0.0), dict.fromkeys(CAUSES, 0.0), (("cam0", 1),))
+
+    def __init__(self, render: Callable) -> None:
+        self._render = render
+
+    def render(self, camera: Camera, time: float | None) -> tuple[np.ndarray, ...]:
+        picture = self._render(camera, time)
+        return picture, np.ones_like(picture[..., 0]), np.ones_like(picture[..., 0])
+
+    def expected(self, camera: Camera, time: float | None, layers: tuple) -> np.ndarray:
+        return np.full_like(layers[1], 0.02)
+
+
+def _run(context: StageContext, monkeypatch, moves: bool = True, low_share: float = 0.1) -> dict:
+    render = _known(moves)(context.run_dir, "cpu", None)
+    region = {"where": "back, low", "share": 1.0, "expected_rms": 20.0, "low": 0.1, "cameras": 1.0}
+    regions = {
+        "as_seen_by": "cam0",
+        "moves": True,
+        "low_above": 32.0,
+        "low_share": low_share,
+        "regions": [region],
+    }
+    monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device, pieces: None)
+    monkeypatch.setattr(evaluate, "renderer", lambda model: render)
+    monkeypatch.setattr(evaluate, "Confidence", lambda scene, model: _Unsure(render))
+    monkeypatch.setattr(evaluate, "weakest_regions", lambda scene, confidence: regions)
     evaluate.run(context)
     return json.loads((context.out / "metrics.json").read_text())
 
@@ -147,6 +177,16 @@ def test_motion_that_explains_nothing_is_told(context: StageContext, monkeypatch
     _run(context, monkeypatch, moves=False)
     doubtful = [row for row in context.health if row.verdict != "ok"]
     assert any("motion gains" in row.check and "capture.rest" in row.remedy for row in doubtful)
+
+
+def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
+    metrics = _run(context, monkeypatch, low_share=0.75)
+    assert metrics["confidence"]["test"]["expected_rms"] == pytest.approx(0.02 * 255, rel=1e-3)
+    assert metrics["confidence"]["test"]["measured_rms"] == pytest.approx(0.01 * 255, rel=0.1)
+    assert json.loads((context.out / "confidence.json").read_text())["fitted_on"] == [["cam0", 1]]
+    row = next(row for row in context.health if "low confidence" in row.check)
+    assert row.verdict == "warn" and row.value == 75 and "32 grey levels" in row.check
+    assert "cam0: back, low" in row.remedy
 
 
 def test_no_truth_no_block(context: StageContext, monkeypatch):
