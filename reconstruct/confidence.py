@@ -33,7 +33,7 @@ from devrf.reconstruct.model import DynamicModel, render_layers
 
 FORMAT = 1
 FITTED_ON = 4  # training pictures; where something moves, all but one of them show it
-FIT_PIXELS = 15_000  # of each of them
+FIT_PIXELS = 5_000  # of each of them
 FIT_STEPS = 12
 LEAST = 1e-5  # a squared error of a grey level: less cannot be told from rounding
 BLACK_DB, WHITE_DB = (

@@ -20,7 +20,7 @@ from devrf.reconstruct.evidence import SOLID, spread, training, witness_scale
 
 CELLS = 4  # along each axis of what is there
 DIRECTIONS = 4  # of the sweep
-TIMES = (0.25, 0.5, 0.75)  # of the clip, where something moves
+TIMES = (1 / 3, 2 / 3)  # of the clip, where something moves
 FEWEST = 0.005  # of all points: a cell with less is the rim of others
 MOVED_PX = 1.0  # of the training size, from which a point moves
 LOW_DB = 18.0  # expected PSNR, below which test views are doubted, too

@@ -34,6 +34,7 @@ DISPLACED = (CAUSES.index("place"), CAUSES.index("cycle"))
 ANYWHERE = 0.1  # of the distance: how far off the surface of a point may be that no sweep picture shows
 STILL = 1e-5  # of the distance: a motion below this is none
 FAINT = 1e-3  # opacity below which there is no surface to speak of
+LEAST_STRIDE = 2  # pixels: what is known of neighbours hardly differs, and a quarter of them costs a quarter
 MOST_POINTS = 60_000  # of a picture: of larger ones every n-th pixel in each direction is asked
 
 Layers = tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]
@@ -97,7 +98,7 @@ def surface_of(
         besides: The training picture that it is, if it is one: its own differences are left out.
     """
     _, depth, opacity = layers
-    stride = int(np.ceil(np.sqrt(opacity.size / MOST_POINTS)))
+    stride = max(LEAST_STRIDE, int(np.ceil(np.sqrt(opacity.size / MOST_POINTS))))
     rows, columns = (np.minimum(np.arange(0, n, stride) + stride // 2, n - 1) for n in opacity.shape)
     solid = opacity[np.ix_(rows, columns)].astype(np.float64)
     seen = depth[np.ix_(rows, columns)] / np.maximum(solid, FAINT)

@@ -19,8 +19,8 @@ from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.model import DynamicModel, render_layers
 
 WITNESS_SCALE = 1 / 4
-MOST_OF_SWEEP = 12  # witnesses at rest, spread over the sweep
-MOST_OF_MOTION = 16  # witnesses in motion, over all cameras
+MOST_OF_SWEEP = 10  # witnesses at rest, spread over the sweep
+MOST_OF_MOTION = 12  # witnesses in motion, over all cameras
 FEWEST_PX = 32  # of its longer side: with less it cannot tell what hides what
 SAME_SURFACE = 0.03  # of the distance: a point farther behind what a witness sees is hidden from it
 SOLID = 0.5  # opacity from which a pixel shows a surface
