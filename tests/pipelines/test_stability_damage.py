@@ -17,16 +17,13 @@ from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import Scene
 from devrf.capture.simulate.sensor import ClipWriter
-from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.srgb import linear_from_srgb
 from devrf.capture.video import VideoReader
 from devrf.flow.store import read_pair, write_pair
-from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage import between, configuration, raw
 from devrf.pipelines.bench.stability.damage.intact import Damage, DoesNotApply, Intact
-from devrf.pipelines.bench.stability.session import rendered
 from devrf.pipelines.bench.stability.stability import run_stability
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.config.scene import CaptureConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
@@ -94,6 +91,61 @@ def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_the_same_each_time(i
     assert truth is not None and json.loads(truth.read_text()) == {"static": [0, 3, 6], "cams": {}}
     raw.fewer_sweep_pictures(spoilt)
     assert written.read_bytes() == before
+
+
+@pytest.fixture
+def filmed(intact: Intact) -> Intact:
+    """The same with clips of eleven grey pictures; what is written anew goes into a folder of its own."""
+    for name in ("a", "b", "c"):
+        clip = ClipWriter(intact.scene_dir / f"{name}.mp4", (32, 16), 10.0, 17)
+        for n in range(11):
+            clip.picture(np.full((16, 32, 3), 128, np.uint8), n / 10)
+        clip.close()
+    folder = intact.folder / "case"
+    folder.mkdir()
+    return replace(intact, folder=folder)
+
+
+def _shown(done: Damage, camera: str) -> list[tuple[float, np.ndarray]]:
+    """Times and mean colours of a camera's pictures."""
+    assert done.config.capture is not None
+    with VideoReader(Path(done.config.capture.cameras[camera])) as reader:
+        return [(round(frame.time_s, 3), frame.rgb.mean((0, 1)) / 255) for frame in reader]
+
+
+def test_frames_are_lost_of_the_last_training_camera_or_evenly_of_all(filmed: Intact) -> None:
+    dropped = raw.dropped_frames(_severe(filmed, 40.0))
+    assert dropped.config.capture is not None and dropped.config.capture.cameras["cam0"] == "a.mp4"
+    times = [time_s for time_s, _ in _shown(dropped, "cam1")]
+    assert len(times) == 11 - 4 and (times[0], times[-1]) == (0.0, 1.0)
+    slower = raw.lower_frame_rate(_severe(filmed, 4.0))
+    assert slower.config.capture is not None and slower.config.capture.cameras["cam2"] == "c.mp4"
+    for name in filmed.cameras:
+        assert [time_s for time_s, _ in _shown(slower, name)] == [0.0, 0.4, 0.8]
+
+
+def test_a_data_set_loses_frames_too_and_the_flow_that_led_to_them(filmed: Intact, tmp_path: Path) -> None:
+    brought = replace(filmed.scene, dynamic=tuple(replace(f, flow=f.path) for f in filmed.scene.dynamic))
+    write_scene(tmp_path / "scene", brought)
+    data_set = replace(filmed, config=filmed.config.model_copy(update={"capture": None}), scene=brought)
+    raw.lower_frame_rate(_severe(data_set, 2.0)).behind(_context(filmed, tmp_path / "scene"))
+    left = read_scene(tmp_path / "scene").dynamic
+    assert [f.index for f in left if f.camera_name == "cam0"] == [0, 2, 4]
+    assert [f.index for f in left if f.camera_name == "witness"] == [0, 1, 2, 3, 4]
+    assert all((f.flow is None) == (f.split == "train") for f in left)
+
+
+def test_exposure_and_white_balance_drift_the_other_way_in_every_other_camera(filmed: Intact) -> None:
+    for damaging, of_cam1 in (
+        (raw.drifting_exposure, (1.0, 1.0, 1.0)),
+        (raw.drifting_white_balance, (1.0, 0.0, -1.0)),
+    ):
+        done = damaging(_severe(filmed, 1.0))
+        for name, sign in (("cam0", -1), ("cam1", 1)):
+            first, middle, last = (linear_from_srgb(_shown(done, name)[n][1]) for n in (0, 5, 10))
+            stops = sign * np.array(of_cam1)
+            np.testing.assert_allclose(np.log2(middle / first), stops / 2, atol=0.06)
+            np.testing.assert_allclose(np.log2(last / first), stops, atol=0.06)
 
 
 # --- damage behind a stage ---
@@ -195,49 +247,6 @@ def _context(intact: Intact, folder: Path) -> StageContext:
     return StageContext(intact.config, intact.scene_dir, folder, folder, no_progress, "cpu")
 
 
-# --- a session made again ---
-
-
-@pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("mitsuba")
-    folder = tmp_path_factory.mktemp("suite") / "session"
-    options = SessionOptions(
-        sweep_frames=2, fps=4, duration_s=0.8, motion_scale=2, spp=4, board=False, sound=False
-    )
-    return rendered(folder, {"scene": "sheet", "cameras": 1, "seed": 0, "size": (32, 24), "options": options})
-
-
-def test_a_session_is_made_again_once_for_all_seeds_with_the_clips_that_stay(
-    session: Path, odd_scene: Scene, tmp_path: Path
-) -> None:
-    config = load_scene(session)
-    for axis, stays in (("moving_light", "static.mp4"), ("sweep_motion", "cam0.mp4")):
-        made = tmp_path / axis / "session"
-
-        def filmed(seed: int, axis: str = axis) -> CaptureConfig | None:
-            folder = tmp_path / axis / f"seed{seed}"
-            folder.mkdir(parents=True)
-            return (
-                AXES[axis]
-                .damaging(Intact(config, session.parent, odd_scene, folder, 0.5, seed))
-                .config.capture
-            )
-
-        filmed(0)
-        when = (made / "scene.yaml").stat().st_mtime_ns
-        capture = filmed(1)
-        assert (made / "scene.yaml").stat().st_mtime_ns == when
-        assert capture is not None and capture.static == str(made / "static.mp4")
-        assert [*capture.all_cameras.values()] == [str(made / f"{n}.mp4") for n in ("cam0", "witness")]
-        same = {
-            name: (made / name).read_bytes() == (session.parent / name).read_bytes()
-            for name in ("static.mp4", "cam0.mp4")
-        }
-        assert same == {name: name == stays for name in same}
-        assert [path.name for path in made.parent.iterdir() if path.name.startswith(".")] == []
-
-
 def test_a_scene_without_test_camera_is_refused_before_anything_runs(intact: Intact, tmp_path: Path) -> None:
     assert intact.capture is not None
     capture = intact.capture.model_copy(update={"test_cameras": ()})
@@ -247,13 +256,3 @@ def test_a_scene_without_test_camera_is_refused_before_anything_runs(intact: Int
     with pytest.raises(InputError, match="no test camera"):
         run_stability(base, tmp_path / "o", ["seeds"], 1, [0], tmp_path / "o/s.json")
     assert not (tmp_path / "o").exists()
-
-
-def test_what_the_simulator_cannot_make_does_not_apply(
-    session: Path, intact: Intact, odd_scene: Scene, tmp_path: Path
-) -> None:
-    with pytest.raises(DoesNotApply, match="no simulated session"):
-        AXES["gloss"].damaging(intact)
-    too_much = Intact(load_scene(session), session.parent, odd_scene, tmp_path, 2.0, 0)
-    with pytest.raises(DoesNotApply, match="motion_scale"):  # four times as large is more than there is
-        AXES["deformation"].damaging(too_much)
