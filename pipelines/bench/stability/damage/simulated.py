@@ -82,10 +82,11 @@ def simulated(intact: Intact) -> Simulated:
     Raises:
         DoesNotApply: It was not, or nobody knows how.
     """
-    truth = None if intact.capture is None else intact.config.truth_path(intact.scene_dir)
+    whole = intact.capture is not None and intact.capture.static is not None
+    truth = intact.config.truth_path(intact.scene_dir) if whole else None
     content = {} if truth is None else json.loads(truth.read_text())
     if "made_by" not in content:
-        raise DoesNotApply("it is no simulated session, which could be made again")
+        raise DoesNotApply("it is no simulated session with its sweep, which could be made again")
     made_by = content["made_by"]
     return Simulated(
         made_by["scene"],
