@@ -72,7 +72,9 @@ def clock_check(
     """The clocks to be used, rows about them, and the content of `clock_check.json`."""
     views = timed_pictures(folder, frames, cameras, clocks, motion)
     if len(views) < 2:
-        return dict(clocks), unknown_rows(clocks, "too few pictures for geometry"), {}
+        few = f"fewer than {MIN_FRAMES} pictures of two cameras in the time that all share"
+        rows = [note("clocks that geometry cannot check", few)]
+        return dict(clocks), rows + unknown_rows(clocks, "too few pictures for geometry"), {}
     check = check_clocks(views, clocks, progress)
     used = refined(clocks, check)
     rows = check_rows(check, clocks, used, frames) + unknown_rows(used, "; ".join(check.notes))

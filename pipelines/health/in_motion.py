@@ -6,8 +6,12 @@ from statistics import fmean
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.reconstruct.check_motion import MotionFit
 
-LEAST_GAIN_DB = 1.0  # in pictures never trained on; motion that gains less over standing still is not worth its name
-LEAST_TRAINED_GAIN_DB = 1.5 * LEAST_GAIN_DB  # what was trained on flatters: test views gain two thirds of it, or less
+LEAST_GAIN_DB = (
+    1.0  # in pictures never trained on; motion that gains less over standing still is not worth its name
+)
+LEAST_TRAINED_GAIN_DB = (
+    1.5 * LEAST_GAIN_DB
+)  # what was trained on flatters: test views gain two thirds of it, or less
 MOST_UNREACHABLE = 0.5  # of the error at rest: motion can then halve the error at best
 MOST_ALONE = (
     0.75  # of the surface in motion that one camera sees alone; around a ball four cameras leave none of it,

@@ -37,6 +37,15 @@ def test_motion_beats_standing_still(run_dir: Path) -> None:
     assert metrics["test_static"]["psnr"] > 28
 
 
+def test_checks_of_a_healthy_set_are_silent(run_dir: Path) -> None:
+    """All three training cameras were asked, at rest and in motion."""
+    for stage, cameras in (("canonical", "cameras"), ("deformation", None)):
+        check = json.loads((run_dir / stage / "metrics.json").read_text())["check"]
+        assert len(check[cameras] if cameras else check) == 3
+        rows = json.loads((run_dir / stage / "health.json").read_text())["rows"]
+        assert len(rows) >= 2 and {row["verdict"] for row in rows} == {"ok"}, rows
+
+
 def test_it_is_modelled_by_planes(run_dir: Path) -> None:
     scene = json.loads((run_dir / "scene" / "scene.json").read_text())
     assert scene["kind"] == "forward" and scene["background"] == "white" and len(scene["ndc"]) == 2

@@ -1,6 +1,7 @@
 """What goes wrong with clocks (numbers of the list of failure cases, D1 to D25): the row that fires, its remedy."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord
+from devrf.capture.progress import no_progress
 from devrf.capture.recorded import Recorded, timecode_s
 from devrf.capture.simulate.flash import RollingShutter, exposed
-from devrf.pipelines.clock_check import check_rows, sound_travel, unknown_rows
+from devrf.pipelines.clock_check import check_rows, clock_check, sound_travel, unknown_rows
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stages.sync import health
 
@@ -293,6 +295,14 @@ def test_d22_d23_geometry_against_the_clocks():
     }
     row = flat["clocks that geometry cannot check"]
     assert str(row.value).startswith("cam2: ") and "not observable" in str(row.value)
+
+
+def test_clips_too_short_for_geometry_are_named(tmp_path: Path):
+    """Their clocks are used as they are, and it is said that nothing checked them."""
+    short = {name: camera(seconds=0.3) for name in NAMES}
+    used, (row,), content = clock_check(tmp_path, short, {}, HEARD, {}, False, no_progress)
+    assert used == HEARD and content == {}
+    assert row.check == "clocks that geometry cannot check" and "fewer than 12 pictures" in str(row.value)
 
 
 def test_clocks_by_geometry_say_how_unsure_they_are():
