@@ -6,17 +6,10 @@ from statistics import fmean
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.reconstruct.check_motion import MotionFit
 
-LEAST_GAIN_DB = (
-    1.0  # in pictures never trained on; motion that gains less over standing still is not worth its name
-)
-LEAST_TRAINED_GAIN_DB = (
-    1.5 * LEAST_GAIN_DB
-)  # what was trained on flatters: test views gain two thirds of it, or less
+LEAST_GAIN_DB = 1.0  # of pictures never trained on; motion that gains less is not worth its name
+LEAST_TRAINED_GAIN_DB = 1.5  # what was trained on flatters: others gain as little as 0.6 of it
 MOST_UNREACHABLE = 0.5  # of the error at rest: motion can then halve the error at best
-MOST_ALONE = (
-    0.75  # of the surface in motion that one camera sees alone; around a ball four cameras leave none of it,
-)
-# three half of it, one all of it
+MOST_ALONE = 0.75  # of the surface; around a ball four cameras leave none of it, three half, one all
 MOST_SHIFT = 0.25  # pictures; as for the check of clocks by geometry
 
 
