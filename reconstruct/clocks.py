@@ -67,7 +67,9 @@ class Clocks:
         names = list(dict.fromkeys(f.camera_name for f in frames))
         reference = next((name for name in stds if name in names), names[0])
         names.sort(key=lambda name: name != reference)
-        self.gaps_s = np.array([_gap_s([f for f in frames if f.camera_name == name]) for name in names])
+        self.gaps_s = np.array(
+            [picture_gap_s([f for f in frames if f.camera_name == name]) for name in names]
+        )
         said = [stds.get(name) for name in names]
         priors = [UNKNOWN * gap if std is None else std for gap, std in zip(self.gaps_s, said, strict=True)]
         self.learned = {
@@ -124,7 +126,7 @@ def error_curves(
     times: Float[Tensor, "F shifts"],
     generator: torch.Generator,
 ) -> Float[np.ndarray, "F shifts"]:
-    """Squared errors of pictures as if they had been taken at each of several times; NaN beyond the key times.
+    """Squared errors of pictures as if they had been taken at each of several times; NaN at times beyond the keys.
 
     Args:
         rest, motion: The model.
@@ -136,14 +138,15 @@ def error_curves(
     """
     curves = np.full(times.shape, np.nan)
     taus = motion.tau(times.reshape(-1)).reshape(times.shape)
-    for n, (first_time, last_time) in enumerate(times[:, [0, -1]].tolist()):
+    for n, inside in enumerate((times >= motion.t_first) & (times <= motion.t_last)):
         picture = torch.tensor([n], device=rays.device)
         batch = draw_with_importance(rays, changing, RAYS, 1.0, picture, generator)
-        if first_time < motion.t_first or last_time > motion.t_last:
+        if not bool(inside.any()):
             continue
-        first = min(int(taus[n, 0]), motion.keys - 2)
-        window = motion.window(first, max(first + 1, int(taus[n, -1].ceil())), rays.device)
-        tau = (taus[n] - first).to(rays.device)
+        asked = taus[n, inside]
+        first = min(int(asked[0]), motion.keys - 2)
+        window = motion.window(first, max(first + 1, int(asked[-1].ceil())), rays.device)
+        tau = (asked - first).to(rays.device)
         ray = torch.arange(len(batch.frame), device=rays.device).repeat(len(tau))
         seen = render_moved(
             rest,
@@ -156,7 +159,7 @@ def error_curves(
         )
         rgb = around.at(batch.frame[ray], batch.pixel[ray]).compose(seen.rgb, seen.left)
         errors = ((rgb - batch.rgb[ray]) ** 2).reshape(len(tau), -1).sum(1)
-        curves[n] = errors.cpu().numpy()
+        curves[n, inside.cpu().numpy()] = errors.cpu().numpy()
     return curves
 
 
@@ -203,7 +206,7 @@ def solved(
     return np.concatenate([[0.0], found]), np.concatenate([[0.0], np.sqrt(np.diag(covariance)[1:])])
 
 
-def _gap_s(frames: Sequence[PosedFrame]) -> float:
+def picture_gap_s(frames: Sequence[PosedFrame]) -> float:
     """Time from one picture of a camera to its next."""
     times = sorted(f.time_s for f in frames if f.time_s is not None)
     return median(b - a for a, b in zip(times, times[1:], strict=False)) if len(times) > 1 else 0.0

@@ -106,6 +106,7 @@ class MotionOptions:
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
         fine_tuning_lr: Initial learning rate of its grids; falls by 10.
+        find_late_camera: Look for a camera whose clock is wrong once the motion is trained (`late_camera.py`).
         learn_clocks: Learn an offset of each camera's clock before the motion (`clocks.py`).
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
@@ -133,6 +134,7 @@ class MotionOptions:
     fine_tuning: int = 0
     fine_tuning_given: bool = False
     fine_tuning_lr: float = 0.03
+    find_late_camera: bool = False
     learn_clocks: bool = False
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
@@ -169,6 +171,7 @@ QUICK_MOTION: dict[str, Any] = {
     "importance": 0.8,
     "flow": 0.02,
     "flow_confidence": True,
+    "find_late_camera": True,
     "stepsize": 1.0,
     "alpha_threshold": 5e-3,
     "weight_threshold": 1e-2,

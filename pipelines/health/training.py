@@ -55,3 +55,22 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
             "at the direction, the order and the size of its vectors.",
         )
     ]
+
+
+def late_rows(found: Mapping[str, Any] | None) -> list[HealthRow]:
+    """Whether a camera's clock was moved because the motion that the others see says so."""
+    if found is None:
+        return []
+    name, offset_s = found["name"], found["offset_s"]
+    return [
+        row(
+            f"clock that the motion of the other cameras contradicts ({name}, {1000 * offset_s:+.0f} ms)",
+            abs(found["pictures"]),
+            "pictures",
+            warn=0.0,
+            low_is_bad=False,
+            remedy=f"Training took the pictures of {name} {abs(1000 * offset_s):.0f} ms "
+            f"{'later' if offset_s > 0 else 'earlier'} than sync says, to a quarter of a picture. Set its lag in "
+            "calibration.sync.av_lag_s or true times in capture.timestamps, or clap near the middle of the scene.",
+        )
+    ]

@@ -8,7 +8,7 @@ from devrf.flow.store import read_flows
 from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
-from devrf.pipelines.health.training import flow_rows, restart_rows
+from devrf.pipelines.health.training import flow_rows, late_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -74,6 +74,7 @@ def run(context: StageContext) -> None:
     context.health.extend(restart_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
     context.health.extend(clock_rows(metrics.get("clocks", {})))
+    context.health.extend(late_rows(metrics.get("late_camera")))
 
 
 def clock_rows(clocks: dict[str, dict[str, float]]) -> list[HealthRow]:

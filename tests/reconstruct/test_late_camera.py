@@ -1,0 +1,111 @@
+"""A camera whose clock is wrong, and sure of itself, is found by the motion that the others see."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from tests.reconstruct.conftest import ball_picture
+
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.health.training import late_rows
+from devrf.reconstruct.clocks import LearnedClock, with_clocks
+from devrf.reconstruct.late_camera import WIDE, moved_by, offset_pictures
+from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.options import MotionOptions, preset
+from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.train_deformation import train_deformation
+
+TIMES, LATE = 11, 2  # pictures of each camera; pictures by which one is late
+TRAVEL = np.array([0.6, 0.0, 0.3])
+GAP_S = 1 / (TIMES - 1)
+STDS = {"cam0": 0.0, "cam1": 1e-4, "cam2": 1e-4, "cam3": 1e-4}  # sync is sure
+MOTION = MotionOptions(levels=(4,), iterations=(1,), rays=300, importance=0.8, find_late_camera=True)
+
+
+@pytest.fixture(scope="module")
+def moving(ball, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The ball on its way, seen by four cameras."""
+    folder: Path = tmp_path_factory.mktemp("late")
+    first = {f.camera_name: f.camera for f in ball.scene.dynamic}
+    frames = []
+    for name, camera in first.items():
+        for n in range(TIMES):
+            path, time = folder / f"{name}_{n}.png", n * GAP_S
+            cv2.imwrite(str(path), ball_picture(camera, time * TRAVEL)[..., [2, 1, 0, 3]])
+            frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
+    return replace(ball.scene, dynamic=tuple(frames))
+
+
+def _scattered(lowest_at: float, deep: float) -> np.ndarray:
+    """Errors of ten pictures, of which the first and last ones lie beyond the motion at some shifts."""
+    rng = np.random.default_rng(0)
+    curves = 10 + deep * (WIDE - lowest_at) ** 2 + rng.normal(0, 1, (10, len(WIDE)))
+    for n, row in enumerate(curves):
+        row[(n + WIDE < 0) | (n + WIDE > 9)] = np.nan
+    return curves
+
+
+def test_an_offset_is_where_pictures_fit_clearly_better() -> None:
+    assert offset_pictures(_scattered(-1.75, 5.0), WIDE) == pytest.approx(-1.75, abs=0.25)
+    assert offset_pictures(_scattered(2.0, 5.0), WIDE) == pytest.approx(2.0, abs=0.25)
+
+
+@pytest.mark.parametrize("curves", [_scattered(1.0, 0.0), _scattered(0.0, 5.0), _scattered(2.0, 5.0)[:3]])
+def test_else_there_is_none(curves: np.ndarray) -> None:
+    """Flat errors, a minimum where the clock is, and too few pictures to tell chance from offset."""
+    assert offset_pictures(curves, WIDE) == 0.0
+
+
+def test_pictures_beyond_what_is_modelled_are_left_out(moving: Scene) -> None:
+    moved = moved_by(moving, "cam1", -2 * GAP_S)
+    times = [f.time for f in moved.dynamic if f.camera_name == "cam1"]
+    assert times == pytest.approx([n * GAP_S for n in range(TIMES - 2)])
+    assert len([f for f in moved.dynamic if f.camera_name == "cam0"]) == TIMES
+
+
+@pytest.fixture
+def trained(ball, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
+    """Training finds the true motion, whatever it is given; what it was given."""
+    motion = MotionField.still(
+        torch.tensor(ball.scene.aabb).float(), 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
+    )
+    motion.backward[1] -= torch.tensor(TRAVEL).float()
+    given: list[Scene] = []
+
+    def train(scene: Scene, *_: object, **__: object) -> tuple[MotionField, dict]:
+        given.append(scene)
+        return motion, {}
+
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_motion", train)
+    return given
+
+
+def test_a_camera_two_pictures_late_is_brought_back(
+    moving: Scene, rest: RestModel, trained: list[Scene]
+) -> None:
+    late = with_clocks(moving, {"cam1": LearnedClock(LATE * GAP_S, None, 0.0)})
+    late = replace(
+        late, dynamic=tuple(f for f in late.dynamic if f.camera_name != "cam1" or f.index < TIMES - LATE)
+    )
+    _, _, metrics = train_deformation(late, rest, {}, MOTION, clock_stds=STDS)
+    found = metrics["late_camera"]
+    assert found["name"] == "cam1" and found["pictures"] == pytest.approx(-LATE, abs=0.25)
+    assert found["offset_s"] == pytest.approx(found["pictures"] * GAP_S)
+    everything, others, moved = trained
+    assert everything is late and {f.camera_name for f in others.dynamic} == {"cam0", "cam2", "cam3"}
+    assert min(f.time or 0.0 for f in moved.dynamic if f.camera_name == "cam1") < 0.25 * GAP_S
+    (row,) = late_rows(found)
+    assert row.verdict == "warn" and "cam1" in row.check and "earlier" in row.remedy
+
+
+def test_right_clocks_stay_and_cost_no_training(moving: Scene, rest: RestModel, trained: list[Scene]) -> None:
+    _, _, metrics = train_deformation(moving, rest, {}, MOTION, clock_stds=STDS)
+    assert "late_camera" not in metrics and late_rows(metrics.get("late_camera")) == []
+    assert len(trained) == 1
+
+
+def test_the_published_recipe_looks_for_none() -> None:
+    assert not preset("reference").motion.find_late_camera and preset("fast").motion.find_late_camera
