@@ -24,11 +24,13 @@ IMPORTED = 310e6  # of libraries, when all is imported
 AT_WORK = 160e6  # more of them after the first iterations
 OPTIMISER = 60e6  # and PyTorch's own, where an MLP is trained
 TRAINED = 16  # per value: itself, gradient, two moments
+GOOD = 4  # per value: as it was at the last good point
 VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, and else
 SHELL_VERTEX, SHELL_VERTEX_STAYS = (
     120,
     89,
 )  # of the surroundings: four values, two gradients, and positions as it grows
+SHELL_VALUES = 4  # density and colour
 COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
 SAMPLE = 440  # per sample in the box, until the backward pass
 SAMPLE_PER_UNIT = 15  # and per hidden unit, where the MLP is asked per sample
@@ -172,8 +174,8 @@ def footprints(
 def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     """What is trained, or trained on."""
     box, around = o.resolution**3, 0 if size.plain else o.shell_resolution**3
-    trained = TRAINED * (1 + o.channels)
-    models = box * (trained + VERTEX) + around * SHELL_VERTEX
+    trained, shell_good = (TRAINED + GOOD) * (1 + o.channels), GOOD * SHELL_VALUES
+    models = box * (trained + VERTEX) + around * (SHELL_VERTEX + shell_good)
     first = 0.0
     if not size.plain or o.box_search == "coarse":
         first = o.coarse_size**3 * COARSE_VERTEX + models / 2 ** len(o.scale_at)
@@ -184,8 +186,8 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
         "samples": (o.samples * per_sample + o.rays * _steps_bytes(o)) / o.parts,
     }
     writing = common | {
-        "models": box * (trained + VERTEX_STAYS) + around * SHELL_VERTEX_STAYS,
-        "checkpoint": box * _checkpoint_bytes(1, o.channels) + around * _checkpoint_bytes(4),
+        "models": box * (trained + VERTEX_STAYS) + around * (SHELL_VERTEX_STAYS + shell_good),
+        "checkpoint": box * _checkpoint_bytes(1, o.channels) + around * _checkpoint_bytes(SHELL_VALUES),
     }
     return _largest([training, writing])
 
@@ -208,7 +210,9 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     moving = o.rays * SAMPLES_PER_RAY * MOVING_SAMPLE
     motion = common | {
         "flow": FLOW_PIXEL * size.moving_pixels * (o.flow > 0),
-        "models": rest + on_device + 6 * 12 * finest,  # gradient and moments of one key of both fields
+        "models": rest
+        + on_device
+        + 8 * 12 * finest,  # gradient, moments and beginning of one key of both fields
         "samples": moving + o.rays * _steps_bytes(o),
     }
     tuning = common | {
