@@ -13,12 +13,10 @@ NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale")
 CALM = [Result("undisturbed", 0.0, 0, psnr_moving=25.0, baseline=20.0, complaints=(NO_SCALE,))]
 
 
-def case(axis: str, severity: float, psnr: float | None, spoken: bool, **more: Any) -> Result:
+def case(axis: str, severity: int, psnr: float | None, spoken: bool, **more: Any) -> Result:
+    rest: dict[str, Any] = {"psnr_moving": None if psnr is None else float(psnr), "baseline": 20.0} | more
     complaints = (NO_SCALE, BLUR) if spoken else (NO_SCALE,)
-    db = None if psnr is None else float(psnr)
-    return Result(
-        axis, float(severity), 0, psnr_moving=db, complaints=complaints, **({"baseline": 20.0} | more)
-    )
+    return Result(axis, float(severity), 0, complaints=complaints, **rest)
 
 
 def known(*cases: Result) -> Heard:
