@@ -20,6 +20,9 @@ TEXTURE = 0.02  # standard deviation of brightness without its slow changes: noi
 CORNER = 0.1  # of the stronger gradient's energy, across it: along an edge alone nothing can be told
 LEAST_PEAK = 0.5  # correlation of a block that was found: a quarter of its variance is explained
 LEAST_FOUND = 8  # blocks, for an affine map's six numbers
+MANY = (
+    3  # times as many blocks with texture: were it the same place, more than a third of them would be found
+)
 ROUNDS = 5  # of reweighting
 HUBER = 1.345  # standard deviations (Huber, Robust Statistics, 1981)
 
@@ -29,7 +32,8 @@ class Displacement:
     """How far a picture lies beside another.
 
     Attributes:
-        length: Root mean square length of the affine map's displacement over the blocks, in widths of the picture.
+        length: Root mean square length of the affine map's displacement over the blocks, in widths of the picture; as
+            far as was searched, where there are many blocks with texture and hardly one is found again.
         std: Its standard deviation, in widths.
     """
 
@@ -42,7 +46,7 @@ def displacement(
     second: Float[np.ndarray, "height width"],
     asked: Bool[np.ndarray, "height width"] | None = None,
 ) -> Displacement | None:
-    """Where the first picture's blocks are in the second; None where too few of them are found again.
+    """Where the first picture's blocks are in the second; None where it has too little texture to tell.
 
     Args:
         first: The real picture, grey, in [0, 1]: which blocks have texture is asked of it.
@@ -53,12 +57,13 @@ def displacement(
     longer = max(height, width)
     side, reach = max(LEAST_BLOCK, longer // BLOCKS), max(LEAST_SEARCH, round(SEARCH * longer))
     fine = first - gaussian_filter(first, side / 2)
-    at, found = [], []
+    at, found, textured = [], [], 0
     for y in range(0, height - side + 1, side // 2):
         for x in range(0, width - side + 1, side // 2):
             block = slice(y, y + side), slice(x, x + side)
             if (asked is not None and asked[block].mean() <= 0.5) or not _textured(fine[block]):
                 continue
+            textured += 1
             top, left = max(0, y - reach), max(0, x - reach)
             area = second[top : y + side + reach, left : x + side + reach]
             moved = _peak(first[block], area)
@@ -66,7 +71,7 @@ def displacement(
                 at.append((x + side / 2, y + side / 2))
                 found.append((moved[0] - (x - left), moved[1] - (y - top)))
     if len(found) < LEAST_FOUND:
-        return None
+        return Displacement(reach / width, 0.0) if textured >= MANY * LEAST_FOUND else None
     length, std = _affine(np.array(at) / longer - 0.5, np.array(found))
     return Displacement(length / width, std / width)
 

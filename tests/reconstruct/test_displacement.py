@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from devrf.reconstruct.displacement import displacement
+from devrf.reconstruct.displacement import SEARCH, displacement
 
 SIZE = HEIGHT, WIDTH = 90, 120
 
@@ -48,10 +48,14 @@ def test_neither_blur_nor_exposure_nor_noise_nor_a_thing_in_the_way_is_a_shift()
     assert found is not None and found.length * WIDTH < 0.15
 
 
+def test_where_nothing_is_found_again_it_is_far_away() -> None:
+    found = displacement(seen(), np.random.default_rng(2).random(SIZE))
+    assert found is not None and found.length == pytest.approx(SEARCH, rel=0.1)  # rounded to whole pixels
+
+
 def test_where_nothing_can_be_told_nothing_is() -> None:
     flat, stripes = np.full(SIZE, 0.5), 0.5 + 0.4 * np.sin(np.arange(WIDTH))[None].repeat(HEIGHT, 0)
     assert displacement(flat, flat) is None
     assert displacement(stripes, stripes) is None  # along an edge no shift shows
-    assert displacement(seen(), np.random.default_rng(2).random(SIZE)) is None  # nothing is found again
     assert displacement(seen(), seen(), np.zeros(SIZE, bool)) is None  # nothing is asked
     assert displacement(seen()[:6, :6], seen()[:6, :6]) is None  # smaller than a block
