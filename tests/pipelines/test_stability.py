@@ -168,7 +168,9 @@ def test_the_suite_writes_rows_charts_and_a_page(suite: tuple[Path, list[str], s
     assert {"stability/recall", "stability/precision", "stability/undisturbed/complaints"} <= set(rows)
     known = content["heard"]
     assert rows["stability/precision"]["value"] == known["precision"] and "Recall: of" in page
-    assert "pose_noise 16, seed 0" in known["spoken"]  # nothing of its pictures is found again where it should be
+    assert (
+        "pose_noise 16, seed 0" in known["spoken"]
+    )  # nothing of its pictures is found again where it should be
     assert "pose_noise 16, seed 0" in said_on_the_way
 
 
