@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.rows import HealthRow, note, row
 
 MOST_LOW = 0.5  # of the subject: a model that is doubtful in most of it is doubtful
 NAMED = 2  # regions in the remedy
@@ -14,14 +14,21 @@ def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
     Args:
         confidence: The block of evaluate/metrics.json.
     """
-    low = confidence["low_share"]
+    check = (
+        "share of the subject with low confidence "
+        f"(expected error above {confidence['low_above']:.0f} grey levels, from all directions of the sweep)"
+    )
+    if confidence["low_share"] is None:
+        nothing = (
+            "The model shows nothing solid in the box: see that it holds the subject and poses are right."
+        )
+        return [note(check, "nothing solid is seen in the box", verdict="warn", remedy=nothing)]
     worst = list(dict.fromkeys(region["where"] for region in confidence["regions"]))[:NAMED]
     parts = f" (worst as seen by {confidence['as_seen_by']}: {'; '.join(worst)})" if worst else ""
     return [
         row(
-            "share of the subject with low confidence "
-            f"(expected error above {confidence['low_above']:.0f} grey levels, from all directions of the sweep)",
-            None if low is None else 100 * low,
+            check,
+            100 * confidence["low_share"],
             "%",
             warn=100 * MOST_LOW,
             low_is_bad=False,

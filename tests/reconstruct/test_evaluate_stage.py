@@ -14,6 +14,7 @@ from devrf.capture.formats import write_scene
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import evaluate, render
 from devrf.reconstruct.confidence import ErrorBudget
@@ -187,6 +188,13 @@ def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
     row = next(row for row in context.health if "low confidence" in row.check)
     assert row.verdict == "warn" and row.value == 75 and "32 grey levels" in row.check
     assert "cam0: back, low" in row.remedy
+
+
+def test_a_box_without_anything_solid_is_told():
+    rows = confidence_rows(
+        {"low_share": None, "low_above": 32.0, "regions": [], "as_seen_by": "cam0", "moves": False}
+    )
+    assert rows[0].verdict == "warn" and "nothing solid" in str(rows[0].value) and "box" in rows[0].remedy
 
 
 def test_no_truth_no_block(context: StageContext, monkeypatch):
