@@ -120,6 +120,7 @@ PARTS: tuple[Part, ...] = (
     Part("fine_tuning", "motion", "the scene at rest follows all pictures", _motion(fine_tuning=0)),
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
     Part("learn_clocks", "motion", "offsets of clocks learned", _motion(learn_clocks=False)),
+    Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False)),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",
          _motion(**_published(MotionOptions, "lr"))),

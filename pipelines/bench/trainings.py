@@ -21,6 +21,7 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
@@ -139,7 +140,15 @@ class Bench:
         with self.run.talk.progress(f"seed {options.seed}: {name}") as progress:
             watch = looks.of_motion(rest) if looks is not None else None
             motion, tuned, train = train_deformation(
-                scene, rest, self.flows, options, self.run.device, progress, checkpoint, watch
+                scene,
+                rest,
+                self.flows,
+                options,
+                self.run.device,
+                progress,
+                checkpoint,
+                watch,
+                clock_stds(self.run.run_dir),
             )
             files = save_deformation(folder, motion, tuned, rest.canonical.voxel)
             model = DynamicModel(rest, *load_deformation(folder, self.run.device))
