@@ -21,8 +21,11 @@ def _pictures(noise: float = 1.0, brighter: float = 1.0) -> tuple[np.ndarray, np
     pattern = gaussian_filter(rng.normal(size=(HEIGHT, WIDTH, 3)), (2, 2, 0))
     pattern = 128 + 40 * pattern / pattern.std()
     before = shift(pattern, (MOVED[1], MOVED[0], 0), order=3, mode="nearest")
-    now, then = (x + rng.normal(0, noise, x.shape) for x in (pattern * brighter, before))
-    return tuple(np.rint(x).clip(0, 255).astype(np.uint8) for x in (now, then))
+
+    def taken(light: np.ndarray) -> np.ndarray:
+        return np.rint(light + rng.normal(0, noise, light.shape)).clip(0, 255).astype(np.uint8)
+
+    return taken(pattern * brighter), taken(before)
 
 
 def _flow(u: float, v: float) -> np.ndarray:
@@ -70,8 +73,8 @@ def test_what_stands_still_is_not_asked_unless_flow_moves_it() -> None:
 
 def test_a_plain_picture_tells_nothing() -> None:
     rng = np.random.default_rng(3)
-    plain = [(128 + rng.normal(0, 2, (HEIGHT, WIDTH, 3))).round().astype(np.uint8) for _ in range(2)]
-    found = agreement(*plain, _flow(*MOVED), VALID)
+    now, then = ((128 + rng.normal(0, 2, (HEIGHT, WIDTH, 3))).round().astype(np.uint8) for _ in range(2))
+    found = agreement(now, then, _flow(*MOVED), VALID)
     assert found.asked < 0.02 * VALID.sum() and np.median(found.weight) > 0
 
 
