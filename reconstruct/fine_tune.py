@@ -90,7 +90,8 @@ def fine_tune(
     begin = 0 if saved is None else recipe.take_up(saved)
     iteration = begin
     while iteration < iterations:
-        if recipe.guard.ran_away(log, 2 * options.rays, recipe.step(iteration)):
+        ran_away = recipe.guard.ran_away(log, 2 * options.rays, recipe.step(iteration))
+        if ran_away or (iteration + 1 == iterations and not recipe.guard.sound()):
             recipe.go_back(log, rest, iteration)
             iteration = 0
             continue
@@ -150,6 +151,7 @@ class _Recipe:
         o, canonical = self.options, self.rest.canonical
         if len(self.windows) > 1 and iteration % o.live_every == 0:
             self.enter(int(torch.randint(len(self.windows), (1,), generator=self.generator)))
+            self.guard.turn_to(str(self.window))
         grads = (self.density.grad[0], self.features.grad[0])
         parts = {}
         if len(self.pictures):

@@ -16,8 +16,7 @@ from devrf.capture.errors import ReconstructError
 from devrf.reconstruct.training_log import Diverged, TrainingLog
 
 LOOK_EVERY = 5  # iterations; their median is what is compared
-RUNAWAY = 2.0  # times the lowest loss since the last good point
-WORSE = 1.26  # 1 dB: how much worse what was trained may fit its pictures than before
+RUNAWAY = 2.0  # times the lowest loss of the same pictures
 SMALLER = 1 / 3  # a step in place of one that ran away
 MOST = 4  # steps back to one good point: the last try is with steps of 1/81
 
@@ -28,61 +27,83 @@ class Guard:
     """Watches the losses of one training.
 
     Attributes:
+        look_every: Iterations that are looked at together; where batches take turns, whole rounds of them.
         rate: By which all learning rates are to be multiplied.
         restarts: How often it went back to a good point.
     """
 
     def __init__(self) -> None:
+        self.look_every = LOOK_EVERY
         self.rate, self.restarts = 1.0, 0
+        self._smallest = 1.0  # rate with which a good point was come to
         self._here = 0  # steps back to the present good point
         self._rate_here = 1.0  # with which it was come to
+        self._odd = False  # the good point before was the first one that smaller steps were needed at
         self.begin()
 
-    def begin(self) -> None:
-        """Other pictures, or another model, from here on: losses before do not compare."""
-        self._first: float | None = None
-        self._lowest = math.inf
+    def begin(self, lowest: float | None = None) -> None:
+        """Losses before do not compare: another model, or its beginning, whose loss may be known."""
+        self._pictures = ""
+        self._lowest: dict[str, float] = {} if lowest is None else {self._pictures: lowest}
+        self._lowest_here = dict(self._lowest)
         self._recent: list[Tensor] = []
-        self._last = math.nan
+        self._new = 0  # of these, not looked at
+
+    def turn_to(self, pictures: str) -> None:
+        """Batches are of other pictures from here on: each are compared with themselves only."""
+        self._pictures, self._recent, self._new = pictures, [], 0
 
     def good_point(self) -> None:
         """What is trained is as it should be, and is what is gone back to."""
-        self._here, self._rate_here = 0, self.rate
+        self._smallest = min(self._smallest, self.rate)
+        self._here, self._rate_here, self._lowest_here = 0, self.rate, dict(self._lowest)
+
+    def other_part(self) -> None:
+        """A good point of another part of the model: steps as before, unless two parts on end needed smaller ones."""
+        needed = self.shrunk < 1
+        self._smallest = min(self._smallest, self.rate)
+        if needed and not self._odd:
+            self.rate = self._rate_here
+        self._odd = needed
+        self.good_point()
+
+    @property
+    def shrunk(self) -> float:
+        """Size of the steps, of those with which the good point was come to."""
+        return self.rate / self._rate_here
 
     def ran_away(self, log: TrainingLog, rays: int, parts: dict[str, Tensor], **labels: float) -> bool:
-        """Log an iteration; whether the loss has run away since the last good point."""
+        """Log an iteration; whether the loss has run away."""
         try:
             log.add(rays, parts, **labels)
         except Diverged:
             return True
         if "mse" not in parts:
             return False
-        self._recent.append(parts["mse"].detach())
-        if self._first is None:
-            self._first = self._lowest = float(self._recent[0])
-        if len(self._recent) < LOOK_EVERY:
-            return not math.isfinite(self._first)
+        self._recent = [*self._recent[1 - self.look_every :], parts["mse"].detach()]
+        self._new += 1
+        if self._pictures not in self._lowest:
+            self._lowest[self._pictures] = float(parts["mse"])
+            return not math.isfinite(self._lowest[self._pictures])
+        if self._new < self.look_every:
+            return False
+        self._new = 0
         losses = [float(loss) for loss in self._recent]
-        self._recent = []
-        self._last = median(losses)
-        if not all(map(math.isfinite, losses)) or self._last > RUNAWAY * self._lowest:
-            return True
-        self._lowest = min(self._lowest, self._last)
-        return False
+        now, lowest = median(losses), self._lowest[self._pictures]
+        self._lowest[self._pictures] = min(lowest, now)
+        return not all(map(math.isfinite, losses)) or now > RUNAWAY * lowest
 
-    def made_it_worse(self) -> bool:
-        """Whether what was trained fits its pictures clearly worse than before the first step."""
-        return self._first is not None and self._last > WORSE * self._first
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether the loss was no number before the first step."""
-        return self._first is not None and not math.isfinite(self._first)
+    def sound(self) -> bool:
+        """Whether the last losses, looked at or not, are those of a model to keep: a leap shows in two on end."""
+        losses = [float(loss) for loss in self._recent]
+        if not all(map(math.isfinite, losses)):
+            return False
+        return len(losses) < 2 or min(losses[-2:]) <= RUNAWAY * self._lowest[self._pictures]
 
     def go_back(self, log: TrainingLog, where: str) -> bool:
         """Say so, and take smaller steps from now on; False: it was tried often enough, and the rate is as before."""
         log.forget()
-        self.begin()
+        self._lowest, self._recent, self._new = dict(self._lowest_here), [], 0
         if self._here == MOST:
             self.rate = self._rate_here
             logger.warning("%s: training gets worse however small its steps are", where)
@@ -105,8 +126,8 @@ class Guard:
         vars(self).update(state)
 
     def summary(self) -> dict[str, Any]:
-        """As written to metrics.json."""
-        return {"restarts": self.restarts, "rate": self.rate}
+        """As written to metrics.json: `rate` is the smallest with which anything was trained that was kept."""
+        return {"restarts": self.restarts, "rate": min(self._smallest, self.rate)}
 
 
 def diverged(where: str) -> ReconstructError:

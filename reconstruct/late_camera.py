@@ -7,8 +7,8 @@ were taken. Its clock is moved only if its pictures fit clearly better so, and t
 camera stays, whose clock is everyone's.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from statistics import median
 
 import numpy as np
@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Float
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.clocks import SHIFTS, LearnedClock, error_curves, lowest, picture_gap_s, with_clocks
+from devrf.reconstruct.clocks import LearnedClock, error_curves, lowest, picture_gap_s, with_clocks
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.moving_pixels import ChangingPixels, changing_pixels
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
@@ -32,42 +32,56 @@ TIMES_APART = 1e-3  # of all modelled time, that a picture may lie beyond it
 FEWEST_PICTURES = 4  # that can be compared at two times
 SIGMAS = 4.0  # of the mean gain of a picture, for a clock to be moved: the best of many shifts is no chance
 LEAST_GAIN = 0.1  # of the error, too: a few pictures may agree by chance
+KEPT_SIGMAS = 2.0  # of the mean gain of a picture, for the second motion to be kept
+MOST_PICTURES = 30  # of a camera, that are asked
 
 
-@dataclass(frozen=True)
+Errors = Mapping[str, Float[np.ndarray, "F shifts"]]
+"""By camera: squared errors of some of its pictures, each as if taken so many pictures later; NaN beyond the motion."""
+
+
 class Moments:
-    """Pictures of the training cameras, and how to ask when they fit a motion best."""
+    """Pictures of the training cameras, and how to ask when they fit a motion best.
 
-    scene: Scene
-    rest: RestModel
-    options: MotionOptions
-    device: str
+    Each camera's are read once; they go with the object.
+    """
+
+    def __init__(self, scene: Scene, rest: RestModel, options: MotionOptions, device: str) -> None:
+        o = options
+        looked_at = rest.canonical.seen_with(o.stepsize, o.alpha_threshold, o.weight_threshold)
+        self.names, self._scene = cameras_of(scene), scene.in_box_frame()
+        self._rest, self._seed, self._device = replace(rest, canonical=looked_at), options.seed, device
+        self._read: dict[str, tuple[RaySet, PixelSurroundings, ChangingPixels]] = {}
 
     def curves(
         self, motion: MotionField, camera: str, shifts: Float[np.ndarray, " shifts"]
     ) -> Float[np.ndarray, "F shifts"]:
-        """Squared errors of a camera's pictures, each as if taken so many pictures later; NaN beyond the motion."""
-        scene, o = self.scene.in_box_frame(), self.options
-        frames = of_camera(scene, camera)
-        rays = RaySet(frames, scene.image_scale, scene.background, self.device)
-        looked_at = self.rest.canonical.seen_with(o.stepsize, o.alpha_threshold, o.weight_threshold)
-        rest = replace(self.rest, canonical=looked_at)
-        gap = picture_gap_s(frames) / (scene.t1_s - scene.t0_s)
+        """Errors of a camera's pictures; always of the same pixels."""
+        if camera not in self._read:
+            frames = _picked(of_camera(self._scene, camera))
+            rays = RaySet(frames, self._scene.image_scale, self._scene.background, self._device)
+            self._read[camera] = (
+                rays,
+                PixelSurroundings(DynamicModel(self._rest), rays),
+                changing_pixels(rays),
+            )
+        rays, around, changing = self._read[camera]
+        gap = picture_gap_s(of_camera(self._scene, camera)) / (self._scene.t1_s - self._scene.t0_s)
         times = rays.times[:, None] + gap * torch.from_numpy(shifts).to(rays.times)
-        generator = torch.Generator().manual_seed(o.seed)
-        around = PixelSurroundings(DynamicModel(rest), rays)
-        return error_curves(rest, motion, rays, around, changing_pixels(rays), times, generator)
+        generator = torch.Generator().manual_seed(self._seed)
+        return error_curves(self._rest, motion, rays, around, changing, times, generator)
 
 
-def suspect(moments: Moments, motion: MotionField, reference: str) -> str | None:
-    """The camera that differs most from the median of all in when its pictures fit best; None: none by enough."""
-    names = cameras_of(moments.scene)
-    if len(names) < FEWEST:
-        return None
+def suspect(curves: Errors, reference: str) -> str | None:
+    """The camera that differs most from the median of all in when its pictures fit best; None: none by enough.
+
+    Args:
+        curves: At SHIFTS.
+        reference: The camera whose clock is everyone's.
+    """
     shifts = {}
-    for name in names:
-        curves = moments.curves(motion, name, SHIFTS)
-        shift, std = lowest(curves[np.isfinite(curves).all(1)])
+    for name, errors in curves.items():
+        shift, std = lowest(errors[np.isfinite(errors).all(1)])
         if np.isfinite(std):
             shifts[name] = shift
     others = [name for name in shifts if name != reference]
@@ -125,11 +139,16 @@ def cameras_of(scene: Scene) -> Sequence[str]:
     return tuple(dict.fromkeys(f.camera_name for f in scene.dynamic if f.split == "train"))
 
 
-def fits_better(moments: Moments, before: MotionField, moved: Moments, after: MotionField) -> bool:
-    """Whether the second motion, with its times, fits the pictures of all cameras better than the first."""
-    now = np.zeros(1)
-    errors = []
-    for one, motion in ((moments, before), (moved, after)):
-        curves = [one.curves(motion, name, now) for name in cameras_of(one.scene)]
-        errors.append(float(np.nanmean(np.concatenate(curves))))
-    return errors[1] < errors[0]
+def fits_better(before: Errors, after: Errors) -> bool:
+    """Whether the pictures of all cameras, those that both motions reach, fit the second one better: no chance."""
+    gain = np.concatenate([np.ravel(before[name] - after[name]) for name in before])
+    gain = gain[np.isfinite(gain)]
+    if len(gain) < FEWEST_PICTURES:
+        return False
+    return bool(gain.mean() > KEPT_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain)))
+
+
+def _picked(frames: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:
+    """All, or as many as are enough, evenly."""
+    numbers = np.linspace(0, len(frames) - 1, min(len(frames), MOST_PICTURES)).round().astype(int)
+    return tuple(frames[n] for n in numbers)

@@ -112,7 +112,8 @@ def train_canonical(
         recipe.before(iteration)
         parts = recipe.step(rays.draw(recipe.rays_now, generator), generator)
         samples = recipe.samples_per_ray * recipe.rays_now
-        if recipe.guard.ran_away(log, recipe.rays_now, parts, samples=samples):
+        ran_away = recipe.guard.ran_away(log, recipe.rays_now, parts, samples=samples)
+        if ran_away or (recipe.no_way_back(iteration + 1) and not recipe.guard.sound()):
             iteration = recipe.go_back(log, iteration)
             continue
         if iteration % 10 == 0:
@@ -244,6 +245,10 @@ class _Recipe:
         fitting = round(self.options.samples / max(self.samples_per_ray, 1e-3))
         return max(FEWEST_DRAWN, min(self.options.rays, fitting))
 
+    def no_way_back(self, iteration: int) -> bool:
+        """Whether what is trained is refined now, or handed on."""
+        return iteration in self.scalings or iteration == self.options.iterations
+
     def before(self, iteration: int) -> None:
         """Refine when it is time to; rebuild the occupancy every so often: these are points to go back to."""
         self.decay = self.guard.rate * 0.1 ** (iteration / self.options.iterations)
@@ -251,6 +256,7 @@ class _Recipe:
             return  # gone back to
         if iteration in self.scalings:
             self._clear_untouched()
+            self.good.clear()
             del self.density, self.features, self.surround  # their memory is what the next resolution needs
             level = self.scalings[iteration]
             self.canonical.refine(self._share(level) * self.options.resolution)
@@ -260,12 +266,19 @@ class _Recipe:
             self.guard.begin()
         elif iteration and iteration % self.options.occupancy_every == 0:
             self._find_reachable()
+            if not self.guard.sound():
+                return
         elif iteration:
             return
-        self.good = {name: grid.values.clone() for name, grid in self._grids().items()}
-        self.good |= {f"net.{name}": x.clone() for name, x in self.canonical.net.state_dict().items()}
+        for name, values in self._values().items():
+            self.good.setdefault(name, values.new_empty(values.shape)).copy_(values)
         self.good_iteration = iteration
         self.guard.good_point()
+
+    def _values(self) -> dict[str, Tensor]:
+        """All that is trained, by name."""
+        values = {name: grid.values for name, grid in self._grids().items()}
+        return values | {f"net.{name}": x for name, x in self.canonical.net.state_dict().items()}
 
     def go_back(self, log: TrainingLog, iteration: int) -> int:
         """To the last good point, with smaller steps; returns its iteration.
@@ -275,11 +288,10 @@ class _Recipe:
         """
         if not self.guard.go_back(log, f"scene at rest, iteration {iteration}"):
             raise diverged(f"the loss of the scene at rest ran away at iteration {iteration}")
-        for name, grid in self._grids().items():
-            grid.values.copy_(self.good[name])
+        for name, values in self._values().items():
+            values.copy_(self.good[name])
+        for grid in self._grids().values():
             grid.forget()
-        net = {name: self.good[f"net.{name}"] for name in self.canonical.net.state_dict()}
-        self.canonical.net.load_state_dict(net)
         self.net_optimiser.state.clear()
         self._find_reachable()
         return self.good_iteration

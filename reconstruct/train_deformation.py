@@ -4,15 +4,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
-from devrf.reconstruct.clocks import LearnedClock, picture_gap_s, with_clocks
+from devrf.reconstruct.clocks import SHIFTS, LearnedClock, picture_gap_s, with_clocks
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.late_camera import (
+    FEWEST,
     WIDE,
     Moments,
+    cameras_of,
     fits_better,
     moved_by,
     of_camera,
@@ -22,6 +27,7 @@ from devrf.reconstruct.late_camera import (
 )
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.watch import Watch
@@ -44,7 +50,7 @@ def train_deformation(
 
     Arguments and errors as `train_motion`'s.
     """
-    share = MOTION if options.fine_tuning else 1.0
+    share, check = MOTION if options.fine_tuning else 1.0, _CheckedOnce()
     motion, metrics = train_motion(
         scene,
         rest,
@@ -55,10 +61,11 @@ def train_deformation(
         checkpoint,
         watch,
         clock_stds,
+        check,
     )
-    if options.find_late_camera and clock_stds:
+    if options.find_late_camera and not options.learn_clocks and clock_stds:
         motion, metrics, scene = _with_late_camera(
-            scene, rest, flows, options, device, progress, checkpoint, clock_stds, motion, metrics
+            scene, rest, flows, options, device, progress, checkpoint, clock_stds, check, motion, metrics
         )
     if not options.fine_tuning:
         return motion, None, metrics
@@ -72,13 +79,8 @@ def train_deformation(
         lambda f, m: progress(share + (1 - share) * f, m),
         checkpoint.part("fine-tuning"),
     )
+    metrics = _with_cost_of(metrics, tuned.metrics)
     metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
-    for name in ("seconds", "iterations", "rays"):
-        metrics[name] += tuned.metrics[name]
-    for name in ("peak_rss_gb", "peak_gpu_gb"):
-        metrics[name] = max(metrics[name], tuned.metrics[name]) if metrics[name] is not None else None
-    metrics["rays_per_s"] = round(metrics["rays"] / max(metrics["seconds"], 1e-9))
-    metrics["restarts"] += tuned.metrics["restarts"]
     metrics |= {"fine_tuning_s": tuned.metrics["seconds"], "fine_tuning_gain_db": tuned.gain_db}
     return motion, tuned.model, metrics
 
@@ -92,18 +94,23 @@ def _with_late_camera(
     progress: Progress,
     checkpoint: Checkpoint,
     clock_stds: Mapping[str, float | None],
+    check: "_CheckedOnce",
     motion: MotionField,
     metrics: dict[str, Any],
 ) -> tuple[MotionField, dict[str, Any], Scene]:
     """The same with the clock of one camera moved, if the motion that the others see says so."""
-    reference, moments = next(iter(clock_stds)), Moments(scene, rest, options, device)
-    name = suspect(moments, motion, reference)
+    names = cameras_of(scene)
+    if len(names) < FEWEST:
+        return motion, metrics, scene
+    moments = Moments(scene, rest, options, device)
+    curves = {name: moments.curves(motion, name, SHIFTS) for name in names}
+    name = suspect(curves, next(iter(clock_stds)))
     if name is None:
         return motion, metrics, scene
-    coarse = replace(
-        options, levels=options.levels[:1], iterations=options.iterations[:1], learn_clocks=False
-    )
-    others, _ = train_motion(
+    before = {camera: errors[:, SHIFTS == 0] for camera, errors in curves.items()}
+    del moments  # its pictures, while others are trained on
+    coarse = replace(options, levels=options.levels[:1], iterations=options.iterations[:1])
+    others, cost = train_motion(
         without(scene, name),
         rest,
         flows,
@@ -111,12 +118,15 @@ def _with_late_camera(
         device,
         lambda f, m: progress(MOTION, f"without {name}: {m}"),
         checkpoint.part("others"),
+        check=check,
     )
-    pictures = offset_pictures(moments.curves(others, name, WIDE), WIDE)
-    gap_s = picture_gap_s(of_camera(scene, name))
+    metrics = _with_cost_of(metrics, cost)
+    pictures = offset_pictures(Moments(scene, rest, options, device).curves(others, name, WIDE), WIDE)
+    del others
     if pictures == 0:
         return motion, metrics, scene
-    moved = moved_by(scene, name, pictures * gap_s)
+    offset_s = pictures * picture_gap_s(of_camera(scene, name))
+    moved = moved_by(scene, name, offset_s)
     again, new = train_motion(
         moved,
         rest,
@@ -125,12 +135,36 @@ def _with_late_camera(
         device,
         lambda f, m: progress(MOTION, f"{name} moved: {m}"),
         checkpoint.part("moved"),
-        clock_stds=clock_stds,
+        check=check,
     )
-    if not fits_better(moments, motion, replace(moments, scene=moved), again):
-        return motion, metrics, scene
-    return (
-        again,
-        new | {"late_camera": {"name": name, "pictures": pictures, "offset_s": pictures * gap_s}},
-        moved,
-    )
+    moments = Moments(scene, rest, options, device)
+    shift = {camera: np.array([pictures if camera == name else 0.0]) for camera in names}
+    after = {camera: moments.curves(again, camera, shift[camera]) for camera in names}
+    if not fits_better(before, after):
+        return motion, _with_cost_of(metrics, new), scene
+    found = {"name": name, "pictures": pictures, "offset_s": offset_s}
+    return again, _with_cost_of(new, metrics) | {"late_camera": found}, moved
+
+
+class _CheckedOnce:
+    """Flow held against the pictures when it is first asked for."""
+
+    def __init__(self) -> None:
+        self.found: CheckedFlow | None = None
+
+    def __call__(self, rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
+        """What was found of all cameras; the motion's later trainings have some of the same pictures."""
+        self.found = self.found or checked_flow(rays, flows)
+        return self.found
+
+
+def _with_cost_of(metrics: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """What a training measured, and what another one took of time, memory and smaller steps."""
+    out = dict(metrics)
+    for name in ("seconds", "iterations", "rays", "restarts"):
+        out[name] += other[name]
+    for name in ("peak_rss_gb", "peak_gpu_gb"):
+        out[name] = max(out[name], other[name]) if out[name] is not None else None
+    out["rate"] = min(out["rate"], other["rate"])
+    out["rays_per_s"] = round(out["rays"] / max(out["seconds"], 1e-9))
+    return out

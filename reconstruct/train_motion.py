@@ -13,7 +13,7 @@ fog; the first key is not trained twice (the program's slot 0 falls to it).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.clocks import SHIFTS, Clocks, LearnedClock, error_curves
 from devrf.reconstruct.grids import BETAS, EPS
-from devrf.reconstruct.guard import Guard, diverged
+from devrf.reconstruct.guard import LOOK_EVERY, Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
@@ -60,6 +60,9 @@ from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
+JUDGED = 512  # rays by which it is seen whether a key has become worse: the same before and after
+WORSE = 1.26  # 1 dB: by how much worse a key may fit them than before; steps a third as large do a third of the harm
+ROUNDED = 1 / (12 * 255**2)  # variance of rounding to 8 bits: smaller errors do not compare
 
 
 def train_motion(
@@ -72,6 +75,7 @@ def train_motion(
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
     clock_stds: Mapping[str, float | None] | None = None,
+    check: Callable[[RaySet, Mapping[str, CameraFlow]], CheckedFlow] = checked_flow,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
 
@@ -86,6 +90,7 @@ def train_motion(
         watch: Shown the motion field now and then, between two key times.
         clock_stds: Standard deviations of the clocks, the reference first, seconds, where they are learned; None or
             absent: not known.
+        check: Holds the flow against the pictures, where it counts by its confidence.
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverges with small steps, too.
     """
@@ -96,7 +101,8 @@ def train_motion(
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
     clocks = Clocks(frames, clock_stds or {}) if options.learn_clocks else None
-    recipe = _Recipe(scene, rest, rays, flows, options, device, clocks)
+    checked = check(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
+    recipe = _Recipe(scene, rest, rays, checked, options, device, clocks)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
     saved = checkpoint.found(log)
     begin = 0 if saved is None else recipe.take_up(saved)
@@ -162,7 +168,7 @@ class _Recipe:
         scene: Scene,
         rest: RestModel,
         rays: RaySet,
-        flows: dict[str, CameraFlow],
+        checked: CheckedFlow,
         options: MotionOptions,
         device: str,
         clocks: Clocks | None,
@@ -174,7 +180,6 @@ class _Recipe:
         self.decisions: list[Decision] = []
         self.options = options = levels_for(options, rest.canonical) if options.adapt else options
         self.generator = torch.Generator().manual_seed(options.seed)
-        checked = checked_flow(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
         flows, self.flow_contradicted = checked.flows, checked.contradicted
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows, options.flow_confidence)
@@ -314,7 +319,12 @@ class _Recipe:
         self.window = motion.window(self.first, last, self.device)
         self.key = key - self.first
         self.begun = [field[self.key].clone() for field in (self.window.backward, self.window.forward)]
-        self.guard.good_point()
+        self.counted = self.left_box, self.seen
+        self.judged = self._drawn(JUDGED, torch.Generator().manual_seed(self.options.seed))
+        self.error_before = max(float(self._errors(self.judged).mean()), ROUNDED)
+        cameras = len(self.views) if self.options.one_camera else 1
+        self.guard.look_every = cameras * -(-LOOK_EVERY // cameras)  # whole rounds of them
+        self.guard.other_part()
         self._begin()
         self.asked = (
             self.held_back.rays_of(self.pictures) if self.level and self.held_back is not None else None
@@ -326,7 +336,7 @@ class _Recipe:
         self.adam = [_Moments.of(self.window.backward), _Moments.of(self.window.forward)]
         self.live: Tensor | None = None
         self.step_of_key = 0
-        self.guard.begin()
+        self.guard.begin(self.error_before)
 
     def train_key(self, log: TrainingLog) -> bool:
         """All steps of the present key; whether it fits its pictures no worse than before."""
@@ -334,7 +344,7 @@ class _Recipe:
         for _ in range(self.options.iterations[self.level]):
             if self.guard.ran_away(log, self.options.rays, self.step(), **labels):
                 return False
-        return not self.guard.made_it_worse()
+        return float(self._errors(self.judged).mean()) <= WORSE**self.guard.shrunk * self.error_before
 
     def go_back(self, log: TrainingLog) -> bool:
         """To the key as it was; False if it has been tried with steps that are small enough, and stays so.
@@ -343,10 +353,11 @@ class _Recipe:
             ReconstructError: Its pictures make no number of it, without any step.
         """
         where = f"motion, level {self.level + 1}, key {self.first + self.key}"
-        if self.guard.hopeless:
+        if not math.isfinite(self.error_before):
             raise diverged(f"the loss of the {where} is not a number")
         for field, begun in zip((self.window.backward, self.window.forward), self.begun, strict=True):
             field[self.key] = begun
+        self.left_box, self.seen = self.counted
         again = self.guard.go_back(log, where)
         self.keys_left += not again
         self._begin()
@@ -424,23 +435,27 @@ class _Recipe:
         n = self.options.rays
         if self.options.one_camera:
             return self.rays.draw(n, self.generator, self.views[self.step_of_key % len(self.views)])
-        batch = draw_with_importance(
-            self.rays, self.changing, n, self.options.importance, self.pictures, self.generator
-        )
+        batch = self._drawn(n, self.generator)
         return batch if self.held_back is None else self.held_back.without(batch)
 
-    @torch.no_grad()
+    def _drawn(self, n: int, generator: torch.Generator) -> RayBatch:
+        """Rays of all pictures of the present key."""
+        share = self.options.importance
+        return draw_with_importance(self.rays, self.changing, n, share, self.pictures, generator)
+
     def _held_error(self) -> float:
         """Sum of squared errors of the rays of this key that are held back; the first level asks none."""
-        batch = self.asked
-        if batch is None:
-            return 0.0
+        return 0.0 if self.asked is None else float(self._errors(self.asked).sum())
+
+    @torch.no_grad()
+    def _errors(self, batch: RayBatch) -> Float[Tensor, "n 3"]:
+        """Squared errors of rays of the present key, as its motion is."""
         tau = self._tau(batch.frame)
         live = live_distance(self.rest, self.window, tau.unique(), 1)
         middle = torch.full_like(tau, 0.5)
         seen = render_moved(self.rest, self.window, live, batch.rays_o, batch.rays_d, tau, middle)
         rgb = self.around.at(batch.frame, batch.pixel).compose(seen.rgb, seen.left)
-        return float(((rgb - batch.rgb) ** 2).sum())
+        return (rgb - batch.rgb) ** 2
 
     def _flow_loss(self, batch: RayBatch, ray_id: Tensor, x0: Tensor, weights: Tensor) -> Tensor:
         if self.options.flow == 0 or not self.flow.pictures:

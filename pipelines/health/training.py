@@ -10,19 +10,20 @@ MOSTLY_CONTRADICTED = 0.5  # more of what moves is followed wrongly than rightly
 
 def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
     """Whether training ran away and was restarted; and what of the motion had to be left as it was."""
-    if not metrics["restarts"] and not metrics.get("keys_left"):
-        return []
-    rows = [
-        row(
-            "times that training ran away and went back",
-            float(metrics["restarts"]),
-            "",
-            warn=0.0,
-            low_is_bad=False,
-            remedy=f"Steps were too large and were made smaller ({metrics['rate']:.2g} times); the result may stand. "
-            "Lower reconstruct.learning_rate as much, and look at poses and clocks in the report if it happens again.",
+    rows = []
+    if metrics["rate"] < 1:
+        rows.append(
+            row(
+                "times that training ran away and went back",
+                float(metrics["restarts"]),
+                "",
+                warn=0.0,
+                low_is_bad=False,
+                remedy="Steps were too large and were made smaller (down to "
+                f"{metrics['rate']:.2g} times); the result may stand. Lower reconstruct.learning_rate as much, and "
+                "look at poses and clocks in the report if it happens again.",
+            )
         )
-    ]
     if metrics.get("keys_left"):
         rows.append(
             row(

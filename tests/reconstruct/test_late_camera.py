@@ -12,7 +12,7 @@ from tests.reconstruct.conftest import ball_picture
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.health.training import late_rows
 from devrf.reconstruct.clocks import LearnedClock, with_clocks
-from devrf.reconstruct.late_camera import WIDE, moved_by, offset_pictures
+from devrf.reconstruct.late_camera import WIDE, fits_better, moved_by, offset_pictures
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions, preset
 from devrf.reconstruct.train_canonical import RestModel
@@ -22,6 +22,9 @@ TIMES, LATE = 11, 2  # pictures of each camera; pictures by which one is late
 TRAVEL = np.array([0.6, 0.0, 0.3])
 GAP_S = 1 / (TIMES - 1)
 STDS = {"cam0": 0.0, "cam1": 1e-4, "cam2": 1e-4, "cam3": 1e-4}  # sync is sure
+COST = {
+    "seconds": 1.0, "iterations": 2, "rays": 3, "restarts": 1, "rate": 1.0, "peak_rss_gb": 1.0, "peak_gpu_gb": None,
+}  # fmt: skip
 MOTION = MotionOptions(levels=(4,), iterations=(1,), rays=300, importance=0.8, find_late_camera=True)
 
 
@@ -77,7 +80,7 @@ def trained(ball, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
 
     def train(scene: Scene, *_: object, **__: object) -> tuple[MotionField, dict]:
         given.append(scene)
-        return motion, {}
+        return motion, dict(COST)
 
     monkeypatch.setattr("devrf.reconstruct.train_deformation.train_motion", train)
     return given
@@ -97,6 +100,9 @@ def test_a_camera_two_pictures_late_is_brought_back(
     everything, others, moved = trained
     assert everything is late and {f.camera_name for f in others.dynamic} == {"cam0", "cam2", "cam3"}
     assert min(f.time or 0.0 for f in moved.dynamic if f.camera_name == "cam1") < 0.25 * GAP_S
+    assert {name: metrics[name] for name in ("seconds", "iterations", "rays", "restarts")} == {
+        name: 3 * COST[name] for name in ("seconds", "iterations", "rays", "restarts")
+    }
     (row,) = late_rows(found)
     assert row.verdict == "warn" and "cam1" in row.check and "earlier" in row.remedy
 
@@ -105,6 +111,27 @@ def test_right_clocks_stay_and_cost_no_training(moving: Scene, rest: RestModel, 
     _, _, metrics = train_deformation(moving, rest, {}, MOTION, clock_stds=STDS)
     assert "late_camera" not in metrics and late_rows(metrics.get("late_camera")) == []
     assert len(trained) == 1
+
+
+def test_clocks_that_are_learned_are_not_looked_for(
+    moving: Scene, rest: RestModel, trained: list[Scene]
+) -> None:
+    late = with_clocks(moving, {"cam1": LearnedClock(LATE * GAP_S, None, 0.0)})
+    train_deformation(late, rest, {}, replace(MOTION, learn_clocks=True), clock_stds=STDS)
+    assert len(trained) == 1
+
+
+def test_a_second_motion_is_kept_only_if_it_fits_better_by_more_than_chance() -> None:
+    rng = np.random.default_rng(0)
+    before = {name: 10 + rng.normal(0, 1, (10, 1)) for name in ("a", "b", "c")}
+    noise = {name: rng.normal(0, 0.2, (10, 1)) for name in before}
+    assert not fits_better(before, {name: x + noise[name] - 0.01 for name, x in before.items()})
+    better = {name: x + noise[name] - 3 * (name == "b") for name, x in before.items()}
+    assert fits_better(before, better)
+    better["b"][:3] = np.nan  # beyond the second motion
+    assert fits_better(before, better)
+    better["b"][:], better["a"][:], better["c"][:] = np.nan, np.nan, np.nan
+    assert not fits_better(before, better)
 
 
 def test_the_published_recipe_looks_for_none() -> None:
