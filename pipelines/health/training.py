@@ -6,6 +6,11 @@ from typing import Any
 from devrf.pipelines.health.rows import HealthRow, row
 
 MOSTLY_CONTRADICTED = 0.5  # more of what moves is followed wrongly than rightly
+MENDED = (  # first words of the rows which say that training mended something: the cause is real, the loss may not be
+    "times that training ran away and went back",
+    "share of what moves whose flow the pictures contradict",
+    "clock that the motion of the other cameras contradicts",
+)
 
 
 def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:

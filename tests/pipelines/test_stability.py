@@ -1,5 +1,6 @@
 """`bench stability`: its logic on made-up results, and two axes of a data set of 32 x 32 pictures."""
 
+import errno
 import json
 import shutil
 from dataclasses import replace
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devrf.capture.errors import FlowError, InputError
+from devrf.capture.errors import DevrfError, FlowError, InputError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
@@ -21,6 +22,7 @@ from devrf.pipelines.bench.stability.points import bar_db, fails, points, said
 from devrf.pipelines.bench.stability.stability import run_stability
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
+from devrf.pipelines.health.rows import Verdict
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.plan import Choice
@@ -69,6 +71,19 @@ def test_a_row_counts_where_the_undisturbed_case_does_not_show_it_so_loudly() ->
     assert said(result(1.0, 24.0, LOUD), shown) == ("ingest: sharpness",)
     found = points([result(1.0, 24.0), result(2.0, 23.0, BLUR), result(4.0, 20.0, LOUD)], CALM)
     assert (found.failure, found.notice, found.notices) == (4, 2, ("ingest: sharpness",))
+
+
+def test_the_same_complaint_about_another_camera_is_no_new_one() -> None:
+    def about(camera: str, verdict: Verdict = "warn") -> Complaint:
+        return Complaint("scene", f"points in view, worst camera ({camera})", verdict, 1.0)
+
+    shown = result(0.0, 25.0, about("cam0", "fail"), about("cam1"))
+    assert said(result(1.0, 24.0, about("cam4", "fail")), shown) == ()
+    softly = result(0.0, 25.0, about("cam0"))
+    assert said(result(1.0, 24.0, about("cam4")), softly) == ()
+    assert said(result(1.0, 24.0, about("cam4", "fail")), softly) == (
+        "scene: points in view, worst camera (cam4)",
+    )
 
 
 def test_half_of_the_seeds_decide() -> None:
@@ -248,6 +263,19 @@ def test_a_stage_that_fails_is_a_result(suite: tuple[Path, list[str], str], base
     assert points([stopped], CALM).failure == 100
     log = (out / "lost-100/seed0/run/devrf.log").read_text()
     assert "ERROR" in log and "all flow is lost" in log
+
+
+@pytest.mark.parametrize("fault", [TypeError("no such thing"), MemoryError(), OSError(errno.ENOSPC, "full")])
+def test_a_fault_of_the_program_or_the_machine_is_no_result(
+    suite: tuple[Path, list[str], str], base: Run, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    def behind(context: StageContext) -> None:
+        raise fault
+
+    broken = replace(AXES["flow_wrong"], damaging=lambda intact: Damage(intact.config, "flow", behind))
+    monkeypatch.setitem(AXES, "broken", broken)
+    with pytest.raises(DevrfError, match="broken 1, seed 0: flow: "):
+        run_case(base, suite[0], "broken", 1.0, 0, read_scene(suite[0] / "undisturbed-0/seed0/run/scene"))
 
 
 def test_a_folder_that_another_run_holds_is_no_result(suite: tuple[Path, list[str], str], base: Run) -> None:

@@ -7,6 +7,7 @@ import pytest
 from devrf.pipelines.bench.stability.case import Complaint, Result
 from devrf.pipelines.bench.stability.heard import Heard, heard
 from devrf.pipelines.bench.stability.points import points
+from devrf.pipelines.health.training import MENDED, flow_rows, late_rows, restart_rows
 
 BLUR = Complaint("ingest", "sharpness", "warn", 3.0)
 NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale")
@@ -45,6 +46,26 @@ def test_precision_asks_the_cases_with_complaints() -> None:
     assert found.spoken == ("a 1, seed 0", "a 2, seed 0", "a 3, seed 0")
     assert found.unfounded == ("a 2, seed 0",) and found.precision == pytest.approx(2 / 3)
     assert found.alarms == ("rig: scale",)
+
+
+def test_damage_that_training_mended_is_no_false_alarm() -> None:
+    """It is noticed, but no case of precision; together with another complaint it is one."""
+    mended = Complaint("canonical", "times that training ran away and went back", "warn", 2.0)
+
+    def case_of(axis: str, *complaints: Complaint) -> Result:
+        return Result(axis, 1.0, 0, psnr_moving=25.0, baseline=20.0, complaints=(NO_SCALE, *complaints))
+
+    found = known(case_of("mended", mended), case_of("more", mended, BLUR), case("hurt", 1, 24, True))
+    assert found.spoken == ("more 1, seed 0", "hurt 1, seed 0") and found.unfounded == ("more 1, seed 0",)
+    assert points([case_of("mended", mended)], CALM).notice == 1
+
+
+def test_rows_of_mended_damage_are_known_by_their_first_words() -> None:
+    late = {"name": "cam1", "offset_s": 0.1, "pictures": 1.0}
+    rows = [
+        *restart_rows({"restarts": 1, "rate": 0.3, "keys_left": 0}), *flow_rows({"cam1": 0.9}), *late_rows(late),
+    ]  # fmt: skip
+    assert len(rows) == len(MENDED) and all(r.check.startswith(MENDED) for r in rows)
 
 
 def test_other_test_views_are_judged_by_what_motion_gains_in_them() -> None:

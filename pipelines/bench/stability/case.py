@@ -1,7 +1,8 @@
 """One case: the real pipeline on a damaged scene, in a run folder of its own, and what came of it.
 
 What cases have in common is made once: all keep their stages in one cache, and a stage behind which damage is done has
-the damage among its inputs, so that stamps and cache tell it from the real one. A stage that fails is a result.
+the damage among its inputs, so that stamps and cache tell it from the real one. A stage that fails is a result; a fault
+of the program or of the machine (no memory, a full disk) is none and ends the suite, which goes on later.
 """
 
 import json
@@ -13,7 +14,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from devrf.capture.errors import InputError
+from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.scene import Scene
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage.intact import Damage, Intact
@@ -24,6 +25,7 @@ from devrf.pipelines.health.rows import Verdict
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice, read_health
 from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.workspace import is_disk_full
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
@@ -105,6 +107,7 @@ def run_case(
     Raises:
         DoesNotApply: The axis means nothing for this scene.
         InputError: The run folder cannot be used.
+        DevrfError: The program or the machine failed, which says nothing about the damage.
     """
     folder = _folder(out, axis, severity, seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -123,9 +126,10 @@ def run_case(
         intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
         done = AXES[axis].damaging(intact)
     stages = [_damaged(s, done, folder, axis, severity, seed) if s.name == done.stage else s for s in STAGES]
-    heard = _Listener()
+    heard, faults = _Listener(), list[BaseException]()
+    watched = [_watched(stage, faults) for stage in stages]
     run = Run(
-        done.config, base.scene_dir, stages, Choice(last=LAST, allow_unhealthy=True), heard, base.device
+        done.config, base.scene_dir, watched, Choice(last=LAST, allow_unhealthy=True), heard, base.device
     )
     code = execute(run)
     if code == STOPPED:
@@ -133,6 +137,8 @@ def run_case(
         raise typer.Exit(code)
     if code == BAD_INPUT:  # never of a stage: another run holds the folder, or it may not be written
         raise InputError(heard.errors[-1])
+    if faults:
+        raise DevrfError(f"{axis} {severity:g}, seed {seed}: {heard.errors[-1]}")
     stopped = None if code == DONE else heard.errors[-1].partition("\nlog: ")[0]
     return _result(run.run_dir, axis, severity, seed, stopped, run.fresh), run.run_dir
 
@@ -174,6 +180,20 @@ def is_made(out: Path, axis: str, severity: float, seed: int) -> bool:
 
 def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
     return out / f"{axis}-{severity:g}" / f"seed{seed}"
+
+
+def _watched(stage: Stage, faults: list[BaseException]) -> Stage:
+    """The stage; what it raises and no damage explains is kept: what is no error of ours, or comes of a full disk."""
+
+    def run(context: Any) -> None:
+        try:
+            stage.run(context)
+        except (Exception, SystemExit) as error:
+            if not isinstance(error, DevrfError) or is_disk_full(error):
+                faults.append(error)
+            raise
+
+    return replace(stage, run=run)
 
 
 def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:

@@ -2,15 +2,17 @@
 
 Recall asks the axes: of those that break, at how many does the pipeline speak up at or before the failure point?
 Precision asks the cases: of those in which something new is said, in how many has the result really suffered? A case
-that was stopped has said so, and has.
+that was stopped has said so, and has. Where all that is new is that training mended something, the damage is real, and
+an unharmed result is what mending is for: such a case is not asked.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from devrf.pipelines.bench.stability.case import Result
-from devrf.pipelines.bench.stability.points import Points, said
+from devrf.pipelines.bench.stability.points import Points, new_complaints, said
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
+from devrf.pipelines.health.training import MENDED
 
 SUFFERED_DB = (
     LEAST_GAIN_DB / 2
@@ -24,7 +26,8 @@ class Heard:
     Attributes:
         broken: Axes with a failure point.
         missed: Those of them at which nothing is said up to there.
-        spoken: Cases in which something is said that the undisturbed case does not say: "axis severity, seed".
+        spoken: Cases in which something is said that the undisturbed case does not say, more than that training
+            mended something: "axis severity, seed".
         unfounded: Those of them that lost less than `SUFFERED_DB`.
         alarms: What is said of the undisturbed cases themselves.
     """
@@ -59,7 +62,7 @@ def heard(
     of_seed = {r.seed: r for r in undisturbed}
     broken = tuple(name for name in results if found[name].failure is not None)
     cases = [r for of_axis in results.values() for r in of_axis]
-    spoken = [r for r in cases if said(r, of_seed[r.seed])]
+    spoken = [r for r in cases if _warns(r, of_seed[r.seed])]
     return Heard(
         broken=broken,
         missed=tuple(name for name in broken if not _in_time(found[name])),
@@ -71,6 +74,12 @@ def heard(
 
 def _in_time(found: Points) -> bool:
     return found.failure is not None and found.notice is not None and found.notice <= found.failure
+
+
+def _warns(result: Result, undisturbed: Result) -> bool:
+    """Whether it was stopped, or something new is said that training did not mend."""
+    new = new_complaints(result, undisturbed)
+    return result.stopped is not None or not all(c.check.startswith(MENDED) for c in new)
 
 
 def _suffered(result: Result, undisturbed: Result) -> bool:

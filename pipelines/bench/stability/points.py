@@ -1,5 +1,6 @@
 """Where on an axis the result breaks, and where the pipeline first says so."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -8,6 +9,9 @@ from devrf.pipelines.bench.stability.case import Complaint, Result
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 
 WORSE = {"warn": 1, "fail": 2}
+_OF_WHICH = re.compile(
+    r" \([^()]*\)$"
+)  # behind a check's name: its worst camera, which may be another one each time
 
 
 @dataclass(frozen=True)
@@ -57,8 +61,15 @@ def fails(result: Result, bar: float | None) -> bool:
 
 def new_complaints(result: Result, undisturbed: Result) -> tuple[Complaint, ...]:
     """What is said of a case that is not said, or is said less loudly, of the undisturbed one."""
-    before = {(c.stage, c.check): WORSE[c.verdict] for c in undisturbed.complaints}
-    return tuple(c for c in result.complaints if WORSE[c.verdict] > before.get((c.stage, c.check), 0))
+    before: dict[tuple[str, str], int] = {}
+    for c in undisturbed.complaints:
+        before[_kind(c)] = max(WORSE[c.verdict], before.get(_kind(c), 0))
+    return tuple(c for c in result.complaints if WORSE[c.verdict] > before.get(_kind(c), 0))
+
+
+def _kind(complaint: Complaint) -> tuple[str, str]:
+    """Stage and check: the same complaint about another camera is no new one."""
+    return complaint.stage, _OF_WHICH.sub("", complaint.check)
 
 
 def said(result: Result, undisturbed: Result | None) -> tuple[str, ...]:
