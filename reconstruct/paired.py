@@ -23,15 +23,15 @@ class Gain:
     half: float | None
     by_pair: tuple[float, ...]
 
-    @property
-    def above(self) -> bool:
-        """Whether the whole interval lies above 0."""
-        return self.half is not None and self.mean - self.half > 0
+    def side(self, measures: int = 1) -> int:
+        """1 where the whole interval lies above 0, -1 where it lies below, else 0.
 
-    @property
-    def below(self) -> bool:
-        """Whether the whole interval lies below 0."""
-        return self.half is not None and self.mean + self.half < 0
+        Args:
+            measures: How many are asked of which any may decide; each has its share of the doubt (Bonferroni), so that
+                with CONFIDENCE none is wrong.
+        """
+        half = _half(self.by_pair, 1 - (1 - CONFIDENCE) / measures)
+        return 0 if half is None or abs(self.mean) <= half else (1 if self.mean > 0 else -1)
 
     @property
     def nothing(self) -> bool:
@@ -51,7 +51,12 @@ def paired_gain(with_it: Sequence[float], without: Sequence[float]) -> Gain:
     if not with_it or len(with_it) != len(without):
         raise ValueError(f"{len(with_it)} and {len(without)} values do not pair up")
     apart = np.subtract(with_it, without)
-    n, half = len(apart), None
-    if n > 1:
-        half = float(t.ppf((1 + CONFIDENCE) / 2, n - 1) * apart.std(ddof=1) / np.sqrt(n))
-    return Gain(float(apart.mean()), half, tuple(float(a) for a in apart))
+    by_pair = tuple(float(a) for a in apart)
+    return Gain(float(apart.mean()), _half(by_pair, CONFIDENCE), by_pair)
+
+
+def _half(by_pair: Sequence[float], confidence: float) -> float | None:
+    n = len(by_pair)
+    if n < 2:
+        return None
+    return float(t.ppf((1 + confidence) / 2, n - 1) * np.std(by_pair, ddof=1) / np.sqrt(n))

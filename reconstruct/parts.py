@@ -11,9 +11,11 @@ from typing import Any, Literal
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.key_times import offered_keys
+from devrf.reconstruct.late_camera import FEWEST
 from devrf.reconstruct.options import FEWEST_COARSE, CanonicalOptions, MotionOptions, Options
 
 Setup = tuple[Scene, Options]
+ON_A_KEY = 1e-6  # of the spacing of key times: as near as numbers get
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Part:
         what: It does, in words.
         without: The scene and the options that leave it out; the same scene, and equal options, where it is not in use.
         needs: Whether it can have an effect on a scene.
+        needs_clocks: Whether it can have one only where cameras have clocks of their own, as those of captures have.
     """
 
     name: str
@@ -33,10 +36,11 @@ class Part:
     what: str
     without: Callable[[Scene, Options], Setup]
     needs: Callable[[Scene, Options], bool] = lambda scene, options: True
+    needs_clocks: bool = False
 
-    def in_use(self, scene: Scene, options: Options) -> bool:
-        """Whether leaving it out changes anything."""
-        if not self.needs(scene, options):
+    def in_use(self, scene: Scene, options: Options, clocks: bool = True) -> bool:
+        """Whether leaving it out changes anything, in a scene whose cameras have clocks of their own or not."""
+        if not self.needs(scene, options) or (self.needs_clocks and not clocks):
             return False
         other, changed = self.without(scene, options)
         return other is not scene or changed != options
@@ -63,6 +67,10 @@ def _plain(scene: Scene, options: Options) -> bool:
     return scene.background != "shell"
 
 
+def _enough_clocks(scene: Scene, options: Options) -> bool:
+    return len({f.camera_name for f in scene.dynamic if f.split == "train"}) >= FEWEST
+
+
 def _levels(chosen: slice) -> Callable[[Scene, Options], Setup]:
     def without(scene: Scene, o: Options) -> Setup:
         levels, iterations = o.motion.levels[chosen], o.motion.iterations[chosen]
@@ -82,13 +90,15 @@ def _half_the_keys(scene: Scene, o: Options) -> Setup:
 
 
 def _times_of_keys(scene: Scene, o: Options) -> Setup:
-    """Every training picture is taken to be of the key time nearest to it."""
+    """Every training picture is taken to be of the key time nearest to it; the scene itself, if all are at one."""
     times = [f.time for f in scene.dynamic if f.split == "train" and f.time is not None]
     first, spacing = min(times), (max(times) - min(times)) / (_keys(scene, o) - 1)
 
     def rounded(time: float) -> float:
         return first + round((time - first) / spacing) * spacing
 
+    if all(abs(rounded(time) - time) <= ON_A_KEY * spacing for time in times):
+        return scene, o
     dynamic = tuple(
         replace(f, time=rounded(f.time)) if f.split == "train" and f.time is not None else f
         for f in scene.dynamic
@@ -120,7 +130,8 @@ PARTS: tuple[Part, ...] = (
     Part("fine_tuning", "motion", "the scene at rest follows all pictures", _motion(fine_tuning=0)),
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
     Part("learn_clocks", "motion", "offsets of clocks learned", _motion(learn_clocks=False)),
-    Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False)),
+    Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False),
+         _enough_clocks, needs_clocks=True),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",
          _motion(**_published(MotionOptions, "lr"))),

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,24 @@ import numpy as np
 import pytest
 import typer
 
+from devrf.capture.scene import Scene
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
+from devrf.pipelines.bench import parts as parts_bench
 from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
 from devrf.pipelines.bench.parts import COSTS, EARNS, NOTHING, SAVES, UNTOLD, Judged
 from devrf.pipelines.bench.rows import Row, with_goal
 from devrf.pipelines.bench.speed import Case, Measured, pareto
+from devrf.pipelines.bench.trainings import Bench
+from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import ReconstructConfig
+from devrf.pipelines.console import Talk
+from devrf.pipelines.runner.plan import Choice
+from devrf.pipelines.runner.run import Run
+from devrf.pipelines.stages import STAGES
 from devrf.reconstruct.ablation import VARIANTS, ablated
 from devrf.reconstruct.options import PRESETS
-from devrf.reconstruct.paired import Gain
+from devrf.reconstruct.paired import Gain, paired_gain
 from devrf.reconstruct.parts import PARTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -126,7 +135,7 @@ def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path
         "--preset",
         "tiny",
         "--parts",
-        "cycle,rest_entropy,deferred",
+        "cycle,exact_times,rest_entropy,deferred",
         "--seeds",
         "2",
         "--out",
@@ -134,8 +143,11 @@ def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path
     )
     said = _bench(devrf, "parts", dataset, *chosen, *SETTINGS)
     content = json.loads((tmp_path / "parts.json").read_text())
-    assert set(content["parts"]) == {"cycle", "rest_entropy"} and content["not_in_use"] == ["deferred"]
-    assert "not in use here: deferred" in said and "rest_entropy" in said
+    assert set(content["parts"]) == {"cycle", "rest_entropy"} and content["not_in_use"] == [
+        "exact_times",
+        "deferred",
+    ]
+    assert "not in use here: exact_times, deferred" in said and "rest_entropy" in said
     rows = _rows(tmp_path / "parts.json")
     for name, folder in (("cycle", "seed{}/cycle"), ("rest_entropy", "rest_entropy/seed{}/motion")):
         whole, without = (
@@ -161,10 +173,28 @@ def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path
     assert "cycles" in wrong and "rest_entropy" in wrong
 
 
+def test_parts_of_the_motion_share_the_scene_at_rest_even_where_they_change_the_scene(
+    dataset: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pictures at times of their own: without them the scene is another, but not what is at rest in it."""
+    at_rest: list[Bench] = []
+    trained: list[Bench] = []
+    monkeypatch.setattr(Bench, "rest", lambda bench, options: at_rest.append(bench))
+    monkeypatch.setattr(parts_bench, "_trained", lambda bench, *rest: trained.append(bench) or {})
+    late = tuple(replace(f, time=f.time + 0.04 * (f.camera_name != "cam0")) for f in odd_scene.dynamic)
+    run = Run(load_scene(dataset / "scene.yaml"), dataset, STAGES, Choice(), Talk("quiet"))
+    bench = Bench(run, tmp_path, replace(odd_scene, dynamic=late), {})
+    for name in ("cycle", "exact_times"):
+        parts_bench._without(bench, next(part for part in PARTS if part.name == name), 0)
+    assert at_rest == [bench, bench] and trained[0] is bench
+    assert trained[1].scene is not bench.scene and trained[1].changed_by == "devrf.reconstruct.parts"
+
+
 def test_the_first_measure_that_can_tell_decides() -> None:
     part = next(part for part in PARTS if part.name == "cycle")
     rest = next(part for part in PARTS if part.name == "rest_entropy")
-    yes, no, open_, null = (Gain(mean, 0.5, (mean, mean)) for mean in (1.0, -1.0, 0.1, 0.0))
+    yes, no, null = (paired_gain([mean] * 2, [0.0] * 2) for mean in (1.0, -1.0, 0.0))
+    open_, doubtful = paired_gain([1.0, -0.8], [0.0] * 2), paired_gain([1.0, 1.0, 1.7], [0.0] * 3)
 
     def verdict(moving: Gain, psnr: Gain, lpips: Gain | None = open_, seconds: Gain = open_, of=part) -> str:
         gains = {"psnr_moving": moving, "psnr": psnr, "seconds": seconds, "model_mb": open_}
@@ -180,6 +210,10 @@ def test_the_first_measure_that_can_tell_decides() -> None:
     assert verdict(open_, yes, None) == verdict(open_, yes) == UNTOLD
     assert verdict(open_, open_, seconds=no) == SAVES and verdict(open_, open_, seconds=yes) == UNTOLD
     assert verdict(null, null, null, seconds=yes) == NOTHING
+    assert doubtful.side() == 1  # at 95 %, which is not enough of two that may decide
+    assert (
+        verdict(doubtful, yes) == UNTOLD and verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
+    )
 
 
 def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def test_what_a_preset_lacks_is_not_in_use(ball, name: str) -> None:
     assert ("fine_tuning" in used) == ("deferred" in used) == (name == "fast")
     assert ("importance" in used) == ("rest_rate" in used) == ("small_mlp" in used) == (name != "reference")
     assert ("one_camera" in used) == (name == "reference")
-    assert not {"learn_clocks", "rest_variation"} & used
+    assert not {"learn_clocks", "rest_variation", "exact_times"} & used
 
 
 def test_what_means_nothing_for_a_scene_is_not_in_use(ball) -> None:
@@ -76,6 +76,19 @@ def test_what_means_nothing_for_a_scene_is_not_in_use(ball) -> None:
     assert {"per_point", "rest_per_point"} & {p.name for p in PARTS if p.in_use(rooms[0], deferred)} == {
         "rest_per_point"
     }
+
+
+def test_a_late_camera_is_looked_for_among_three_with_clocks(ball) -> None:
+    part, options, train = (
+        by_name("find_late_camera"),
+        preset("tiny"),
+        [f for f in ball.scene.dynamic if f.split == "train"],
+    )
+    three = tuple(replace(f, camera_name=f"cam{n % 3}") for n, f in enumerate(train))
+    scene = replace(ball.scene, dynamic=three)
+    assert part.in_use(scene, options, clocks=True) and not part.in_use(scene, options, clocks=False)
+    two = replace(scene, dynamic=tuple(f for f in three if f.camera_name != "cam2"))
+    assert not part.in_use(two, options, clocks=True)
 
 
 def test_levels_are_left_out_with_their_iterations(ball) -> None:
@@ -96,6 +109,7 @@ def test_pictures_between_key_times_are_moved_to_the_nearest_and_test_views_are_
         replace(f, time=f.time + late[f.split] * (f.camera_name != "cam0")) for f in ball.scene.dynamic
     )
     scene, options = replace(ball.scene, dynamic=dynamic), preset("tiny")
+    assert by_name("exact_times").in_use(scene, options)
     rounded, same = by_name("exact_times").without(scene, options)
     assert same == options and len(rounded.dynamic) == len(dynamic)
     spacing = (max(f.time for f in dynamic if f.split == "train")) / 4  # five times of each camera
@@ -114,7 +128,7 @@ def test_the_interval_is_students() -> None:
     assert (gain.mean, gain.by_pair) == (2.0, (1.0, 2.0, 3.0))
     two_degrees_of_freedom = 4.302653  # Student's t at 97.5 %
     assert gain.half == pytest.approx(two_degrees_of_freedom / np.sqrt(3), rel=1e-6)
-    assert not gain.above and not gain.below and not gain.nothing
+    assert gain.side() == 0 and not gain.nothing
     rng = np.random.default_rng(0)
     a, b = rng.normal(1.0, 1.0, 5).tolist(), rng.normal(0.0, 1.0, 5).tolist()
     interval = ttest_rel(a, b).confidence_interval(0.95)
@@ -123,11 +137,20 @@ def test_the_interval_is_students() -> None:
     assert (gain.mean - gain.half, gain.mean + gain.half) == pytest.approx((interval.low, interval.high))
 
 
+def test_measures_share_the_doubt() -> None:
+    """Of two measures that add nothing at least one is called otherwise in one of twenty cases, not in two."""
+    two = np.random.default_rng(0).normal(size=(4000, 2, 3))
+    alarms = [any(paired_gain(m.tolist(), [0.0] * 3).side(2) for m in measures) for measures in two]
+    assert np.mean(alarms) == pytest.approx(0.05, abs=0.01)
+
+
 def test_signs_of_gains() -> None:
-    assert paired_gain([1.0, 1.1], [0.0, 0.1]).above and paired_gain([0.0, 0.1], [1.0, 1.1]).below
+    assert (
+        paired_gain([1.0, 1.1], [0.0, 0.1]).side() == 1 and paired_gain([0.0, 0.1], [1.0, 1.1]).side() == -1
+    )
     assert paired_gain([1.0, 2.0], [1.0, 2.0]).nothing
     one = paired_gain([5.0], [1.0])
-    assert one.half is None and not one.above and not one.below
+    assert one.half is None and one.side() == 0
     with pytest.raises(ValueError, match="2 and 1 values"):
         paired_gain([1.0, 2.0], [1.0])
     with pytest.raises(ValueError, match="0 and 0 values"):
