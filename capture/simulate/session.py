@@ -98,7 +98,11 @@ def simulate_session(
     renderer = Renderer(still, options.spp, Finish(options.gloss, options.clear))
 
     out.mkdir(parents=True, exist_ok=True)
-    work = _Work(out, renderer, thing, around.behind, options, size, seeds[5], kept, progress)
+    names = ["static", *(camera.name for camera in fixed)]
+    clips = [f"{kind}{name}.mp4" for kind in ("", "charuco_") for name in names]
+    # One generator for each: a clip is the same whatever others are kept, and whether there are boards or sound.
+    noise = dict(zip(clips, seeds[5].spawn(len(clips)), strict=True))
+    work = _Work(out, renderer, thing, around.behind, options, size, noise, kept, progress)
     work.total = len(sweep) + sum(len(camera.file_times_s) for camera in fixed)
     work.total += (len(fixed) + 1) * options.board_frames * options.board
     work.sweep(sweep)
@@ -155,12 +159,12 @@ class _Work:
         behind: list[Mesh],
         options: SessionOptions,
         size: tuple[int, int],
-        rng: np.random.Generator,
+        noise: dict[str, np.random.Generator],
         kept: Sequence[Path],
         progress: Progress,
     ) -> None:
         self.out, self.renderer, self.thing, self.behind, self.options = out, renderer, thing, behind, options
-        self.size, self.rng, self.progress = size, rng, progress
+        self.size, self.noise, self.progress = size, noise, progress
         self.kept = {path.name: path for path in kept}
         self.total, self.done = 1, 0
 
@@ -168,12 +172,12 @@ class _Work:
         options, name = self.options, "static.mp4"
         if self._copied(name, len(path)):
             return
-        clip = ClipWriter(self.out / name, self.size, options.sweep_fps, options.crf)
+        rng, clip = self.noise[name], ClipWriter(self.out / name, self.size, options.sweep_fps, options.crf)
         for i, camera in enumerate(path):
             file_time_s = i / options.sweep_fps
             thing = object_at(self.thing, options.rest_s + file_time_s, options, options.sweep_motion)
-            radiance = self.renderer(camera, [thing], self._seed(), beside=self.behind)
-            clip.picture(expose(radiance, 1.0, options.noise, self.rng), file_time_s)
+            radiance = self.renderer(camera, [thing], _seed(rng), beside=self.behind)
+            clip.picture(expose(radiance, 1.0, options.noise, rng), file_time_s)
             self._tick(name)
         clip.close()
 
@@ -182,18 +186,19 @@ class _Work:
         name = f"{camera.name}.mp4"
         if self._copied(name, len(camera.file_times_s)):
             return
+        rng, of_sound = self.noise[name].spawn(2)
         clip = ClipWriter(self.out / name, self.size, self.options.fps, self.options.crf, rate)
         if self.options.sound:
             microphone = sound.Microphone(
                 distance_m=clapper_distance_m(camera),
                 offset_s=camera.offset_s,
                 drift_ppm=camera.drift_ppm,
-                gain=float(self.rng.uniform(0.4, 1.0)),
+                gain=float(of_sound.uniform(0.4, 1.0)),
             )
             duration_s = float(camera.file_times_s[-1]) + 1 / self.options.fps
             clip.sound(
                 sound.record(
-                    self.rng,
+                    of_sound,
                     burst,
                     claps_s,
                     microphone,
@@ -207,25 +212,24 @@ class _Work:
             radiance = self.renderer(
                 camera.camera,
                 [object_at(self.thing, moment, self.options)],
-                self._seed(),
+                _seed(rng),
                 beside=background_at(self.behind, moment, self.options),
                 lamp_shift_m=lamp_shift_m(moment, self.options),
             )
-            clip.picture(expose(radiance, camera.gain, self.options.noise, self.rng), float(file_time_s))
+            clip.picture(expose(radiance, camera.gain, self.options.noise, rng), float(file_time_s))
             self._tick(name)
         clip.close()
 
     def board_clip(self, name: str, camera: Camera) -> None:
-        options = self.options
-        backdrop = self.renderer(camera, [self.thing.rest], self._seed(), beside=self.behind)
+        options, file = self.options, f"charuco_{name}.mp4"
+        rng = self.noise[file]
+        backdrop = self.renderer(camera, [self.thing.rest], _seed(rng), beside=self.behind)
         show = BoardCamera(camera, backdrop, options.board_squares, options.board_square_m)
-        poses = board_poses(
-            self.rng, camera, options.board_squares, options.board_square_m, options.board_frames
-        )
-        clip = ClipWriter(self.out / f"charuco_{name}.mp4", self.size, BOARD_FPS, options.crf)
+        poses = board_poses(rng, camera, options.board_squares, options.board_square_m, options.board_frames)
+        clip = ClipWriter(self.out / file, self.size, BOARD_FPS, options.crf)
         for i, pose in enumerate(poses):
-            clip.picture(expose(show(pose), 1.0, options.noise, self.rng), i / BOARD_FPS)
-            self._tick(f"charuco_{name}.mp4")
+            clip.picture(expose(show(pose), 1.0, options.noise, rng), i / BOARD_FPS)
+            self._tick(file)
         clip.close()
 
     def _copied(self, name: str, pictures: int) -> bool:
@@ -236,12 +240,14 @@ class _Work:
         self.done += pictures
         return True
 
-    def _seed(self) -> int:
-        return int(self.rng.integers(2**31))
-
     def _tick(self, name: str) -> None:
         self.done += 1
         self.progress(self.done / self.total, f"{name}: picture {self.done} of {self.total}")
+
+
+def _seed(rng: np.random.Generator) -> int:
+    """Of the light paths of a picture."""
+    return int(rng.integers(2**31))
 
 
 def _standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devrf.capture.audio import read_sound
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.simulate.objects import make_object
@@ -34,6 +35,20 @@ def test_clips_are_kept_and_the_sweep_can_be_restless(tmp_path: Path) -> None:
         assert (calm / clip).read_bytes() == (restless / clip).read_bytes()
     before, after = (_last(folder / "static.mp4") for folder in (calm, restless))
     assert np.abs(before - after).max() > 40  # grey levels: the sheet is elsewhere
+
+
+def test_a_clip_is_the_same_whatever_is_made_beside_it(tmp_path: Path) -> None:
+    """Noise, light paths and microphones of one clip do not hang on which others are kept, or on what they show."""
+    pytest.importorskip("mitsuba")
+    options = SMALL.model_copy(update={"sound": True, "claps": 1})
+    simulate_session(tmp_path / "whole", "sheet", cameras=1, size=(32, 24), options=options)
+    kept = [tmp_path / "whole" / "static.mp4", tmp_path / "whole" / "cam0.mp4"]
+    simulate_session(tmp_path / "again", "sheet", cameras=1, size=(32, 24), options=options, kept=kept)
+    whole, again = (tmp_path / folder / "witness.mp4" for folder in ("whole", "again"))
+    assert np.abs(_last(whole) - _last(again)).max() <= 1  # grey levels
+    one, other = (read_sound(path) for path in (whole, again))
+    assert one is not None and other is not None
+    np.testing.assert_array_equal(one.samples, other.samples)
 
 
 def test_a_share_of_the_way() -> None:

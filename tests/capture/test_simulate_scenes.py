@@ -63,6 +63,8 @@ def test_strips_of_the_sheet_have_the_width_and_gaps_that_were_asked_for() -> No
     edges = np.unique(y[faces].round(6))
     gaps = np.diff(edges)[2::3]
     assert gaps == pytest.approx(0.02, abs=0.002) and np.ptp(edges) == pytest.approx(SHEET_WIDTH_M)
+    across = thing.rest.uv[:, 0]  # a point of the print is where it is on the whole sheet
+    np.testing.assert_allclose(across, y / SHEET_WIDTH_M + 0.5, atol=1e-12)
 
 
 def test_what_appears_is_not_there_at_rest_and_halves_touch() -> None:

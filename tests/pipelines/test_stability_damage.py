@@ -72,7 +72,7 @@ def _severe(intact: Intact, severity: float) -> Intact:
     return replace(intact, severity=severity)
 
 
-def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_the_same_each_time(intact: Intact) -> None:
+def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_once(intact: Intact) -> None:
     clip = ClipWriter(intact.scene_dir / "static.mp4", (32, 16), 10.0, 17)
     for n in range(7):
         clip.picture(np.full((16, 32, 3), 30 * n, np.uint8), n / 10)
@@ -84,13 +84,24 @@ def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_the_same_each_time(i
     config = raw.fewer_sweep_pictures(spoilt).config
     assert config.capture is not None and config.capture.static is not None
     written = Path(config.capture.static)
-    before = written.read_bytes()
+    before, made = written.read_bytes(), written.stat().st_mtime_ns
     with VideoReader(written) as reader:
         assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.3, 0.6]
     truth = config.truth_path(intact.scene_dir)
     assert truth is not None and json.loads(truth.read_text()) == {"static": [0, 3, 6], "cams": {}}
     raw.fewer_sweep_pictures(spoilt)
-    assert written.read_bytes() == before
+    assert written.stat().st_mtime_ns == made
+    raw.fewer_sweep_pictures(replace(spoilt, severity=2.0))
+    assert written.read_bytes() != before
+    (intact.scene_dir / "static.mp4").write_bytes(
+        before
+    )  # another sweep, in which it leaves two of three pictures
+    raw.fewer_sweep_pictures(replace(spoilt, severity=2.0))
+    with VideoReader(written) as reader:
+        assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.6]
+    written.unlink()
+    raw.fewer_sweep_pictures(replace(spoilt, severity=2.0))
+    assert written.is_file()
 
 
 @pytest.fixture
@@ -140,7 +151,9 @@ def test_exposure_and_white_balance_drift_the_other_way_in_every_other_camera(fi
         (raw.drifting_exposure, (1.0, 1.0, 1.0)),
         (raw.drifting_white_balance, (1.0, 0.0, -1.0)),
     ):
-        done = damaging(_severe(filmed, 1.0))
+        folder = filmed.folder / damaging.__name__
+        folder.mkdir()
+        done = damaging(replace(filmed, folder=folder, severity=1.0))
         for name, sign in (("cam0", -1), ("cam1", 1)):
             first, middle, last = (linear_from_srgb(_shown(done, name)[n][1]) for n in (0, 5, 10))
             stops = sign * np.array(of_cam1)

@@ -1,10 +1,12 @@
 """The small session that the suite damages where no other scene is given, and how sessions are made in its folders."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+from devrf.capture.errors import InputError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.simulate.session import simulate_session
 from devrf.capture.simulate.session_options import SessionOptions
@@ -34,16 +36,26 @@ SETTINGS = (
 
 
 def session(out: Path, talk: Talk) -> Path:
-    """The session's scene.yaml in `out`."""
+    """The session's scene.yaml in `out`.
+
+    Raises:
+        InputError: Another session lies there, of an older version.
+    """
     made_by = {"scene": SCENE, "cameras": CAMERAS, "seed": 0, "size": SIZE, "options": OPTIONS}
+    folder = out / "session"
+    if folder.exists() and how_it_was_made(folder) != how(**made_by):
+        raise InputError(
+            f"{folder}: not the session that bench stability renders now, so its cases would not compare; give another "
+            "--out, or delete that folder"
+        )
     with talk.progress("simulate") as progress:
-        return rendered(out / "session", made_by, progress=progress)
+        return rendered(folder, made_by, progress=progress)
 
 
 def rendered(
     folder: Path, made_by: Mapping[str, Any], kept: Sequence[Path] = (), progress: Progress = no_progress
 ) -> Path:
-    """A session's scene.yaml; rendered where it is not there yet, whole or not at all.
+    """A session's scene.yaml; rendered where it is not there yet or was made otherwise, whole or not at all.
 
     Args:
         folder: Of the session.
@@ -51,9 +63,29 @@ def rendered(
         kept: Clips that are there already.
         progress: Told after every picture.
     """
-    if not (folder / "scene.yaml").is_file():
+    if how_it_was_made(folder) != how(**made_by):
+        rmtree(folder, ignore_errors=True)
         new = folder.with_name(f".new-{folder.name}")
         rmtree(new, ignore_errors=True)
         simulate_session(new, **made_by, kept=kept, progress=progress)
         new.rename(folder)
     return folder / "scene.yaml"
+
+
+def how(
+    scene: str, cameras: int, seed: int, size: tuple[int, int], options: SessionOptions
+) -> dict[str, Any]:
+    """The arguments of `simulate_session` as they are compared."""
+    return {
+        "scene": scene, "cameras": cameras, "seed": seed, "size": list(size), "options": options.model_dump(mode="json"),
+    }  # fmt: skip
+
+
+def how_it_was_made(folder: Path) -> dict[str, Any] | None:
+    """The same of a session that lies there, by its truth; None where there is none."""
+    truth = folder / "ground_truth.json"
+    if not truth.is_file() or not (folder / "scene.yaml").is_file():
+        return None
+    content = json.loads(truth.read_text(encoding="utf-8"))
+    cameras = len(content["cams"]) - 1  # the last is the witness
+    return content["made_by"] | {"cameras": cameras, "size": [content["width"], content["height"]]}

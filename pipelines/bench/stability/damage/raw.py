@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from devrf.pipelines.bench.stability.damage.intact import (
     with_capture,
 )
 from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.stamps.code_version import code_version
+from devrf.pipelines.stamps.digests import file_digest
 
 
 def fewer_sweep_pictures(intact: Intact) -> Damage:
@@ -58,9 +61,13 @@ def lower_frame_rate(intact: Intact) -> Damage:
 def dropped_frames(intact: Intact) -> Damage:
     """So many percent of the last training camera's pictures lost, drawn at random; the first and last stay."""
 
+    @cache
+    def lost(count: int) -> frozenset[int]:
+        drawn = intact.rng.permutation(np.arange(1, count - 1))[: round(intact.share * (count - 2))]
+        return frozenset(drawn.tolist())
+
     def stays(number: int, count: int) -> bool:
-        lost = intact.rng.permutation(np.arange(1, count - 1))[: round(intact.share * (count - 2))]
-        return number not in lost
+        return number not in lost(count)
 
     return _fewer_frames(intact, intact.cameras[-1:], stays)
 
@@ -117,7 +124,7 @@ def _part_of_the_sweep(intact: Intact, stays: Callable[[int, int], bool]) -> Dam
 
 
 def _with_sweep(intact: Intact, write: Callable[[Path, Path], None]) -> SceneConfig:
-    """The sweep's clip written anew, each time: the same bytes, if nothing has changed."""
+    """The sweep's clip written anew, if it is not there yet."""
     capture = intact.capture
     if capture is None or capture.static is None:
         raise DoesNotApply("a data set brings no clip of its sweep")
@@ -125,14 +132,34 @@ def _with_sweep(intact: Intact, write: Callable[[Path, Path], None]) -> SceneCon
     if source.is_dir():
         raise DoesNotApply("the sweep is a folder of photos, expected a clip")
     target = intact.folder / "static.mp4"
-    write(source, target)
+    _written(intact, source, target, write)
     return with_capture(intact.config, static=str(target))
+
+
+def _written(intact: Intact, source: Path, target: Path, write: Callable[[Path, Path], None]) -> None:
+    """A clip written anew, once: `NAME.json` beside it, written last, says of what and how it was made.
+
+    Of what axis says the folder, which is the case's own.
+    """
+    said = target.with_suffix(".json")
+    of = {
+        "code": code_version(__name__),
+        "severity": intact.severity,
+        "seed": intact.seed,
+        "cameras": intact.cameras,
+        "source": file_digest(source),
+    }
+    if target.is_file() and said.is_file() and said.read_text() == json.dumps(of):
+        return
+    said.unlink(missing_ok=True)
+    write(source, target)
+    said.write_text(json.dumps(of))
 
 
 def _with_clips(
     intact: Intact, names: Sequence[str], write: Callable[[str, Path, Path], None]
 ) -> SceneConfig:
-    """Clips of fixed cameras written anew, each time."""
+    """Clips of fixed cameras written anew, where they are not there yet."""
     capture = intact.capture
     if capture is None:
         raise DoesNotApply("a data set brings no clips of its cameras")
@@ -140,7 +167,7 @@ def _with_clips(
         raise DoesNotApply("the times of the clips' pictures are in a file of their own")
     cameras = dict(capture.cameras)
     for name in names:
-        target = intact.folder / f"{name}.mp4"
-        write(name, intact.config.path(intact.scene_dir, cameras[name]), target)
+        source, target = intact.config.path(intact.scene_dir, cameras[name]), intact.folder / f"{name}.mp4"
+        _written(intact, source, target, partial(write, name))
         cameras[name] = str(target)
     return with_capture(intact.config, cameras=cameras)
