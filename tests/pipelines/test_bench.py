@@ -181,7 +181,9 @@ def test_parts_of_the_motion_share_the_scene_at_rest_even_where_they_change_the_
     trained: list[Bench] = []
     monkeypatch.setattr(Bench, "rest", lambda bench, options: at_rest.append(bench))
     monkeypatch.setattr(parts_bench, "_trained", lambda bench, *rest: trained.append(bench) or {})
-    late = tuple(replace(f, time=f.time + 0.04 * (f.camera_name != "cam0")) for f in odd_scene.dynamic)
+    late = tuple(
+        replace(f, time=(f.time or 0.0) + 0.04 * (f.camera_name != "cam0")) for f in odd_scene.dynamic
+    )
     run = Run(load_scene(dataset / "scene.yaml"), dataset, STAGES, Choice(), Talk("quiet"))
     bench = Bench(run, tmp_path, replace(odd_scene, dynamic=late), {})
     for name in ("cycle", "exact_times"):

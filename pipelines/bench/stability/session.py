@@ -77,8 +77,12 @@ def how(
 ) -> dict[str, Any]:
     """The arguments of `simulate_session` as they are compared."""
     return {
-        "scene": scene, "cameras": cameras, "seed": seed, "size": list(size), "options": options.model_dump(mode="json"),
-    }  # fmt: skip
+        "scene": scene,
+        "cameras": cameras,
+        "seed": seed,
+        "size": list(size),
+        "options": options.model_dump(mode="json"),
+    }
 
 
 def how_it_was_made(folder: Path) -> dict[str, Any] | None:
