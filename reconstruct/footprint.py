@@ -14,6 +14,7 @@ import torch
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.grids import FEW
+from devrf.reconstruct.late_camera import FEWEST
 from devrf.reconstruct.motion import MOST_ON_GPU
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
@@ -86,6 +87,7 @@ class SceneSize:
         views: Pixels of one picture of each moving camera; of each picture, where cameras do not stand still.
         largest_clip: Pixels of the camera with most of them.
         times: Pictures of the camera with most of them.
+        cameras: That move, or film what moves.
         plain: The subject is before a plain background; else surroundings are modelled.
     """
 
@@ -96,6 +98,7 @@ class SceneSize:
     views: int = 0
     largest_clip: int = 0
     times: int = 0
+    cameras: int = 0
     plain: bool = True
 
     @staticmethod
@@ -125,6 +128,7 @@ class SceneSize:
             views=pixels(moving, view),
             largest_clip=max(map(pixels, clips), default=0),
             times=max(map(len, clips), default=0),
+            cameras=len(clips),
             plain=scene.background != "shell",
         )
 
@@ -197,6 +201,7 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     vertices, finest = o.resolution**3, o.levels[-1] ** 3
     before = o.levels[-2] ** 3 if len(o.levels) > 1 else 0  # a field that is refined is there twice
     keys = max(2, min(o.keys or o.most_keys, size.times))
+    first = FIELD_VERTEX * keys * finest * (o.find_late_camera and size.cameras >= FEWEST)
     apart = on_gpu and FIELD_VERTEX * keys * finest > MOST_ON_GPU
     fields = FIELD_VERTEX * keys * (finest + before)
     on_device = FIELD_VERTEX * min(keys, KEYS_IN_WINDOW) * finest if apart else fields
@@ -208,10 +213,11 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     reading = {"models": READ * rest}
     beginning = common | {"surroundings": 2 * VIEW_PIXEL * size.views, "models": rest}
     moving = o.rays * SAMPLES_PER_RAY * MOVING_SAMPLE
-    motion = common | {
+    motion = common | {  # where a late camera is found the first motion stays, until the second one is done
         "flow": FLOW_PIXEL * size.moving_pixels * (o.flow > 0),
         "models": rest
         + on_device
+        + first * (not apart)
         + 8 * 12 * finest,  # gradient, moments and beginning of one key of both fields
         "samples": moving + o.rays * _steps_bytes(o),
     }
@@ -228,7 +234,7 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     phases = [reading, beginning, motion, *([tuning, writing] if o.fine_tuning else [])]
     kept: Parts = {
         "flow as read": FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0),
-        "motion field": fields * apart,
+        "motion field": (fields + first) * apart,
     }
     return kept, _largest(phases)
 

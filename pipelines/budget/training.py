@@ -18,6 +18,7 @@ BASE = 420_000_000  # bytes: Python with NumPy, SciPy, OpenCV and PyTorch; 0.36 
 FLOAT = 4  # bytes
 SHELL_NUMBERS = 4  # of each of its vertices: density and colour
 CHECKPOINT = 3  # copies of a trained grid in a checkpoint: values, and moments, which most vertices have
+GOOD = 1  # and one more of the scene at rest: as it was at its last good point
 OLD_AND_NEW = 2  # checkpoints on the disk while one is written
 PACKED = 0.35  # bytes on disk of each number of a model; the example's 0.32
 
@@ -40,7 +41,7 @@ def training_need(stage: str, config: SceneConfig, material: Material, device: s
     held = footprint(_size(material), options, device, BASE)
     if isinstance(options, CanonicalOptions):
         model = rest_numbers(config, material)
-        state = CHECKPOINT * model
+        state = (CHECKPOINT + GOOD) * model
     else:  # of the motion there are no moments between two key times; those of its fine-tuning lie beside
         motion, tuned = motion_numbers(config, material), tuned_numbers(config, material)
         model, state = motion + tuned, motion + CHECKPOINT * tuned
@@ -160,6 +161,7 @@ def _size(material: Material) -> "Scene | SceneSize":
         views=seen,
         largest_clip=clip,
         times=_times(material),
+        cameras=material.cameras,
         plain=False,
     )
 

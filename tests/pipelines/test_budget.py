@@ -25,6 +25,7 @@ GB = 10**9
 
 # Peaks of stages of the example session with `tiny` on two cores, each in a process of its own: GB of all its
 # processes together, MB that its folder held in the end and at most, seconds (docs/budgets.md).
+GOOD_MB = 2 * 4 * 46.6  # a value's copy at the last good point, old and new checkpoint: computed, newer than the rest
 MEASURED = {
     "ingest": (0.41, 34.0, 34.0, 4.6),
     "static_poses": (0.68, 18.3, 34.5, 36.9),
@@ -33,7 +34,7 @@ MEASURED = {
     "colour": (0.38, 0.0, 0.0, 6.4),
     "scene": (0.73, 1.8, 1.8, 30.2),
     "flow": (0.36, 4.7, 4.7, 14.1),
-    "canonical": (1.92, 14.7, 916.5, 127.9),
+    "canonical": (1.92, 14.7, 916.5 + GOOD_MB, 127.9),
     "deformation": (1.03, 1.2, 26.3, 69.6),
     "evaluate": (0.99, 17.1, 17.1, 43.2),
     "render": (1.03, 0.5, 0.5, 64.8),

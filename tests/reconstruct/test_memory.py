@@ -15,7 +15,7 @@ from tests.reconstruct.conftest import REST
 from devrf.capture.amounts import GB
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
-from devrf.reconstruct.footprint import SceneSize, footprint
+from devrf.reconstruct.footprint import FIELD_VERTEX, SceneSize, footprint
 from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.memory_fit import COARSER, Fitted, Limits, fitted, surely
 from devrf.reconstruct.options import CanonicalOptions, preset, resized_whole
@@ -173,11 +173,20 @@ def test_what_a_process_holds_already_counts() -> None:
     assert held > footprint(ROOM, options).main_bytes + 10**9
 
 
+def test_where_a_late_camera_may_be_found_there_is_one_field_more() -> None:
+    options = preset("tiny").motion
+    three, two = (footprint(replace(ROOM, cameras=n), options) for n in (3, 2))
+    keys = min(options.most_keys, ROOM.times)
+    assert three.main["models"] - two.main["models"] == FIELD_VERTEX * keys * options.levels[-1] ** 3
+    published = replace(options, find_late_camera=False)
+    assert footprint(replace(ROOM, cameras=3), published) == footprint(replace(ROOM, cameras=2), published)
+
+
 def test_size_of_a_scene(ball) -> None:
     pixels = 48 * 40
     assert SceneSize.of(ball.scene) == SceneSize(
         still_pixels=22 * pixels, moving_pixels=15 * pixels, still_lenses=pixels, moving_lenses=pixels,
-        views=3 * pixels, largest_clip=5 * pixels, times=5, plain=True,
+        views=3 * pixels, largest_clip=5 * pixels, times=5, cameras=3, plain=True,
     )  # fmt: skip
     options = replace(REST, resolution=400, adapt=True)  # far more than such small pictures show
     assert footprint(ball.scene, options).main_bytes < footprint(SceneSize.of(ball.scene), options).main_bytes
