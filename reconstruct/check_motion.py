@@ -11,33 +11,35 @@ What fits each picture by a motion of its own (wrong cameras) is not seen here b
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import median
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.special import stdtrit
 from torch import Tensor
 
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import Scene
+from devrf.reconstruct.clocks import error_curves, picture_gap_s
 from devrf.reconstruct.grids import voxel_size
+from devrf.reconstruct.late_camera import FEWEST_PICTURES
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
-from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
+from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance, grown_pixels
 from devrf.reconstruct.options import CHUNK
+from devrf.reconstruct.pictures import clips, spread
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.render import render_rest
 from devrf.reconstruct.surroundings import PixelSurroundings
 
 PICTURES = 8  # of each camera, spread over its clip
 RAYS = 96  # of each picture, where pictures change: a camera's gain is known to a tenth of a decibel or two
-SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # pictures by which a camera is tried to be early or late
+SURE = 0.977  # that another time is better, by Student's t over pictures: two standard errors of many
+LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
+SHIFTS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # pictures by which a camera is tried to be early or late
 OPAQUE = 0.5  # opacity from which something is there
 SAME_SURFACE = (
     6.0  # voxels, between depths of two cameras: a surface two to three voxels thick, seen at a slant
 )
-SURE = 2.0  # standard errors of what another time gains, picture by picture: it is no chance
-LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ Rays = tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"], Float[Tensor, " n"]]
 
 @torch.no_grad()
 def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, MotionFit]:
-    """Look at every training camera whose pictures change.
+    """Look at every training camera whose pictures change by more than a flicker.
 
     Args:
         scene: Any frame; its times are the ones that the motion was learned with.
@@ -72,31 +74,37 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
         seed: Of the pixels that are looked at.
     """
     scene = scene.in_box_frame()
-    clips: dict[str, list[PosedFrame]] = {}
-    for frame in scene.dynamic:
-        if frame.split == "train" and frame.time is not None:
-            clips.setdefault(frame.camera_name, []).append(frame)
-    frames = tuple(frame for clip in clips.values() for frame in _spread(clip))
+    assert model.motion is not None  # asked of models with motion only
+    by_camera = clips(scene)
+    frames = tuple(frame for clip in by_camera.values() for frame in spread(clip, PICTURES))
     device = model.rest.canonical.density.device
     rays = RaySet(frames, scene.image_scale, scene.background, str(device))
     changing = changing_pixels(rays)
-    everywhere = torch.arange(len(frames), device=device)
+    changed = zip(frames, changing.of_frame, rays.cameras, strict=True)
+    asked = {f.camera_name for f, where, view in changed if len(where) > grown_pixels(view)}
+    if not asked:
+        return {}
+    pictures = torch.tensor([n for n, f in enumerate(frames) if f.camera_name in asked], device=device)
     generator = torch.Generator().manual_seed(seed)
-    batch = draw_with_importance(rays, changing, RAYS * len(frames), 1.0, everywhere, generator)
-    around = PixelSurroundings(model, rays).at(batch.frame, batch.pixel)
+    batch = draw_with_importance(rays, changing, RAYS * len(pictures), 1.0, pictures, generator)
+    surroundings = PixelSurroundings(model, rays)
+    around = surroundings.at(batch.frame, batch.pixel)
 
     def error(rgb: Tensor, left: Tensor) -> Tensor:
         return ((around.compose(rgb, left) - batch.rgb) ** 2).mean(1)
 
     rest_rgb, rest_left = _at_rest(model, batch.rays_o, batch.rays_d)
     at_rest = error(rest_rgb, rest_left)
-    names = list(clips)
-    camera = torch.tensor([names.index(f.camera_name) for f in frames], device=device)[batch.frame]
-    gaps = [_gap([f.time or 0.0 for f in clips[name]]) for name in names]
-    gap = torch.tensor(gaps, device=device)[camera]
-    seen = {s: _at(model, (batch.rays_o, batch.rays_d, batch.time + s * gap)) for s in SHIFTS}
-    _, left, depth = seen[0.0]
-    errors = torch.stack([error(rgb, through) for rgb, through, _ in seen.values()], dim=1)
+    names = list(by_camera)
+    of_frame = torch.tensor([names.index(f.camera_name) for f in frames], device=device)
+    camera = of_frame[batch.frame]
+    rgb, left, depth = _at(model, (batch.rays_o, batch.rays_d, batch.time))
+    in_motion = error(rgb, left)
+    gaps = torch.tensor([picture_gap_s(clip) for clip in by_camera.values()], device=device)[of_frame]
+    shifts = torch.from_numpy(SHIFTS).to(rays.times) * gaps[:, None] / (scene.t1_s - scene.t0_s)
+    times = (rays.times[:, None] + shifts).to(rays.times)
+    rest = model.in_motion or model.rest
+    curves = error_curves(rest, model.motion, rays, surroundings, changing, times, generator)
     empty = torch.minimum(left, rest_left) > OPAQUE
     solid = (left < OPAQUE).nonzero()[:, 0]
     surface = batch.rays_o + (depth / (1 - left).clamp_min(1e-6))[:, None] * batch.rays_d
@@ -104,31 +112,37 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     out = {}
     for n, name in enumerate(names):
         mine = camera == n
-        if not any(len(changing.of_frame[k]) for k, f in enumerate(frames) if f.camera_name == name):
+        if name not in asked:
             continue
         before = max(float(at_rest[mine].sum()), 1e-12)
-        told = mine & _known(model, batch.time, gap)
-        pictures = [errors[told & (batch.frame == k)] for k in batch.frame[told].unique()]
-        curves = np.array([part.sum(0).tolist() for part in pictures]).reshape(-1, len(SHIFTS))
         out[name] = MotionFit(
-            gain_db=10 * math.log10(before / max(float(errors[mine, SHIFTS.index(0.0)].sum()), 1e-12)),
+            gain_db=10 * math.log10(before / max(float(in_motion[mine].sum()), 1e-12)),
             unreachable=float(at_rest[mine & empty].sum()) / before,
             alone=float((~others[mine[solid]]).float().mean()) if bool(mine[solid].any()) else None,
-            better_at=better_shift(curves),
+            better_at=better_shift(curves[of_frame.cpu().numpy() == n]),
         )
     return out
 
 
 def better_shift(curves: Float[np.ndarray, "pictures shifts"]) -> float:
-    """The shift at which pictures fit clearly better than as they are, by their squared errors at SHIFTS; else 0."""
-    if len(curves) < 2:
+    """The shift at which pictures fit clearly better than as they are, else 0.
+
+    Args:
+        curves: Squared errors at SHIFTS; NaN where the motion knows nothing. Pictures that are known both as they are
+            and at a shift are compared there; `late_camera.offset_pictures` asks more, because it moves a clock.
+    """
+    now = curves[:, SHIFTS == 0]
+    both = np.isfinite(curves) & np.isfinite(now)
+    comparable = both.sum(0) >= FEWEST_PICTURES
+    if not comparable.any():
         return 0.0
-    now = SHIFTS.index(0.0)
-    best = int(curves.sum(0).argmin())
-    gained = curves[:, now] - curves[:, best]
-    sure = gained.sum() > SURE * gained.std(ddof=1) * math.sqrt(len(gained))
-    much = curves[:, now].sum() > 10 ** (LEAST_SHIFT_DB / 10) * curves[:, best].sum()
-    return SHIFTS[best] if sure and much else 0.0
+    before, after = np.where(both, now, 0.0).sum(0), np.where(both, curves, 0.0).sum(0)
+    ratio = np.where(comparable, before / np.maximum(after, 1e-12), 0.0)
+    best = int(ratio.argmax())
+    gained = (now[:, 0] - curves[:, best])[both[:, best]]
+    n = len(gained)
+    sure = gained.mean() > stdtrit(n - 1, SURE) * gained.std(ddof=1) / math.sqrt(n)
+    return float(SHIFTS[best]) if sure and ratio[best] > 10 ** (LEAST_SHIFT_DB / 10) else 0.0
 
 
 def _at_rest(model: DynamicModel, rays_o: Tensor, rays_d: Tensor) -> tuple[Tensor, Tensor]:
@@ -146,7 +160,7 @@ def _at_rest(model: DynamicModel, rays_o: Tensor, rays_d: Tensor) -> tuple[Tenso
 def _at(model: DynamicModel, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
     """Colour, transmittance and weighted depth of the box along rays, each at its own time."""
     rays_o, rays_d, time = rays
-    assert model.motion is not None  # asked of models with motion only
+    assert model.motion is not None  # as above
     motion, rest = model.motion, model.in_motion or model.rest
     tau = motion.tau(time)
     interval = tau.long().clamp(max=motion.keys - 2)
@@ -173,6 +187,11 @@ def _seen_by_others(
     """Whether a training camera other than its own sees a point of the moving surface at the point's time."""
     canonical = model.rest.canonical
     tolerance = SAME_SURFACE * voxel_size(canonical.aabb, canonical.shape)
+
+    def grid(x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Where voxels are alike."""
+        return x if canonical.ndc is None else canonical.ndc.from_world(x)
+
     views = {f.camera_name: n for n, f in enumerate(rays.frames)}
     seen = torch.zeros(len(points), dtype=torch.bool, device=points.device)
     for number, view in enumerate(views.values()):
@@ -184,24 +203,7 @@ def _seen_by_others(
         away = towards.norm(dim=1)
         origin = rays.centres[view].expand(len(asked), 3).contiguous()
         _, left, depth = _at(model, (origin, towards / away[:, None], time[asked]))
-        hit = depth / (1 - left).clamp_min(1e-6)
-        seen[asked] = (left < OPAQUE) & ((hit - away).abs() < tolerance)
+        hit = origin + (depth / (1 - left).clamp_min(1e-6) / away)[:, None] * towards
+        apart = (grid(hit) - grid(points[asked])).norm(dim=1)
+        seen[asked] = (left < OPAQUE) & (apart < tolerance)
     return seen
-
-
-def _known(model: DynamicModel, time: Float[Tensor, " n"], gap: Float[Tensor, " n"]) -> Bool[Tensor, " n"]:
-    """Whether the motion covers all the times that a ray is tried at."""
-    assert model.motion is not None  # as above
-    first, last = SHIFTS[0] * gap + time, SHIFTS[-1] * gap + time
-    return (first >= model.motion.t_first - 1e-6) & (last <= model.motion.t_last + 1e-6)
-
-
-def _gap(times: Sequence[float]) -> float:
-    """Time from one picture of a camera to its next."""
-    ordered = sorted(times)
-    return median(b - a for a, b in zip(ordered, ordered[1:], strict=False)) if len(times) > 1 else 0.0
-
-
-def _spread(clip: Sequence[PosedFrame]) -> list[PosedFrame]:
-    chosen = np.unique(np.linspace(0, len(clip) - 1, min(PICTURES, len(clip))).round().astype(int))
-    return [clip[n] for n in chosen]

@@ -20,6 +20,7 @@ from devrf.reconstruct.displacement import Displacement, displacement
 from devrf.reconstruct.grids import voxel_size
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.pictures import clips, spread
 from devrf.reconstruct.rays import RaySet, camera_rays
 from devrf.reconstruct.render import segments_in
 from devrf.reconstruct.train_canonical import RestModel
@@ -56,16 +57,16 @@ def check_rest(scene: Scene, rest: RestModel) -> tuple[dict[str, RestFit], list[
         scene: Any frame.
         rest: The scene at rest.
     Returns:
-        By camera; cameras that move while the scene never rests are left out. And the sweep's.
+        By camera; cameras that move while the scene never rests are left out. And the sweep's, if there is a camera.
     """
     scene = scene.in_box_frame()
     model = DynamicModel(rest)
-    cameras: dict[str, list[PosedFrame]] = {}
-    for frame in scene.dynamic:
-        if frame.split == "train" and frame.time is not None:
-            cameras.setdefault(frame.camera_name, []).append(frame)
-    fits = {name: fit for name, clip in cameras.items() if (fit := _of_clip(scene, model, clip)) is not None}
-    held_out = _spread([frame for frame in scene.static if frame.split == "test"], HELD_OUT)
+    fits = {
+        name: fit for name, clip in clips(scene).items() if (fit := _of_clip(scene, model, clip)) is not None
+    }
+    if not fits:  # the sweep is asked for their sake
+        return {}, []
+    held_out = spread([frame for frame in scene.static if frame.split == "test"], HELD_OUT)
     return fits, [_fit(scene, model, frame.camera, _picture(scene, frame), None) for frame in held_out]
 
 
@@ -74,7 +75,7 @@ def _of_clip(scene: Scene, model: DynamicModel, clip: Sequence[PosedFrame]) -> R
     if rest_time is not None:
         nearest = min(clip, key=lambda frame: abs((frame.time or 0.0) - rest_time))
         return _fit(scene, model, nearest.camera, _picture(scene, nearest), None)
-    few = _spread(clip, OF_CLIP)
+    few = spread(clip, OF_CLIP)
     if len(few) < 3 or any((f.camera.cam_from_world != few[0].camera.cam_from_world).any() for f in few):
         return None
     rays = RaySet(tuple(few), _scale(scene, few[0].camera), scene.background)
@@ -129,8 +130,3 @@ def _picture(scene: Scene, frame: PosedFrame) -> Float[np.ndarray, "height width
 
 def _scale(scene: Scene, camera: Camera) -> float:
     return min(scene.image_scale, SIDE_PX / max(camera.width, camera.height))
-
-
-def _spread(frames: Sequence[PosedFrame], count: int) -> list[PosedFrame]:
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
-    return [frames[n] for n in chosen]

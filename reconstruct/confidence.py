@@ -4,6 +4,11 @@ The expected squared error is a sum of causes (`error_causes.py`), each with a f
 becomes surer by being seen less, or explained worse. The factors are fitted to the errors of a few training
 pictures, their own camera's differences left out of what is known, as a generalised linear model with gamma errors
 (McCullagh & Nelder, Generalized Linear Models, 1989, ch. 8): the scatter of a squared error grows with it.
+
+What is displaced can be no more wrong than what has nothing to do with it. Where pictures are fitted this bounds the
+causes before their factors, in a view after them, smoothly. That is no oversight: training explains its own pictures
+even where a point may be anywhere, so that bounded alike `place` loses its factor, or the most that it can say, and
+parts that nobody saw count hardly more than others (measured: docs/stability.md).
 """
 
 import json
@@ -20,26 +25,23 @@ from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.error_causes import (
     CAUSES,
     DISPLACED,
-    FAINT,
     Ground,
     Layers,
     Surface,
     causes,
+    most_displaced,
     slope,
     surface_of,
 )
-from devrf.reconstruct.evidence import Evidence, spread, training
+from devrf.reconstruct.evidence import Evidence
 from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.pictures import clips, spread, training
 
 FORMAT = 1
 FITTED_ON = 4  # training pictures; where something moves, all but one of them show it
 FIT_PIXELS = 5_000  # of each of them
 FIT_STEPS = 12
 LEAST = 1e-5  # a squared error of a grey level: less cannot be told from rounding
-BLACK_DB, WHITE_DB = (
-    10.0,
-    40.0,
-)  # expected PSNR of the darkest and the brightest pixel of a confidence picture
 
 
 @dataclass(frozen=True)
@@ -94,24 +96,21 @@ class Confidence:
         """The same, of a surface that has been looked up."""
         ground, factors = self.budget.ground, self.budget.factors
         parts = causes(surface, camera, layers, ground) * [factors[name] for name in CAUSES]
-        most = ground.unrelated * np.maximum(layers[2], FAINT)
-        for n in DISPLACED:  # what is displaced can be no more wrong than what has nothing to do with it
-            parts[..., n] /= 1 + parts[..., n] / most
+        displaced = parts[..., DISPLACED].sum(-1) / most_displaced(layers, ground)
+        parts[..., DISPLACED] /= 1 + displaced[..., None]
         return np.sqrt(np.clip(parts.sum(-1), LEAST, 1.0)).astype(np.float32)
 
 
 def _chosen(scene: Scene, moves: bool) -> list[PosedFrame]:
     """Training pictures to fit on: of the moving cameras in turn, at times spread over the clip, and of the sweep."""
-    rest, moving = training(scene.static), training(scene.dynamic) if moves else []
+    rest, moving = training(scene.static), list(clips(scene).values()) if moves else []
     if not moving:
         return spread(rest, FITTED_ON)
     count = FITTED_ON - 1 if rest else FITTED_ON
-    names = sorted({f.camera_name for f in moving})
     chosen = []
     for n in range(count):
-        mine = [f for f in moving if f.camera_name == names[n * len(names) // count % len(names)]]
-        mine.sort(key=lambda f: f.time or 0.0)
-        chosen.append(mine[int((n + 0.5) / count * len(mine))])
+        clip = moving[n * len(moving) // count % len(moving)]
+        chosen.append(clip[int((n + 0.5) / count * len(clip))])
     return chosen + rest[len(rest) // 2 :][:1]
 
 
@@ -131,12 +130,12 @@ def _learn(scene: Scene, evidence: Evidence, frames: Sequence[PosedFrame]) -> Er
         surface = surface_of(evidence, camera, frame.time, layers, besides=frame)
         every = -(-true[..., 0].size // FIT_PIXELS)
         found = causes(surface, camera, layers, ground)
-        most = ground.unrelated * layers[2][..., None]
+        most = most_displaced(layers, ground)[..., None]
         found[..., DISPLACED] = np.minimum(found[..., DISPLACED], most)
         terms.append(found.reshape(-1, len(CAUSES))[::every])
         errors.append(((layers[0] - true) ** 2).mean(-1).reshape(-1)[::every])
-    x, y = np.concatenate(terms), np.concatenate(errors).astype(np.float64)
-    factors: dict[str, float] = dict(zip(CAUSES, _fit(x, y).tolist(), strict=True))
+    fitted = _fit(np.concatenate(terms), np.concatenate(errors).astype(np.float64))
+    factors: dict[str, float] = dict(zip(CAUSES, fitted.tolist(), strict=True))
     return ErrorBudget(ground, factors, tuple((f.camera_name, f.index) for f in frames))
 
 

@@ -16,13 +16,15 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.confidence import Confidence
 from devrf.reconstruct.error_causes import surface_of
-from devrf.reconstruct.evidence import SOLID, spread, training, witness_scale
+from devrf.reconstruct.evidence import SOLID, witness_scale
+from devrf.reconstruct.pictures import spread, training
 
 CELLS = 4  # along each axis of what is there
 DIRECTIONS = 4  # of the sweep
 TIMES = (1 / 3, 2 / 3)  # of the clip, where something moves
 FEWEST = 0.005  # of all points: a cell with less is the rim of others
 MOVED_PX = 1.0  # of the training size, from which a point moves
+LEAST_MOVING = 0.02  # of the points, to be the subject: the box is made around what moves, less is stray
 LOW_DB = 18.0  # expected PSNR, below which test views are doubted, too
 OUTER = 1 / 3  # of the extent at either end is called left, right, ...; between is the middle
 
@@ -36,7 +38,7 @@ class Region:
         share: Of the subject's pixels.
         expected_rms: Grey levels.
         low: Share of its pixels that are expected to be worse than `LOW_DB`.
-        cameras: Mean number of moving cameras that see it at a time; at rest of the sweep's pictures looked at.
+        cameras: Mean number of moving cameras that see it at a time, or of pictures of the sweep (`moves` false).
     """
 
     where: str
@@ -91,7 +93,7 @@ class _Points:
     Attributes:
         at_rest: In the box frame [n, 3].
         expected: Root of the expected squared error [n].
-        cameras: How many see it [n].
+        cameras: How many moving cameras see it, or pictures of the sweep where not only what moves was taken [n].
         moves: Whether only what moves was taken.
     """
 
@@ -107,14 +109,17 @@ class _Points:
                 expected = confidence.expected_of(surface, camera, layers)
                 expected = expected[np.ix_(surface.rows, surface.columns)].reshape(-1)
                 moved_px = surface.moved * camera.K[0, 0] * scene.image_scale / scale / surface.distance
-                seen_by = (surface.motion or surface.rest).count
+                in_motion, at_rest = (surface.motion or surface.rest).count, surface.rest.count
                 solid = surface.opacity.reshape(-1) > SOLID
-                columns = (surface.places.at_rest, expected, seen_by, moved_px > MOVED_PX)
+                columns = (surface.places.at_rest, expected, in_motion, at_rest, moved_px > MOVED_PX)
                 parts.append([column[solid] for column in columns])
-        at_rest, expected, cameras, moving = (np.concatenate(column) for column in zip(*parts, strict=True))
-        self.moves = bool(moving.any())
+        places, expected, in_motion, at_rest, moving = (
+            np.concatenate(column) for column in zip(*parts, strict=True)
+        )
+        self.moves = len(moving) > 0 and bool(moving.mean() >= LEAST_MOVING)
         kept = moving if self.moves else slice(None)
-        self.at_rest, self.expected, self.cameras = at_rest[kept], expected[kept], cameras[kept]
+        self.at_rest, self.expected = places[kept], expected[kept]
+        self.cameras = (in_motion if self.moves else at_rest)[kept]
 
 
 class _Words:

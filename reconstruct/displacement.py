@@ -33,12 +33,15 @@ class Displacement:
 
     Attributes:
         length: Root mean square length of the affine map's displacement over the blocks, in widths of the picture; as
-            far as was searched, where there are many blocks with texture and hardly one is found again.
+            far as was searched, where it was not found.
         std: Its standard deviation, in widths.
+        found: False where there are many blocks with texture and hardly one is found again: farther than `length`, or
+            nothing alike.
     """
 
     length: float
     std: float
+    found: bool = True
 
 
 def displacement(
@@ -71,7 +74,7 @@ def displacement(
                 at.append((x + side / 2, y + side / 2))
                 found.append((moved[0] - (x - left), moved[1] - (y - top)))
     if len(found) < LEAST_FOUND:
-        return Displacement(reach / width, 0.0) if textured >= MANY * LEAST_FOUND else None
+        return Displacement(reach / width, 0.0, found=False) if textured >= MANY * LEAST_FOUND else None
     length, std = _affine(np.array(at) / longer - 0.5, np.array(found))
     return Displacement(length / width, std / width)
 

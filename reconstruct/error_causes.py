@@ -30,7 +30,7 @@ from devrf.reconstruct.evidence import Evidence, Places, Sightings
 from devrf.reconstruct.metrics import MOVING_REACH
 
 CAUSES = ("floor", "place", "cycle", "sweep", "motion", "behind", "edges", "mixed")
-DISPLACED = (CAUSES.index("place"), CAUSES.index("cycle"))
+DISPLACED = [CAUSES.index("place"), CAUSES.index("cycle")]
 ANYWHERE = 0.1  # of the distance: how far off the surface of a point may be that no sweep picture shows
 STILL = 1e-5  # of the distance: a motion below this is none
 FAINT = 1e-3  # opacity below which there is no surface to speak of
@@ -132,6 +132,11 @@ def causes(
     b = 1 - a
     parts = (a, a * place * detail, a * cycle * detail, a * sweep, a * motion, b, b * own, a * b)
     return np.stack(parts, axis=-1)
+
+
+def most_displaced(layers: Layers, ground: Ground) -> Float64[np.ndarray, "h w"]:
+    """What displaced surfaces can be wrong by at most: as two pixels that have nothing to do with each other."""
+    return ground.unrelated * np.maximum(layers[2].astype(np.float64), FAINT)
 
 
 def slope(picture: Float[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w"]:

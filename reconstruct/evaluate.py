@@ -27,6 +27,7 @@ from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, moving_pixels
+from devrf.reconstruct.pictures import spread
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.confidence import Confidence
@@ -92,9 +93,9 @@ def evaluate(
     still = [f for f in scene.static if f.split == "test"]
     session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), confidence)
     first = min((f.time or 0.0 for f in moving), default=0.0)
-    extra = _spread(len(moving), EXTRA_PICTURES)
+    extra = spread(range(len(moving)), EXTRA_PICTURES)
     views = [session.moving_view(f, first, n in extra) for n, f in enumerate(moving)]
-    extra = _spread(len(still), EXTRA_PICTURES)
+    extra = spread(range(len(still)), EXTRA_PICTURES)
     still_views = [session.still_view(f, n in extra) for n, f in enumerate(still)]
 
     nothing_held_out = "no sweep picture is held out"
@@ -290,7 +291,3 @@ def _why(metric: str, example: Scored, lpips: LpipsNets) -> str:
         return "LPIPS is defined on whole pictures only"
     too_small = f"pictures have fewer than {LPIPS_SMALLEST_SIDE} pixels a side"
     return lpips.why.get(metric.removeprefix("lpips_"), too_small)
-
-
-def _spread(count: int, wanted: int) -> set[int]:
-    return {int(round(i)) for i in np.linspace(0, count - 1, min(count, wanted))} if count else set()

@@ -1,6 +1,6 @@
 """What the training pictures know of points of the scene: who sees them, from where, and how well they are explained.
 
-A *witness* is a training picture rendered anew at a third of its size: its depth says what it sees, its difference
+A *witness* is a training picture rendered anew at a quarter of its size: its depth says what it sees, its difference
 from the true picture how well the model explains it there. Sweep pictures witness the scene at rest, pictures of
 the moving cameras the motion. A point at time t is taken to its place at rest by the backward motion and from there
 to the witness' own time by the forward motion. Test pictures are never read.
@@ -17,6 +17,7 @@ from torch import Tensor
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.pictures import clips, spread, training
 
 WITNESS_SCALE = 1 / 4
 MOST_OF_SWEEP = 10  # witnesses at rest, spread over the sweep
@@ -89,11 +90,9 @@ class Evidence:
         self.model = model
         self.sweep = tuple(_witness(scene, model, f) for f in spread(training(scene.static), MOST_OF_SWEEP))
         self.fixed: dict[str, tuple[Witness, ...]] = {}
-        moving = training(scene.dynamic) if model.motion is not None else []
-        names = sorted({f.camera_name for f in moving})
-        for name in names:
-            mine = sorted((f for f in moving if f.camera_name == name), key=lambda f: f.time or 0.0)
-            chosen = spread(mine, max(2, MOST_OF_MOTION // len(names)))
+        moving = clips(scene) if model.motion is not None else {}
+        for name, clip in moving.items():
+            chosen = spread(clip, max(2, MOST_OF_MOTION // len(moving)))
             self.fixed[name] = tuple(_witness(scene, model, f) for f in chosen)
 
     def places(self, points: Float[np.ndarray, "n 3"], time: float | None) -> Places:
@@ -140,17 +139,6 @@ class Evidence:
     def _world(self, x: Tensor) -> Float[np.ndarray, "n 3"]:
         ndc = self.model.rest.canonical.ndc
         return (x if ndc is None else ndc.to_world(x)).cpu().numpy().astype(np.float64)
-
-
-def training(frames: Sequence[PosedFrame]) -> list[PosedFrame]:
-    """The pictures that are trained on."""
-    return [f for f in frames if f.split == "train"]
-
-
-def spread(items: Sequence[PosedFrame], most: int) -> list[PosedFrame]:
-    """At most so many of them, evenly spread."""
-    at = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)
-    return [items[n] for n in at]
 
 
 def witness_scale(camera: Camera, image_scale: float) -> float:

@@ -20,6 +20,7 @@ NOISE_FACTOR = 5.0  # a change is this many times the noise
 LEAST_CHANGE = 0.04  # of the full range; compression alone changes half as much
 MOVES_PX = 1.0  # of the training size: no method is that wrong where its flow is
 SURE = BEST / 2  # confidence, from which a vector is believed
+BLUR_REACH = 3  # pixels: three standard deviations
 AT_ONCE = 1 << 20  # numbers
 GROW = 0.015  # of the picture's width, around what changed: motion that is still to be explained lies there
 
@@ -65,6 +66,11 @@ def changing_pixels(rays: RaySet, flows: Mapping[str, CameraFlow] | None = None)
     return ChangingPixels(of_frame)
 
 
+def grown_pixels(camera: Camera) -> int:
+    """How many pixels a flicker counts for at most: 2 x 2 pixels that change as much as can be."""
+    return (2 * BLUR_REACH + _grown_side(camera)) ** 2
+
+
 def draw_with_importance(
     rays: RaySet,
     changing: ChangingPixels | None,
@@ -108,8 +114,12 @@ def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) 
     for name in {rays.frames[n].camera_name for n in members} & flows.keys() if flows else ():
         if flows[name].flow.shape[1:3] == blocks.shape:
             blocks |= _moves(flows[name])
-    radius = max(1, round(GROW * camera.width))
-    return maximum_filter(blocks, size=2 * radius + 2, mode="constant")
+    return maximum_filter(blocks, size=_grown_side(camera), mode="constant")
+
+
+def _grown_side(camera: Camera) -> int:
+    """Side of the square that a change of 2 x 2 pixels grows to."""
+    return 2 * max(1, round(GROW * camera.width)) + 2
 
 
 def _moves(clip: CameraFlow) -> np.ndarray:
@@ -134,5 +144,5 @@ def _whole_blocks(mask: np.ndarray) -> np.ndarray:
 
 def _smooth(picture: np.ndarray) -> np.ndarray:
     """Blurred by a pixel; noise of single pixels is no motion. Rounded again, which saves memory."""
-    blurred = gaussian_filter(picture.astype(np.float32), (1, 1, 0), mode="mirror", radius=3)
+    blurred = gaussian_filter(picture.astype(np.float32), (1, 1, 0), mode="mirror", radius=BLUR_REACH)
     return blurred.round().astype(np.uint8)

@@ -1,6 +1,7 @@
 """Health rows about the scene at rest as the fixed cameras see it: asked before motion is learned from them."""
 
 from collections.abc import Mapping, Sequence
+from math import inf, isinf
 from statistics import median
 
 from devrf.pipelines.health.rows import HealthRow, row
@@ -24,7 +25,12 @@ def at_rest_rows(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> li
 
 
 def _beside(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[HealthRow]:
-    of_sweep = max((fit.displaced.length for fit in sweep if fit.displaced is not None), default=0.0)
+    usual = [
+        fit.displaced.length if fit.displaced.found else inf for fit in sweep if fit.displaced is not None
+    ]
+    of_sweep = median(usual) if usual else 0.0
+    if isinf(of_sweep):  # the sweep's own pictures are not found again: nothing can be told by that
+        return []
     found = {
         name: (fit.displaced.length, max(MOST_VOXELS * fit.voxel, of_sweep) + SURE * fit.displaced.std)
         for name, fit in cameras.items()

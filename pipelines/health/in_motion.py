@@ -43,17 +43,19 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> list[HealthRow]:
         )
     )
     alone = [fit.alone for fit in cameras.values() if fit.alone is not None]
-    rows.append(
-        row(
-            "moving surface that only one camera sees",
-            100 * fmean(alone or [0.0]),
-            "%",
-            warn=100 * MOST_ALONE,
-            low_is_bad=False,
-            remedy="What only one camera sees moves at a depth that is a guess, and other views show it wrong: add "
-            "cameras (four, around the subject), or turn them so that each side of the subject is in two pictures.",
+    if alone:
+        rows.append(
+            row(
+                "moving surface that only one camera sees",
+                100 * fmean(alone),
+                "%",
+                warn=100 * MOST_ALONE,
+                low_is_bad=False,
+                remedy="What only one camera sees moves at a depth that is a guess, and other views show it wrong: "
+                "add cameras (four, around the subject), or turn them so that each side of the subject is in two "
+                "pictures.",
+            )
         )
-    )
     name, shift = _worst(cameras, lambda fit: abs(fit.better_at))
     rows.append(
         row(

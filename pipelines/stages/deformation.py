@@ -13,9 +13,8 @@ from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
+from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.check_motion import check_motion
-from devrf.reconstruct.clocks import LearnedClock, with_clocks
-from devrf.reconstruct.late_camera import moved_by
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
 from devrf.reconstruct.sizing import levels_for
@@ -51,10 +50,7 @@ def run(context: StageContext) -> None:
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
-    clocks = {name: LearnedClock(**clock) for name, clock in metrics.get("clocks", {}).items()}
-    late = metrics.get("late_camera")
-    used = moved_by(scene, late["name"], late["offset_s"]) if late is not None else scene
-    cameras = check_motion(with_clocks(used, clocks), DynamicModel(rest, motion, tuned), options.seed)
+    cameras = check_motion(as_trained(scene, metrics), DynamicModel(rest, motion, tuned), options.seed)
     metrics |= {
         "decisions": fits + metrics["decisions"],
         "options": asdict(options),
@@ -77,7 +73,7 @@ def run(context: StageContext) -> None:
     context.health.extend(restart_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
     context.health.extend(clock_rows(metrics.get("clocks", {})))
-    context.health.extend(late_rows(late))
+    context.health.extend(late_rows(metrics.get("late_camera")))
 
 
 def clock_rows(clocks: dict[str, dict[str, float]]) -> list[HealthRow]:

@@ -92,6 +92,26 @@ def test_what_is_too_much(wrong: RestFit, says: str) -> None:
     assert fired.check.startswith(says) and "right" in fired.check and "right" in fired.remedy
 
 
+FAR = Displacement(0.08, 0.0, found=False)  # as far as is searched in a picture wider than high
+BESIDE = "picture beside the scene at rest"
+
+
+def test_one_picture_of_the_sweep_that_is_not_found_again_does_not_excuse_cameras() -> None:
+    """A blurred one of four; a camera 2 % beside is named all the same, and so is one that is not found again."""
+    sweep = [RIGHT, RIGHT, RIGHT, replace(RIGHT, displaced=FAR)]
+    for found in (Displacement(0.02, 0.0005), FAR):
+        rows = at_rest_rows({"left": RIGHT, "right": replace(RIGHT, displaced=found)}, sweep)
+        (fired,) = [row for row in rows if row.verdict == "warn"]
+        assert fired.check.startswith(BESIDE) and "right" in fired.check
+
+
+def test_where_half_of_the_sweep_is_not_found_again_nothing_is_said_of_cameras() -> None:
+    """Nor of one that is higher than wide, where as far as is searched is more widths."""
+    high = replace(RIGHT, displaced=Displacement(0.14, 0.0, found=False))
+    rows = at_rest_rows({"high": high}, [RIGHT, replace(RIGHT, displaced=FAR)])
+    assert not any(row.check.startswith(BESIDE) for row in rows)
+
+
 def test_a_sweep_that_lies_beside_its_own_model_says_how_much_is_usual() -> None:
     shaky = [replace(RIGHT, displaced=Displacement(0.008, 0.0005))] * 2
     rows = at_rest_rows({"cam0": replace(RIGHT, displaced=Displacement(0.007, 0.0005))}, shaky)

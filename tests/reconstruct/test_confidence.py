@@ -149,6 +149,32 @@ def test_regions_name_what_no_moving_camera_sees(ball, known: Confidence, moving
     assert fewer["regions"][0]["cameras"] < found["regions"][-1]["cameras"]
 
 
+def test_a_stray_floater_is_not_the_subject(ball, rest: RestModel) -> None:
+    """A quiet scene in which a few points of the surface moved: regions are of all that is in the box."""
+    at_rest = Confidence(replace(ball.scene, dynamic=()), DynamicModel(rest))
+    motion = MotionField.still(
+        torch.tensor([[-1.0] * 3, [1.0] * 3]), 2, 32, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
+    )
+    motion.backward[1, 22, 15, 15] += 0.2  # a vertex on the ball's surface
+    motion.forward[1, 22, 15, 15] -= 0.2
+    found = weakest_regions(ball.scene, Confidence(ball.scene, DynamicModel(rest, motion)))
+    assert not found["moves"]
+    quiet = weakest_regions(replace(ball.scene, dynamic=()), at_rest)
+    of = [sum(r["share"] * r["cameras"] for r in regions["regions"]) for regions in (found, quiet)]
+    assert of[0] == pytest.approx(of[1], rel=0.1)  # pictures of the sweep, as the report says
+
+
+def test_causes_of_displacement_together_are_bounded(ball, known: Confidence) -> None:
+    """However far off: the picture is no more wrong than by two pixels that have nothing to do with each other."""
+    view = next(f for f in ball.scene.dynamic if f.split == "test" and f.time == 1.0).camera
+    layers, budget = known.render(view, 1.0), known.budget
+    surface = surface_of(known.evidence, view, 1.0, layers)
+    known.budget = replace(budget, factors={**dict.fromkeys(CAUSES, 0.0), "place": 1e9, "cycle": 1e9})
+    expected = known.expected_of(surface, view, layers)
+    known.budget = budget
+    assert (expected.astype(float) ** 2).max() == pytest.approx(budget.ground.unrelated, rel=0.01)
+
+
 def test_a_scene_at_rest(ball, rest: RestModel, tmp_path: Path) -> None:
     scene = replace(ball.scene, dynamic=())
     known = Confidence(scene, DynamicModel(rest))

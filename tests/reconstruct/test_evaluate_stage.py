@@ -133,7 +133,13 @@ class _Unsure:
         return np.full_like(layers[1], 0.02)
 
 
-def _run(context: StageContext, monkeypatch, moves: bool = True, low_share: float = 0.1) -> dict:
+def _run(
+    context: StageContext,
+    monkeypatch,
+    moves: bool = True,
+    low_share: float = 0.1,
+    known: Callable | None = None,
+) -> dict:
     render = _known(moves)(context.run_dir, "cpu", None)
     region = {"where": "back, low", "share": 1.0, "expected_rms": 20.0, "low": 0.1, "cameras": 1.0}
     regions = {
@@ -145,7 +151,7 @@ def _run(context: StageContext, monkeypatch, moves: bool = True, low_share: floa
     }
     monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device, pieces: None)
     monkeypatch.setattr(evaluate, "renderer", lambda model: render)
-    monkeypatch.setattr(evaluate, "Confidence", lambda scene, model: _Unsure(render))
+    monkeypatch.setattr(evaluate, "Confidence", known or (lambda scene, model: _Unsure(render)))
     monkeypatch.setattr(evaluate, "weakest_regions", lambda scene, confidence: regions)
     evaluate.run(context)
     return json.loads((context.out / "metrics.json").read_text())
@@ -188,6 +194,24 @@ def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
     row = next(row for row in context.health if "low confidence" in row.check)
     assert row.verdict == "warn" and row.value == 75 and "32 grey levels" in row.check
     assert "cam0: back, low" in row.remedy
+
+
+def test_confidence_takes_the_times_that_were_trained_with(context: StageContext, monkeypatch):
+    """A camera's clock that training moved by a quarter of the scene's two seconds, and one that it learned."""
+    path, seen = context.run_dir / "deformation/metrics.json", {}
+    learned = {"cam0": {"offset_s": 0.1, "std_s": 0.01, "prior_std_s": 0.01}}
+    late = {"name": "cam1", "pictures": 0.5, "offset_s": 0.5}
+    _json(path, {**json.loads(path.read_text()), "late_camera": late, "clocks": learned})
+
+    def known(scene: Scene, model: None) -> _Unsure:
+        for frame in scene.dynamic:
+            seen.setdefault(frame.camera_name, []).append(frame.time)
+        return _Unsure(_known()(context.run_dir, "cpu", None))
+
+    _run(context, monkeypatch, known=known)
+    assert seen["cam1"] == [0.25, 0.75]  # the last one is beyond the motion
+    assert seen["cam0"] == pytest.approx([0.05, 0.55, 1.0])
+    assert seen["witness"] == list(TIMES)
 
 
 def test_a_box_without_anything_solid_is_told():

@@ -1,0 +1,29 @@
+"""Which of a scene's pictures are looked at: those that are trained on, by camera, and a few of many."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from devrf.capture.scene import PosedFrame, Scene
+
+Item = TypeVar("Item")
+
+
+def training(frames: Sequence[PosedFrame]) -> list[PosedFrame]:
+    """The pictures that are trained on."""
+    return [f for f in frames if f.split == "train"]
+
+
+def clips(scene: Scene) -> dict[str, list[PosedFrame]]:
+    """The pictures of the moving scene that are trained on, by camera, in the order of their times."""
+    out: dict[str, list[PosedFrame]] = {}
+    for frame in sorted(training(scene.dynamic), key=lambda f: f.time or 0.0):
+        out.setdefault(frame.camera_name, []).append(frame)
+    return dict(sorted(out.items()))
+
+
+def spread(items: Sequence[Item], most: int) -> list[Item]:
+    """At most so many of them, evenly spread."""
+    at = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)
+    return [items[n] for n in at.tolist()]
