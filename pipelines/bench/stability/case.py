@@ -126,8 +126,8 @@ def run_case(
         intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
         done = AXES[axis].damaging(intact)
     stages = [_damaged(s, done, folder, axis, severity, seed) if s.name == done.stage else s for s in STAGES]
-    heard, faults = _Listener(), list[BaseException]()
-    watched = [_watched(stage, faults) for stage in stages]
+    heard, refusals = _Listener(), list[DevrfError]()
+    watched = [_watched(stage, refusals) for stage in stages]
     run = Run(
         done.config, base.scene_dir, watched, Choice(last=LAST, allow_unhealthy=True), heard, base.device
     )
@@ -137,7 +137,7 @@ def run_case(
         raise typer.Exit(code)
     if code == BAD_INPUT:  # never of a stage: another run holds the folder, or it may not be written
         raise InputError(heard.errors[-1])
-    if faults:
+    if code != DONE and not refusals:
         raise DevrfError(f"{axis} {severity:g}, seed {seed}: {heard.errors[-1]}")
     stopped = None if code == DONE else heard.errors[-1].partition("\nlog: ")[0]
     return _result(run.run_dir, axis, severity, seed, stopped, run.fresh), run.run_dir
@@ -182,15 +182,15 @@ def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
     return out / f"{axis}-{severity:g}" / f"seed{seed}"
 
 
-def _watched(stage: Stage, faults: list[BaseException]) -> Stage:
-    """The stage; what it raises and no damage explains is kept: what is no error of ours, or comes of a full disk."""
+def _watched(stage: Stage, refusals: list[DevrfError]) -> Stage:
+    """The stage; the errors by which it says what is wrong with the scene are kept. No other is of the damage."""
 
     def run(context: Any) -> None:
         try:
             stage.run(context)
-        except (Exception, SystemExit) as error:
-            if not isinstance(error, DevrfError) or is_disk_full(error):
-                faults.append(error)
+        except DevrfError as error:
+            if not is_disk_full(error):
+                refusals.append(error)
             raise
 
     return replace(stage, run=run)
