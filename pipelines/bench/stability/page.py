@@ -66,8 +66,8 @@ def _heard(known: Heard) -> str:
     lines = [
         f"Recall: of {len(known.broken)} axes that break, {len(known.broken) - len(known.missed)} are noticed in time."
         + (f" Missed: {', '.join(known.missed)}." if known.missed else ""),
-        f"Precision: of {len(known.spoken)} cases with a complaint that training did not mend, {len(known.spoken) - len(known.unfounded)} lost "
-        f"{SUFFERED_DB:g} dB or more."
+        f"Precision: of {len(known.spoken)} cases with a complaint that training did not mend, "
+        f"{len(known.spoken) - len(known.unfounded)} lost {SUFFERED_DB:g} dB or more."
         + (f" The others: {'; '.join(known.unfounded)}." if known.unfounded else ""),
         f"Said of the undisturbed scene: {'; '.join(known.alarms) or 'nothing'}.",
     ]
