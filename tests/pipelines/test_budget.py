@@ -25,7 +25,9 @@ GB = 10**9
 
 # Peaks of stages of the example session with `tiny` on two cores, each in a process of its own: GB of all its
 # processes together, MB that its folder held in the end and at most, seconds (docs/budgets.md).
-GOOD_MB = 2 * 4 * 46.6  # a value's copy at the last good point, old and new checkpoint: computed, newer than the rest
+GOOD_MB = (
+    2 * 4 * 46.6
+)  # a value's copy at the last good point, old and new checkpoint: computed, newer than the rest
 MEASURED = {
     "ingest": (0.41, 34.0, 34.0, 4.6),
     "static_poses": (0.68, 18.3, 34.5, 36.9),
