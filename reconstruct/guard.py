@@ -83,7 +83,7 @@ class Guard:
         self._recent = [*self._recent[1 - self.look_every :], parts["mse"].detach()]
         self._new += 1
         if self._pictures not in self._lowest:
-            self._lowest[self._pictures] = float(parts["mse"])
+            self._lowest[self._pictures] = float(self._recent[-1])
             return not math.isfinite(self._lowest[self._pictures])
         if self._new < self.look_every:
             return False
