@@ -22,6 +22,7 @@ WINDOW = 7  # pixels of the training size, in which all that a patch holds moves
 TELLING = 2.0  # times the noise's variance that slopes must have: their own noise is half of it
 # Answers to noise, and to no slope or bend along an axis (Immerkaer, Fast noise variance estimation, CVIU 1996).
 ROUGH = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6
+KNOWN = 0.5  # share of a patch that must have flow, to be asked
 BELIEVED = 0.5  # share of the squared way that a vector has to explain, not to be contradicted
 
 
@@ -60,9 +61,10 @@ def agreement(
         max(LEAST_NOISE, min(_spread(left), _spread(apart), math.sqrt(2) * _spread(convolve(now, ROUGH))))
         ** 2
     )
-    slopes = sum(_variance(slope) for slope in np.gradient(now)) / 2 - of_noise / 2
-    tells = slopes > TELLING * of_noise / 2
-    off, way = (np.maximum(_variance(x) - of_noise, 0) for x in (left, apart))
+    known = uniform_filter(valid.astype(np.float32), WINDOW, mode="nearest")
+    slopes = sum(_variance(slope, valid, known) for slope in np.gradient(now)) / 2 - of_noise / 2
+    tells = (slopes > TELLING * of_noise / 2) & (known >= KNOWN)
+    off, way = (np.maximum(_variance(x, valid, known) - of_noise, 0) for x in (left, apart))
     moving = np.maximum(way, MOVING_PX**2 * slopes)  # what moves less is not told from standing still
     asked = valid & tells & (np.maximum(off, way) > MOVING_PX**2 * slopes)
     weight = np.clip(1 - off / np.maximum(moving, 1e-6), 0, 1)
@@ -77,7 +79,10 @@ def _spread(x: Float32[np.ndarray, "h w"]) -> float:
     return 1.4826 * float(np.median(np.abs(x)))
 
 
-def _variance(x: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Of each pixel's patch."""
-    mean, square = (uniform_filter(y, WINDOW, mode="nearest") for y in (x, x * x))
+def _variance(
+    x: Float32[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], known: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    """Of each pixel's patch, over what has flow: what is hidden says nothing about vectors beside it."""
+    share = np.maximum(known, 1e-6)
+    mean, square = (uniform_filter(np.where(valid, y, 0), WINDOW, mode="nearest") / share for y in (x, x * x))
     return np.maximum(square - mean * mean, 0)

@@ -84,3 +84,16 @@ def test_where_there_is_no_texture_the_pair_answers() -> None:
     plain = (slice(None), slice(0, WIDTH // 2 - 8))
     assert agreement(now, then, _flow(*MOVED), VALID).weight[plain].min() > 0.5
     assert agreement(now, then, _flow(-MOVED[0], -MOVED[1]), VALID).weight[plain].max() == 0
+
+
+def test_what_is_hidden_says_nothing_about_vectors_beside_it() -> None:
+    now, then = (picture.copy() for picture in _pictures())
+    rows, columns = slice(20, 34), slice(24, 38)
+    now[rows, columns] = np.random.default_rng(4).integers(0, 255, (14, 14, 3))
+    valid = VALID.copy()
+    valid[rows, columns] = False
+    weight = agreement(now, then, _flow(*MOVED), valid).weight
+    assert min(weight[18, 24:38].min(), weight[20:34, 39].min()) > 0.6
+    assert (
+        agreement(now, then, _flow(*MOVED), VALID).weight[20:34, 39].min() == 0
+    )  # not left out, it condemns them
