@@ -1,5 +1,6 @@
 """What scene.yaml says about training, as the reconstruction's own options."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from devrf.capture.scene import Scene
@@ -19,7 +20,7 @@ def planned_options(config: SceneConfig, *, forward: bool = False) -> "Options":
     from devrf.reconstruct.options import preset
 
     chosen = config.reconstruct
-    return preset(
+    options = preset(
         config.preset,
         forward=forward,
         resolution=chosen.resolution,
@@ -33,3 +34,6 @@ def planned_options(config: SceneConfig, *, forward: bool = False) -> "Options":
         adapt=chosen.adapt,
         seed=chosen.seed,
     )
+    if config.kind == "dataset":  # its times are given: there are no clocks to doubt
+        return replace(options, motion=replace(options.motion, find_late_camera=False))
+    return options

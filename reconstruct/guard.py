@@ -1,8 +1,9 @@
 """A training that runs away is caught: it goes on from its last good point, with smaller steps.
 
 Steps that are too large throw a model further than its gradient can tell: the loss leaps up and stays there, or stops
-being a number. Batches of rays differ by tenths, so a loss that has doubled has not done so by chance. Only too large a
-step, or numbers without an end, can be helped that way; where smaller ones do not help, the caller is told.
+being a number. Batches of rays of all pictures differ by tenths, so a loss that has doubled has not done so by chance
+(where it may, the caller looks again). Only too large a step, or numbers without an end, can be helped that way; where
+smaller ones do not help, the caller is told.
 """
 
 import logging

@@ -1,4 +1,4 @@
-"""A camera whose clock is wrong by up to two pictures, and sure of itself: found by the motion that the others see.
+"""A camera whose clock is wrong by about two pictures, and sure of itself: found by the motion that the others see.
 
 Once the motion is trained on all cameras, each one's pictures are rendered a little earlier and later. The motion has
 followed the wrong camera part of the way, so how far off it is cannot be read there, but that it differs from all
@@ -7,7 +7,7 @@ were taken. Its clock is moved only if its pictures fit clearly better so, and t
 camera stays, whose clock is everyone's.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from statistics import median
 
@@ -21,6 +21,7 @@ from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import ChangingPixels, changing_pixels
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.pictures import clips, spread
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.train_canonical import RestModel
@@ -49,7 +50,8 @@ class Moments:
     def __init__(self, scene: Scene, rest: RestModel, options: MotionOptions, device: str) -> None:
         o = options
         looked_at = rest.canonical.seen_with(o.stepsize, o.alpha_threshold, o.weight_threshold)
-        self.names, self._scene = cameras_of(scene), scene.in_box_frame()
+        self._scene = scene.in_box_frame()
+        self._clips = clips(self._scene)
         self._rest, self._seed, self._device = replace(rest, canonical=looked_at), options.seed, device
         self._read: dict[str, tuple[RaySet, PixelSurroundings, ChangingPixels]] = {}
 
@@ -58,7 +60,7 @@ class Moments:
     ) -> Float[np.ndarray, "F shifts"]:
         """Errors of a camera's pictures; always of the same pixels."""
         if camera not in self._read:
-            frames = _picked(of_camera(self._scene, camera))
+            frames = tuple(spread(self._clips[camera], MOST_PICTURES))
             rays = RaySet(frames, self._scene.image_scale, self._scene.background, self._device)
             self._read[camera] = (
                 rays,
@@ -66,7 +68,7 @@ class Moments:
                 changing_pixels(rays),
             )
         rays, around, changing = self._read[camera]
-        gap = picture_gap_s(of_camera(self._scene, camera)) / (self._scene.t1_s - self._scene.t0_s)
+        gap = picture_gap_s(self._clips[camera]) / (self._scene.t1_s - self._scene.t0_s)
         times = rays.times[:, None] + gap * torch.from_numpy(shifts).to(rays.times)
         generator = torch.Generator().manual_seed(self._seed)
         return error_curves(self._rest, motion, rays, around, changing, times, generator)
@@ -127,18 +129,6 @@ def without(scene: Scene, camera: str) -> Scene:
     )
 
 
-def of_camera(scene: Scene, camera: str) -> tuple[PosedFrame, ...]:
-    """The training pictures of a camera."""
-    return tuple(
-        f for f in scene.dynamic if f.split == "train" and f.time is not None and f.camera_name == camera
-    )
-
-
-def cameras_of(scene: Scene) -> Sequence[str]:
-    """Names of the training cameras."""
-    return tuple(dict.fromkeys(f.camera_name for f in scene.dynamic if f.split == "train"))
-
-
 def fits_better(before: Errors, after: Errors) -> bool:
     """Whether the pictures of all cameras, those that both motions reach, fit the second one better: no chance."""
     gain = np.concatenate([np.ravel(before[name] - after[name]) for name in before])
@@ -146,9 +136,3 @@ def fits_better(before: Errors, after: Errors) -> bool:
     if len(gain) < FEWEST_PICTURES:
         return False
     return bool(gain.mean() > KEPT_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain)))
-
-
-def _picked(frames: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:
-    """All, or as many as are enough, evenly."""
-    numbers = np.linspace(0, len(frames) - 1, min(len(frames), MOST_PICTURES)).round().astype(int)
-    return tuple(frames[n] for n in numbers)

@@ -367,6 +367,7 @@ def preset(
         fine_tuning_lr=learning_rate * motion.fine_tuning_lr,
         keys=key_times,
         learn_clocks=learn_clocks,
+        find_late_camera=motion.find_late_camera and not learn_clocks,
         seed=seed,
     )
     return Options(canonical, motion)

@@ -9,30 +9,30 @@ import numpy as np
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
-from devrf.reconstruct.clocks import SHIFTS, LearnedClock, picture_gap_s, with_clocks
+from devrf.reconstruct.clocks import SHIFTS, picture_gap_s
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.late_camera import (
     FEWEST,
     WIDE,
     Moments,
-    cameras_of,
     fits_better,
     moved_by,
-    of_camera,
     offset_pictures,
     suspect,
     without,
 )
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.watch import Watch
 
-MOTION = 0.9  # share of the progress bar, before fine-tuning
+MOTION = 0.9  # share of the progress bar, before a late camera is looked for and fine-tuning
 
 
 def train_deformation(
@@ -50,7 +50,8 @@ def train_deformation(
 
     Arguments and errors as `train_motion`'s.
     """
-    share, check = MOTION if options.fine_tuning else 1.0, _CheckedOnce()
+    searching = bool(options.find_late_camera and clock_stds)
+    share, check = MOTION if options.fine_tuning or searching else 1.0, _CheckedOnce()
     motion, metrics = train_motion(
         scene,
         rest,
@@ -63,15 +64,14 @@ def train_deformation(
         clock_stds,
         check,
     )
-    if options.find_late_camera and not options.learn_clocks and clock_stds:
-        motion, metrics, scene = _with_late_camera(
+    if clock_stds and searching:
+        motion, metrics = _with_late_camera(
             scene, rest, flows, options, device, progress, checkpoint, clock_stds, check, motion, metrics
         )
     if not options.fine_tuning:
         return motion, None, metrics
-    scene = with_clocks(scene, {name: LearnedClock(**c) for name, c in metrics.get("clocks", {}).items()})
     tuned = fine_tune(
-        scene,
+        as_trained(scene, metrics),
         rest,
         motion,
         options,
@@ -97,16 +97,16 @@ def _with_late_camera(
     check: "_CheckedOnce",
     motion: MotionField,
     metrics: dict[str, Any],
-) -> tuple[MotionField, dict[str, Any], Scene]:
+) -> tuple[MotionField, dict[str, Any]]:
     """The same with the clock of one camera moved, if the motion that the others see says so."""
-    names = cameras_of(scene)
+    names = tuple(clips(scene))
     if len(names) < FEWEST:
-        return motion, metrics, scene
+        return motion, metrics
     moments = Moments(scene, rest, options, device)
     curves = {name: moments.curves(motion, name, SHIFTS) for name in names}
     name = suspect(curves, next(iter(clock_stds)))
     if name is None:
-        return motion, metrics, scene
+        return motion, metrics
     before = {camera: errors[:, SHIFTS == 0] for camera, errors in curves.items()}
     del moments  # its pictures, while others are trained on
     coarse = replace(options, levels=options.levels[:1], iterations=options.iterations[:1])
@@ -117,33 +117,32 @@ def _with_late_camera(
         coarse,
         device,
         lambda f, m: progress(MOTION, f"without {name}: {m}"),
-        checkpoint.part("others"),
+        checkpoint.part(f"without{names.index(name)}"),
         check=check,
     )
     metrics = _with_cost_of(metrics, cost)
     pictures = offset_pictures(Moments(scene, rest, options, device).curves(others, name, WIDE), WIDE)
     del others
     if pictures == 0:
-        return motion, metrics, scene
-    offset_s = pictures * picture_gap_s(of_camera(scene, name))
-    moved = moved_by(scene, name, offset_s)
+        return motion, metrics
+    offset_s = pictures * picture_gap_s(clips(scene)[name])
     again, new = train_motion(
-        moved,
+        moved_by(scene, name, offset_s),
         rest,
         flows,
         options,
         device,
         lambda f, m: progress(MOTION, f"{name} moved: {m}"),
-        checkpoint.part("moved"),
+        checkpoint.part(f"moved{names.index(name)}_{pictures:+.2f}"),
         check=check,
     )
     moments = Moments(scene, rest, options, device)
     shift = {camera: np.array([pictures if camera == name else 0.0]) for camera in names}
     after = {camera: moments.curves(again, camera, shift[camera]) for camera in names}
     if not fits_better(before, after):
-        return motion, _with_cost_of(metrics, new), scene
+        return motion, _with_cost_of(metrics, new)
     found = {"name": name, "pictures": pictures, "offset_s": offset_s}
-    return again, _with_cost_of(new, metrics) | {"late_camera": found}, moved
+    return again, _with_cost_of(new, metrics) | {"late_camera": found}
 
 
 class _CheckedOnce:

@@ -339,11 +339,21 @@ class _Recipe:
         self.guard.begin(self.error_before)
 
     def train_key(self, log: TrainingLog) -> bool:
-        """All steps of the present key; whether it fits its pictures no worse than before."""
+        """All steps of the present key; whether it fits its pictures no worse than before.
+
+        Losses of small batches, of one camera each, double by chance; the same rays as before say whether it is true.
+        """
         labels = {"level": float(self.level), "key": float(self.first + self.key)}
         for _ in range(self.options.iterations[self.level]):
-            if self.guard.ran_away(log, self.options.rays, self.step(), **labels):
+            if self.guard.ran_away(log, self.options.rays, self.step(), **labels) and not self._fits():
                 return False
+        return self._fits()
+
+    def _fits(self) -> bool:
+        """Whether the key's motion is all numbers, and not clearly worse than the one that would be gone back to."""
+        fields = (self.window.backward[self.key], self.window.forward[self.key])
+        if not all(bool(field.isfinite().all()) for field in fields):
+            return False
         return float(self._errors(self.judged).mean()) <= WORSE**self.guard.shrunk * self.error_before
 
     def go_back(self, log: TrainingLog) -> bool:

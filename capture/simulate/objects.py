@@ -49,9 +49,8 @@ def _sheet(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
         return (top + ds * np.cumsum(steps, axis=0)).reshape(-1, 3)
 
     faces, uv = _grid(rows, columns)
-    uv[:, 0] = np.tile(
-        across / SHEET_WIDTH_M + 0.5, rows
-    )  # the print goes across the whole sheet, gaps included
+    # The print goes across the whole sheet, gaps included.
+    uv[:, 0] = np.tile(across / SHEET_WIDTH_M + 0.5, rows)
     if strips:
         left_vertex = faces.min(1) % columns
         faces = faces[left_vertex % 3 != 2]  # between two strips there is nothing

@@ -7,9 +7,8 @@ from statistics import median
 from devrf.pipelines.health.rows import HealthRow, row
 from devrf.reconstruct.check_rest import RestFit
 
-MOST_VOXELS = (
-    0.5  # a picture may lie beside the model: two cameras then disagree by a voxel, which reads as motion
-)
+# A picture may lie so far beside the model: two cameras then disagree by a voxel, which reads as motion.
+MOST_VOXELS = 0.5
 SURE = 2.0  # standard deviations beyond that
 WORSE_DB = 3.0  # than the sweep's held-out pictures: half of the camera's error is not the model's
 

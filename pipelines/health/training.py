@@ -7,11 +7,11 @@ from devrf.pipelines.health.rows import HealthRow, row
 
 # True flow of a subject of a dozen pixels is contradicted for up to 55 % (silhouettes jump), reversed for 92 % or more.
 MOSTLY_CONTRADICTED = 0.75
-MENDED = (  # first words of the rows which say that training mended something: the cause is real, the loss may not be
-    "times that training ran away and went back",
-    "share of what moves whose flow the pictures contradict",
-    "clock that the motion of the other cameras contradicts",
-)
+RESTARTED = "times that training ran away and went back"
+CONTRADICTED = "share of what moves whose flow the pictures contradict"
+LATE = "clock that the motion of the other cameras contradicts"
+MENDED = (RESTARTED, CONTRADICTED, LATE)
+"""First words of the rows which say that training mended something: the cause is real, the loss may not be."""
 
 
 def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
@@ -20,7 +20,7 @@ def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
     if metrics["rate"] < 1:
         rows.append(
             row(
-                "times that training ran away and went back",
+                RESTARTED,
                 float(metrics["restarts"]),
                 "",
                 warn=0.0,
@@ -52,7 +52,7 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
     worst = max(contradicted, key=lambda name: contradicted[name])
     return [
         row(
-            f"share of what moves whose flow the pictures contradict, worst camera ({worst})",
+            f"{CONTRADICTED}, worst camera ({worst})",
             contradicted[worst],
             "",
             warn=MOSTLY_CONTRADICTED,
@@ -71,7 +71,7 @@ def late_rows(found: Mapping[str, Any] | None) -> list[HealthRow]:
     name, offset_s = found["name"], found["offset_s"]
     return [
         row(
-            f"clock that the motion of the other cameras contradicts ({name}, {1000 * offset_s:+.0f} ms)",
+            f"{LATE} ({name}, {1000 * offset_s:+.0f} ms)",
             abs(found["pictures"]),
             "pictures",
             warn=0.0,

@@ -20,6 +20,7 @@ from devrf.reconstruct.guard import MOST, SMALLER, Guard
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.train_canonical import RestModel, train_canonical
 from devrf.reconstruct.train_canonical import _Recipe as RestRecipe
+from devrf.reconstruct.train_motion import _Recipe as MotionRecipe
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.training_log import TrainingLog
 
@@ -177,12 +178,39 @@ def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> No
     assert (tuned.gain_db or 0) > -3  # no more than doubles the error: else it would have gone back again
 
 
+def test_losses_that_double_by_chance_change_nothing(
+    ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion, _ = train_motion(ball.scene, rest, {}, MOTION)
+    monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
+    again, metrics = train_motion(ball.scene, rest, {}, MOTION)
+    assert metrics["restarts"] == metrics["keys_left"] == 0 and torch.equal(motion.backward, again.backward)
+
+
+def test_a_motion_that_is_no_number_is_not_kept(
+    ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no ray looks that is asked."""
+    step, steps = MotionRecipe.step, count(1)
+
+    def spoilt(recipe: MotionRecipe) -> dict[str, torch.Tensor]:
+        parts = step(recipe)
+        if next(steps) == 3:
+            recipe.window.backward[recipe.key, 0, 0, 0] = float("nan")
+        return parts
+
+    monkeypatch.setattr(MotionRecipe, "step", spoilt)
+    motion, metrics = train_motion(ball.scene, rest, {}, MOTION)
+    assert metrics["restarts"] == 1 and motion.backward.isfinite().all()
+
+
 def test_what_smaller_steps_do_not_help_ends_with_a_message(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
     with pytest.raises(ReconstructError, match=r"diverged: .* smaller steps do not help; .*learning_rate"):
         train_canonical(ball.scene, QUICK)
+    monkeypatch.setattr("devrf.reconstruct.train_motion.WORSE", 0.0)
     motion, metrics = train_motion(ball.scene, rest, {}, MOTION)
     assert metrics["keys_left"] == motion.keys - 1  # a key that only gets worse stays as it was
     assert (motion.backward == 0).all() and metrics["rate"] == 1.0

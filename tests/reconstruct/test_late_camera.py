@@ -113,14 +113,6 @@ def test_right_clocks_stay_and_cost_no_training(moving: Scene, rest: RestModel, 
     assert len(trained) == 1
 
 
-def test_clocks_that_are_learned_are_not_looked_for(
-    moving: Scene, rest: RestModel, trained: list[Scene]
-) -> None:
-    late = with_clocks(moving, {"cam1": LearnedClock(LATE * GAP_S, None, 0.0)})
-    train_deformation(late, rest, {}, replace(MOTION, learn_clocks=True), clock_stds=STDS)
-    assert len(trained) == 1
-
-
 def test_a_second_motion_is_kept_only_if_it_fits_better_by_more_than_chance() -> None:
     rng = np.random.default_rng(0)
     before = {name: 10 + rng.normal(0, 1, (10, 1)) for name in ("a", "b", "c")}
@@ -136,3 +128,7 @@ def test_a_second_motion_is_kept_only_if_it_fits_better_by_more_than_chance() ->
 
 def test_the_published_recipe_looks_for_none() -> None:
     assert not preset("reference").motion.find_late_camera and preset("fast").motion.find_late_camera
+
+
+def test_clocks_that_are_learned_are_not_looked_for() -> None:
+    assert not preset("fast", learn_clocks=True).motion.find_late_camera

@@ -116,9 +116,8 @@ def run_case(
             "output": str((folder / "run").resolve()),
             "cache": CacheConfig(folder=str((out / "cache").resolve()), max_gb=CACHE_GB),
             "reconstruct": base.config.reconstruct.model_copy(update={"seed": seed}),
-            "budget": base.config.budget.model_copy(
-                update={"time_minutes": None}
-            ),  # a slow machine breaks nothing
+            # A slow machine breaks nothing.
+            "budget": base.config.budget.model_copy(update={"time_minutes": None}),
         }
     )
     done = Damage(config)
