@@ -1,6 +1,6 @@
 """A small scene whose model is known: a patterned ball that moves along a straight line, before white."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -45,6 +45,17 @@ def ball_picture(camera: Camera, centre: np.ndarray) -> np.ndarray:
     small = cv2.resize(rgba, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     small[..., :3] /= np.maximum(small[..., 3:], 1e-6)
     return (small * 255).round().clip(0, 255).astype(np.uint8)
+
+
+def ball_clips(ball: Ball, folder: Path, times: int, travel: np.ndarray) -> Scene:
+    """The ball on its way, seen by all cameras of its scene at so many times; all of its way takes a second."""
+    frames = []
+    for name, camera in {f.camera_name: f.camera for f in ball.scene.dynamic}.items():
+        for n in range(times):
+            path, time = folder / f"{name}_{n}.png", n / (times - 1)
+            cv2.imwrite(str(path), ball_picture(camera, time * travel)[..., [2, 1, 0, 3]])
+            frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
+    return replace(ball.scene, dynamic=tuple(frames))
 
 
 def look_at(eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT) -> Camera:

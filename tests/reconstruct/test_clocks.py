@@ -4,14 +4,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
-from tests.reconstruct.conftest import ball_picture
+from tests.reconstruct.conftest import ball_clips
 from tests.reconstruct.deaths import until_done
 
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import Scene
 from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.stages.deformation import clock_rows
 from devrf.reconstruct.clocks import (
@@ -43,15 +42,7 @@ MOTION = MotionOptions(
 @pytest.fixture(scope="module")
 def moving(ball, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The ball on its way, seen by all four cameras of the ball's scene at nine times."""
-    folder: Path = tmp_path_factory.mktemp("moving")
-    first = {f.camera_name: f.camera for f in ball.scene.dynamic}
-    frames = []
-    for name, camera in first.items():
-        for n in range(TIMES):
-            path, time = folder / f"{name}_{n}.png", n * GAP_S
-            cv2.imwrite(str(path), ball_picture(camera, time * TRAVEL)[..., [2, 1, 0, 3]])
-            frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
-    return replace(ball.scene, dynamic=tuple(frames))
+    return ball_clips(ball, tmp_path_factory.mktemp("moving"), TIMES, TRAVEL)
 
 
 def test_lowest_is_the_mean_of_what_pictures_say_and_their_scatter_its_doubt() -> None:

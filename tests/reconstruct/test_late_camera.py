@@ -1,15 +1,13 @@
 """A camera whose clock is wrong, and sure of itself, is found by the motion that the others see."""
 
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
-from tests.reconstruct.conftest import ball_picture
+from tests.reconstruct.conftest import ball_clips
 
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import Scene
 from devrf.pipelines.health.training import late_rows
 from devrf.reconstruct.clocks import LearnedClock, with_clocks
 from devrf.reconstruct.late_camera import WIDE, fits_better, moved_by, offset_pictures
@@ -31,15 +29,7 @@ MOTION = MotionOptions(levels=(4,), iterations=(1,), rays=300, importance=0.8, f
 @pytest.fixture(scope="module")
 def moving(ball, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The ball on its way, seen by four cameras."""
-    folder: Path = tmp_path_factory.mktemp("late")
-    first = {f.camera_name: f.camera for f in ball.scene.dynamic}
-    frames = []
-    for name, camera in first.items():
-        for n in range(TIMES):
-            path, time = folder / f"{name}_{n}.png", n * GAP_S
-            cv2.imwrite(str(path), ball_picture(camera, time * TRAVEL)[..., [2, 1, 0, 3]])
-            frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
-    return replace(ball.scene, dynamic=tuple(frames))
+    return ball_clips(ball, tmp_path_factory.mktemp("late"), TIMES, TRAVEL)
 
 
 def _scattered(lowest_at: float, deep: float) -> np.ndarray:
