@@ -65,7 +65,8 @@ def test_the_suite_writes_rows_charts_and_a_page(suite: tuple[Path, list[str], s
         (n, 0) for n in ("undisturbed", *content["axes"])
     }
     page = (out / "stability.html").read_text()
-    assert page.count("<img") == 2 and "turned" in page
+    assert page.count("<img") == 3 and "turned" in page
+    assert (out / "stability.png").stat().st_size > 10_000
     assert {"stability/recall", "stability/precision", "stability/undisturbed/complaints"} <= set(rows)
     known = content["heard"]
     assert rows["stability/precision"]["value"] == known["precision"] and "Recall: of" in page

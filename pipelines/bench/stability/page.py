@@ -17,6 +17,7 @@ def build_page(
     results: Mapping[str, Sequence[Result]],
     found: Mapping[str, Points],
     known: Heard,
+    overview_chart: Path,
     charts: Mapping[str, Path],
     left_out: Mapping[str, str],
 ) -> str:
@@ -28,6 +29,7 @@ def build_page(
         results: Axis -> its cases.
         found: Axis -> its failure and notice point.
         known: Precision and recall of what is said.
+        overview_chart: Of all axes.
         charts: Axis -> its chart.
         left_out: Axis and severity -> why it was not measured.
     """
@@ -51,7 +53,9 @@ def build_page(
         "A result breaks where half of its seeds are stopped, or gain less over the undisturbed scene at rest than "
         "motion must. Said: a health row that the undisturbed case does not show and that needs no test view."
     )
-    body = section("overview", "Where it breaks", lead, _heard(known) + overview + not_there)
+    image = data_uri(overview_chart.read_bytes(), "image/png")
+    picture = figure(image, "", "PSNR where it moves, along every axis") if results else ""
+    body = section("overview", "Where it breaks", lead, _heard(known) + picture + overview + not_there)
     body += section("undisturbed", "Undisturbed", "The same scene without damage.", _cases(undisturbed, ()))
     for name, cases in results.items():
         image = data_uri(charts[name].read_bytes(), "image/png")

@@ -12,7 +12,7 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, is_made, run_case
-from devrf.pipelines.bench.stability.chart import axis_chart
+from devrf.pipelines.bench.stability.chart import axis_chart, overview_chart
 from devrf.pipelines.bench.stability.damage.intact import DoesNotApply
 from devrf.pipelines.bench.stability.heard import SUFFERED_DB, Heard, heard
 from devrf.pipelines.bench.stability.page import build_page
@@ -118,9 +118,12 @@ def run_stability(
         )
         for name, cases in results.items()
     }
+    overview = overview_chart(json_path.with_suffix(".png"), results, undisturbed, found)
     page = json_path.with_suffix(".html")
     title = f"{base.config.name}, {base.config.preset}, {device_name(base.device)}"
-    page.write_text(build_page(title, undisturbed, results, found, known, charts, left_out), encoding="utf-8")
+    page.write_text(
+        build_page(title, undisturbed, results, found, known, overview, charts, left_out), encoding="utf-8"
+    )
     write_rows(
         json_path,
         rows,
