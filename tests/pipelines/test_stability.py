@@ -64,6 +64,8 @@ def test_the_suite_writes_rows_charts_and_a_page(suite: tuple[Path, list[str], s
     assert {(c["axis"], c["seed"]) for c in content["cases"]} == {
         (n, 0) for n in ("undisturbed", *content["axes"])
     }
+    kinds = {c["check"]: c["kind"] for case in content["cases"] for c in case["complaints"]}
+    assert kinds and not [kind for kind in kinds.values() if "cam0" in kind or "cam1" in kind]
     page = (out / "stability.html").read_text()
     assert page.count("<img") == 3 and "turned" in page
     assert (out / "stability.png").stat().st_size > 10_000

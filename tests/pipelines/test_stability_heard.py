@@ -9,8 +9,8 @@ from devrf.pipelines.bench.stability.heard import Heard, heard
 from devrf.pipelines.bench.stability.points import points
 from devrf.pipelines.health.training import MENDED, flow_rows, late_rows, restart_rows
 
-BLUR = Complaint("ingest", "sharpness", "warn", 3.0)
-NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale")
+BLUR = Complaint("ingest", "sharpness", "warn", 3.0, "sharpness")
+NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale", "scale")
 CALM = [Result("undisturbed", 0.0, 0, psnr_moving=25.0, baseline=20.0, complaints=(NO_SCALE,))]
 
 
@@ -50,7 +50,8 @@ def test_precision_asks_the_cases_with_complaints() -> None:
 
 def test_damage_that_training_mended_is_no_false_alarm() -> None:
     """It is noticed, but no case of precision; together with another complaint it is one."""
-    mended = Complaint("canonical", "times that training ran away and went back", "warn", 2.0)
+    ran_away = "times that training ran away and went back"
+    mended = Complaint("canonical", ran_away, "warn", 2.0, ran_away)
 
     def case_of(axis: str, *complaints: Complaint) -> Result:
         return Result(axis, 1.0, 0, psnr_moving=25.0, baseline=20.0, complaints=(NO_SCALE, *complaints))

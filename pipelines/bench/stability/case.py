@@ -6,7 +6,8 @@ of the program or of the machine (no memory, a full disk) is none and ends the s
 """
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import typer
 from rich.console import Console
 
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage.intact import Damage, Intact
@@ -35,16 +37,23 @@ from devrf.pipelines.stamps.stamp import read_stamp
 LAST = "evaluate"  # what follows shows the result and does not change it
 UNDISTURBED = "undisturbed"
 CACHE_GB = 100.0
+_OF_WHICH = re.compile(r" \([^()]*\)$")  # behind a check's name: its worst camera
 
 
 @dataclass(frozen=True)
 class Complaint:
-    """A health row that warns or fails, of a kind that people in the field would see too."""
+    """A health row that warns or fails, of a kind that people in the field would see too.
+
+    Attributes:
+        stage, check, verdict, value: Of the row.
+        kind: The check without which camera it is about, which may be another one each time.
+    """
 
     stage: str
     check: str
     verdict: Verdict
     value: float | str | None
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -139,15 +148,45 @@ def run_case(
     if code != DONE and not refusals:
         raise DevrfError(f"{axis} {severity:g}, seed {seed}: {heard.errors[-1]}")
     stopped = None if code == DONE else heard.errors[-1].partition("\nlog: ")[0]
-    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh), run.run_dir
+    cameras = _cameras(base, run, undisturbed)
+    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh, cameras), run.run_dir
+
+
+def kind_of(check: str, cameras: Iterable[str]) -> str:
+    """A check's name without which camera it is about.
+
+    Args:
+        check: "points that cam0 shares with the sweep", "points in view, worst camera (cam0)".
+        cameras: Names of all fixed cameras.
+    """
+    names = sorted(cameras, key=len, reverse=True)  # else `cam` would be found in `cam-left`
+    if names:
+        words = "|".join(re.escape(name) for name in names)
+        check = re.sub(rf"(?<!\w)(?:{words})(?!\w)", "a camera", check)
+    return _OF_WHICH.sub("", check)
+
+
+def _cameras(base: Run, run: Run, undisturbed: Scene | None) -> Iterable[str]:
+    """Names of the fixed cameras, those that a case leaves out too; a data set's are its scene's."""
+    if base.config.capture is not None:
+        return base.config.capture.all_cameras
+    if undisturbed is None and "scene" in run.fresh:
+        undisturbed = read_scene(run.run_dir / "scene")
+    return () if undisturbed is None else {frame.camera_name for frame in undisturbed.dynamic}
 
 
 def _result(
-    run_dir: Path, axis: str, severity: float, seed: int, stopped: str | None, stages: Sequence[str]
+    run_dir: Path,
+    axis: str,
+    severity: float,
+    seed: int,
+    stopped: str | None,
+    stages: Sequence[str],
+    cameras: Iterable[str],
 ) -> Result:
     """What a run folder says of a case; of stages that are the case's own, not of an earlier run's."""
     complaints = tuple(
-        Complaint(stage, row.check, row.verdict, row.value)
+        Complaint(stage, row.check, row.verdict, row.value, kind_of(row.check, cameras))
         for stage in stages
         for row in read_health(run_dir / stage)
         if row.verdict != "ok" and not row.check.startswith(NEEDS_TEST_VIEWS)

@@ -1,6 +1,5 @@
 """Where on an axis the result breaks, and where the pipeline first says so."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -9,9 +8,6 @@ from devrf.pipelines.bench.stability.case import Complaint, Result
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 
 WORSE = {"warn": 1, "fail": 2}
-_OF_WHICH = re.compile(
-    r" \([^()]*\)$"
-)  # behind a check's name: its worst camera, which may be another one each time
 
 
 @dataclass(frozen=True)
@@ -68,8 +64,8 @@ def new_complaints(result: Result, undisturbed: Result) -> tuple[Complaint, ...]
 
 
 def _kind(complaint: Complaint) -> tuple[str, str]:
-    """Stage and check: the same complaint about another camera is no new one."""
-    return complaint.stage, _OF_WHICH.sub("", complaint.check)
+    """Stage and kind of check: the same complaint about another camera is no new one."""
+    return complaint.stage, complaint.kind
 
 
 def said(result: Result, undisturbed: Result | None) -> tuple[str, ...]:
