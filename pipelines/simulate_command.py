@@ -17,6 +17,7 @@ from devrf.capture.simulate.forward import simulate_forward
 from devrf.capture.simulate.session import simulate_session
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.console import Talk
+from devrf.pipelines.stamps.code_version import code_version
 
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -32,8 +33,17 @@ class Protocol:
     size: str
 
 
+def session_code() -> str:
+    """Version of the code that renders sessions: of the sources that it needs, not of the renderer's library."""
+    return code_version(simulate_session.__module__)
+
+
+def _session(out: Path, scene: str, **arguments: Any) -> Path:
+    return simulate_session(out, scene, **arguments, code=session_code())
+
+
 PROTOCOLS = {
-    "session": Protocol(SessionOptions, simulate_session, "sheet", 4, "480x360"),
+    "session": Protocol(SessionOptions, _session, "sheet", 4, "480x360"),
     "devrf": Protocol(DatasetOptions, simulate_dataset, "vehicle", 4, "400x400"),
     "devrf-forward": Protocol(ForwardOptions, simulate_forward, "flower", 3, "480x270"),
 }

@@ -11,8 +11,8 @@ exposure. `simulate_session` writes
 
 `ground_truth.json` holds, besides what docs/formats.md promises: `sweep` (K, k1 of the moving camera), per
 camera `K`, `k1`, `gain`, `clapper_distance_m` and `file_times_s`, `claps` (place and times), `object` (some
-of the object's surface points at times on cam0's clock) and `made_by` (scene, seed, options). K's have the
-centre of the first pixel at 0, unlike `Camera`, which has it at 0.5. The same arguments give the same
+of the object's surface points at times on cam0's clock) and `made_by` (scene, seed, options, code). K's have
+the centre of the first pixel at 0, unlike `Camera`, which has it at 0.5. The same arguments give the same
 session, up to what the video encoder makes of the same pictures.
 """
 
@@ -66,6 +66,7 @@ def simulate_session(
     size: tuple[int, int] = (480, 360),
     options: SessionOptions | None = None,
     kept: Sequence[Path] = (),
+    code: str | None = None,
     progress: Progress = no_progress,
 ) -> Path:
     """Render a raw session with known truth.
@@ -78,6 +79,7 @@ def simulate_session(
         size: Width and height of the pictures, even numbers of pixels.
         options: Everything else.
         kept: Clips of another session that these arguments would not change; they are copied, not rendered.
+        code: Version of this simulator's code, for the record; None: not known.
         progress: Told after every picture.
     Returns:
         The scene.yaml.
@@ -116,7 +118,7 @@ def simulate_session(
             *((c.name, c.camera) for c in fixed),
         ]:
             work.board_clip(name, camera)
-    truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed)
+    truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed, code)
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
     path = out / "scene.yaml"
     path.write_text(scene_yaml(scene, fixed, options), encoding="utf-8")

@@ -24,6 +24,7 @@ def ground_truth(
     options: SessionOptions,
     scene: str,
     seed: int,
+    code: str | None,
 ) -> dict[str, Any]:
     """What ground_truth.json holds: see `simulate_session` and docs/formats.md."""
     chosen = np.linspace(0, len(thing.rest.vertices) - 1, TRACKED_POINTS).round().astype(int)
@@ -56,7 +57,7 @@ def ground_truth(
             "times_s": times_s.tolist(),
             "points_m": np.round(tracks, 5).tolist(),
         },
-        "made_by": {"scene": scene, "seed": seed, "options": options.model_dump(mode="json")},
+        "made_by": {"scene": scene, "seed": seed, "options": options.model_dump(mode="json"), "code": code},
     }
     if options.board:
         truth["board"] = {

@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,25 +13,47 @@ from devrf.capture.scene import Scene
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage.intact import DoesNotApply, Intact
-from devrf.pipelines.bench.stability.session import how_it_was_made, rendered
+from devrf.pipelines.bench.stability.session import Simulated, is_rendered, rendered
 from devrf.pipelines.bench.stability.session import session as of_the_suite
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import CaptureConfig
 from devrf.pipelines.console import Talk
+from devrf.pipelines.simulate_command import session_code, simulate
+from devrf.pipelines.stamps.code_version import sources
 
 REAL = (
     "{name: real, capture: {static: static.mp4, cameras: {cam0: a.mp4, cam1: b.mp4}, test_cameras: [cam1]}}"
 )
 
 
+OPTIONS = {
+    "sweep_frames": 2, "fps": 4, "duration_s": 0.8, "motion_scale": 2, "spp": 4, "board": False, "sound": False,
+    "noise": 0,
+}  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A user's own session."""
     pytest.importorskip("mitsuba")
     folder = tmp_path_factory.mktemp("suite") / "session"
-    options = SessionOptions(
-        sweep_frames=2, fps=4, duration_s=0.8, motion_scale=2, spp=4, board=False, sound=False, noise=0
-    )
-    return rendered(folder, {"scene": "sheet", "cameras": 1, "seed": 0, "size": (32, 24), "options": options})
+    settings = [f"{name}={str(value).lower()}" for name, value in OPTIONS.items()]
+    simulate(Talk("quiet"), folder, "sheet", "session", 1, 0, "32x24", settings)
+    return folder / "scene.yaml"
+
+
+def made() -> Simulated:
+    """How it was made."""
+    return Simulated("sheet", 1, 0, (32, 24), SessionOptions.model_validate(OPTIONS))
+
+
+def with_code(truth: Path, code: str | None) -> None:
+    """As if another version of the simulator had made it; None: one that did not say."""
+    content = json.loads(truth.read_text())
+    content["made_by"] |= {"code": code}
+    if code is None:
+        del content["made_by"]["code"]
+    truth.write_text(json.dumps(content))
 
 
 def test_a_session_is_made_again_once_for_all_seeds_with_the_clips_that_stay(
@@ -63,20 +87,68 @@ def test_a_session_is_made_again_once_for_all_seeds_with_the_clips_that_stay(
 
 
 def test_a_session_that_was_made_otherwise_is_not_taken_for_this_one(session: Path, tmp_path: Path) -> None:
-    options = SessionOptions.model_validate(
-        json.loads((session.parent / "ground_truth.json").read_text())["made_by"]["options"]
-    )
-    made_by = {"scene": "sheet", "cameras": 1, "seed": 0, "size": (32, 24), "options": options}
     folder = tmp_path / "session"
     shutil.copytree(session.parent, folder)
     when = (folder / "scene.yaml").stat().st_mtime_ns
-    rendered(folder, made_by)
+    rendered(folder, made())
     assert (folder / "scene.yaml").stat().st_mtime_ns == when
-    rendered(folder, made_by | {"options": options.model_copy(update={"noise": 0.1})})
-    assert how_it_was_made(folder) != how_it_was_made(session.parent)
-    with pytest.raises(InputError, match="give another --out"):
+    other = replace(made(), options=made().options.model_copy(update={"noise": 0.1}))
+    rendered(folder, other)
+    assert is_rendered(folder, other) and not is_rendered(folder, made())
+    with pytest.raises(InputError, match="not the session that is rendered now.*give another --out"):
         of_the_suite(tmp_path, Talk("quiet"))
-    assert how_it_was_made(tmp_path / "none") is None
+    assert not is_rendered(tmp_path / "none", made())
+
+
+@pytest.mark.parametrize("code", ["of another version", None])
+def test_a_session_of_another_version_of_the_simulator_is_not_compared_with_this_one(
+    session: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str | None
+) -> None:
+    assert Simulated.of(session.parent / "ground_truth.json") == made() and made().code == session_code()
+    folder, axis = tmp_path / "session", AXES["sweep_motion"]
+    shutil.copytree(session.parent, folder)
+    (tmp_path / "sweep_motion/seed0").mkdir(parents=True)
+
+    def damaged() -> Any:
+        return axis.damaging(
+            Intact(
+                load_scene(folder / "scene.yaml"), folder, odd_scene, tmp_path / "sweep_motion/seed0", 50.0, 0
+            )
+        )
+
+    damaged()
+    again = tmp_path / "sweep_motion/session/ground_truth.json"
+    with_code(again, code)
+    damaged()
+    assert json.loads(again.read_text())["made_by"]["code"] == session_code()  # made anew
+
+    with_code(folder / "ground_truth.json", code)
+    for name, value in (("CAMERAS", 1), ("SIZE", (32, 24)), ("OPTIONS", made().options)):
+        monkeypatch.setattr(f"devrf.pipelines.bench.stability.session.{name}", value)
+    with pytest.raises(InputError, match="another version of the simulator.*give another --out"):
+        of_the_suite(tmp_path, Talk("quiet"))
+    with pytest.raises(DoesNotApply, match="another version of the simulator"):
+        damaged()
+
+
+def test_the_version_is_that_of_what_sessions_are_rendered_by() -> None:
+    """Every module that draws them, and neither the data sets' simulator nor what reads sessions."""
+    modules = {name.removeprefix("devrf.capture.") for name in sources("devrf.capture.simulate.session")}
+    assert modules >= {f"simulate.{name}" for name in ("rig", "renderer", "objects", "sensor", "sound")}
+    assert not modules & {"simulate.dataset", "simulate.forward", "simulate.damage", "clips", "video"}
+
+
+def test_a_truth_that_does_not_say_how_is_none(tmp_path: Path) -> None:
+    truth = tmp_path / "ground_truth.json"
+    for text in (
+        "",
+        "[]",
+        '{"cams": {}}',
+        '{"made_by": {"scene": "sheet", "seed": 0, "options": {"old": 1}}}',
+    ):
+        truth.write_text(text)
+        assert Simulated.of(truth) is None
+    assert Simulated.of(tmp_path / "none.json") is None
 
 
 def test_what_the_simulator_cannot_make_does_not_apply(

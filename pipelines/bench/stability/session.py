@@ -1,16 +1,17 @@
 """The small session that the suite damages where no other scene is given, and how sessions are made in its folders."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import rmtree
-from typing import Any
 
 from devrf.capture.errors import InputError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.simulate.session import simulate_session
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.console import Talk
+from devrf.pipelines.simulate_command import session_code
 
 SCENE, CAMERAS, SIZE = "sheet", 4, (240, 180)
 OPTIONS = SessionOptions(
@@ -35,61 +36,95 @@ SETTINGS = (
 )
 
 
+TRUTH = "ground_truth.json"
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """How a session is simulated.
+
+    Attributes:
+        scene, cameras, seed, size, options: The arguments of `simulate_session`.
+        code: Version of the simulator's code; None where nobody has said.
+    """
+
+    scene: str
+    cameras: int
+    seed: int
+    size: tuple[int, int]
+    options: SessionOptions
+    code: str | None = field(default_factory=session_code)
+
+    @classmethod
+    def of(cls, truth: Path) -> "Simulated | None":
+        """The same of a session that lies there; None where its truth does not say, or not in words of today."""
+        try:
+            content = json.loads(truth.read_text(encoding="utf-8"))
+            made_by = content["made_by"]
+            return cls(
+                made_by["scene"],
+                len(content["cams"]) - 1,  # the last is the witness
+                made_by["seed"],
+                (content["width"], content["height"]),
+                SessionOptions.model_validate(made_by["options"]),
+                made_by.get("code"),
+            )
+        except (FileNotFoundError, KeyError, TypeError, ValueError):
+            return None
+
+
 def session(out: Path, talk: Talk) -> Path:
     """The session's scene.yaml in `out`.
 
     Raises:
-        InputError: Another session lies there, of an older version.
+        InputError: Another session lies there, or one of another version.
     """
-    made_by = {"scene": SCENE, "cameras": CAMERAS, "seed": 0, "size": SIZE, "options": OPTIONS}
-    folder = out / "session"
-    if folder.exists() and how_it_was_made(folder) != how(**made_by):
+    made, folder = Simulated(SCENE, CAMERAS, 0, SIZE, OPTIONS), out / "session"
+    if folder.exists() and not is_rendered(folder, made):
+        there = Simulated.of(folder / TRUTH)
+        same = there is not None and replace(there, code=made.code) == made
+        what = (
+            "rendered by another version of the simulator" if same else "not the session that is rendered now"
+        )
         raise InputError(
-            f"{folder}: not the session that bench stability renders now, so its cases would not compare; give another "
-            "--out, or delete that folder"
+            f"{folder}: {what}, so its cases would not compare; give another --out, or delete that folder"
         )
     with talk.progress("simulate") as progress:
-        return rendered(folder, made_by, progress=progress)
+        return rendered(folder, made, progress=progress)
 
 
 def rendered(
-    folder: Path, made_by: Mapping[str, Any], kept: Sequence[Path] = (), progress: Progress = no_progress
+    folder: Path, made: Simulated, kept: Sequence[Path] = (), progress: Progress = no_progress
 ) -> Path:
     """A session's scene.yaml; rendered where it is not there yet or was made otherwise, whole or not at all.
 
     Args:
         folder: Of the session.
-        made_by: The arguments of `simulate_session`.
+        made: How.
         kept: Clips that are there already.
         progress: Told after every picture.
+    Raises:
+        InputError: The simulator refuses it, or the folder; what lay there still does.
     """
-    if how_it_was_made(folder) != how(**made_by):
-        rmtree(folder, ignore_errors=True)
+    if not is_rendered(folder, made):
         new = folder.with_name(f".new-{folder.name}")
         rmtree(new, ignore_errors=True)
-        simulate_session(new, **made_by, kept=kept, progress=progress)
+        simulate_session(
+            new,
+            made.scene,
+            cameras=made.cameras,
+            seed=made.seed,
+            size=made.size,
+            options=made.options,
+            kept=kept,
+            code=made.code,
+            progress=progress,
+        )
+        rmtree(folder, ignore_errors=True)
         new.rename(folder)
     return folder / "scene.yaml"
 
 
-def how(
-    scene: str, cameras: int, seed: int, size: tuple[int, int], options: SessionOptions
-) -> dict[str, Any]:
-    """The arguments of `simulate_session` as they are compared."""
-    return {
-        "scene": scene,
-        "cameras": cameras,
-        "seed": seed,
-        "size": list(size),
-        "options": options.model_dump(mode="json"),
-    }
-
-
-def how_it_was_made(folder: Path) -> dict[str, Any] | None:
-    """The same of a session that lies there, by its truth; None where there is none."""
-    truth = folder / "ground_truth.json"
-    if not truth.is_file() or not (folder / "scene.yaml").is_file():
-        return None
-    content = json.loads(truth.read_text(encoding="utf-8"))
-    cameras = len(content["cams"]) - 1  # the last is the witness
-    return content["made_by"] | {"cameras": cameras, "size": [content["width"], content["height"]]}
+def is_rendered(folder: Path, made: Simulated) -> bool:
+    """Whether this session lies there."""
+    return (folder / "scene.yaml").is_file() and Simulated.of(folder / TRUTH) == made

@@ -4,9 +4,8 @@ It applies wherever a scene's truth says how it was simulated, and is made once 
 cameras see a difference, the sweep's clip is kept as it is, and the other way round.
 """
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +20,9 @@ from devrf.pipelines.bench.stability.damage.intact import (
     Intact,
     with_capture,
 )
-from devrf.pipelines.bench.stability.session import rendered
+from devrf.pipelines.bench.stability.session import TRUTH, Simulated, rendered
 from devrf.pipelines.config.scene import SceneConfig
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """How the scene was simulated: the arguments of `simulate_session`."""
-
-    scene: str
-    cameras: int
-    seed: int
-    size: tuple[int, int]
-    options: SessionOptions
+from devrf.pipelines.simulate_command import session_code
 
 
 def again(
@@ -61,14 +50,8 @@ def again(
         ]
         try:
             options = was.options.model_dump() | change(was.options, intact.severity)
-            made_by = {
-                "scene": scene or was.scene,
-                "cameras": was.cameras,
-                "seed": was.seed,
-                "size": was.size,
-                "options": SessionOptions.model_validate(options),
-            }
-            rendered(folder, made_by, kept)
+            made = replace(was, scene=scene or was.scene, options=SessionOptions.model_validate(options))
+            rendered(folder, made, kept)
         except (InputError, ValidationError) as error:
             raise DoesNotApply(str(error)) from error
         return Damage(_filmed_in(intact, folder))
@@ -80,21 +63,18 @@ def simulated(intact: Intact) -> Simulated:
     """How the scene was simulated.
 
     Raises:
-        DoesNotApply: It was not, or nobody knows how.
+        DoesNotApply: It was not, or nobody knows how, or what is rendered now would differ by more than the damage.
     """
     whole = intact.capture is not None and intact.capture.static is not None
     truth = intact.config.truth_path(intact.scene_dir) if whole else None
-    content = {} if truth is None else json.loads(truth.read_text())
-    if "made_by" not in content:
-        raise DoesNotApply("it is no simulated session with its sweep, which could be made again")
-    made_by = content["made_by"]
-    return Simulated(
-        made_by["scene"],
-        len(content["cams"]) - 1,  # the last is the witness
-        made_by["seed"],
-        (content["width"], content["height"]),
-        SessionOptions.model_validate(made_by["options"]),
-    )
+    found = None if truth is None else Simulated.of(truth)
+    if found is None:
+        raise DoesNotApply("it is no simulated session with its sweep, whose truth says how to make it again")
+    if found.code != session_code():
+        raise DoesNotApply(
+            "the session was rendered by another version of the simulator; render it anew with devrf-pipeline simulate"
+        )
+    return found
 
 
 def _clips(intact: Intact) -> dict[str, Path]:
@@ -120,5 +100,5 @@ def _filmed_in(intact: Intact, folder: Path) -> SceneConfig:
         boards = {name: str(folder / Path(clip).name) for name, clip in capture.board.clips.items()}
         changes["board"] = capture.board.model_copy(update={"clips": boards})
     config = with_capture(intact.config, **changes)
-    evaluate = config.evaluate.model_copy(update={"truth": str(folder / "ground_truth.json")})
+    evaluate = config.evaluate.model_copy(update={"truth": str(folder / TRUTH)})
     return config.model_copy(update={"evaluate": evaluate})
