@@ -87,7 +87,8 @@ def simulate_session(
         InputError: Unknown scene, odd size, folder not empty, or mitsuba not installed.
     """
     options = options or SessionOptions()
-    _check(out, scene, cameras, size, options)
+    check_arguments(scene, cameras, size, options)
+    _check_folder(out)
     load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
     around = room(seeds[0], options.texture_contrast)
@@ -125,7 +126,12 @@ def simulate_session(
     return path
 
 
-def _check(out: Path, scene: str, cameras: int, size: tuple[int, int], options: SessionOptions) -> None:
+def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: SessionOptions) -> None:
+    """Refuse what `simulate_session` cannot render, wherever it is to be written.
+
+    Raises:
+        InputError: Unknown scene, odd size, or options that do not fit together.
+    """
     if scene not in SCENES:
         raise InputError(
             f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
@@ -145,6 +151,9 @@ def _check(out: Path, scene: str, cameras: int, size: tuple[int, int], options: 
         raise InputError(
             f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips, expected --scene sheet"
         )
+
+
+def _check_folder(out: Path) -> None:
     check_folder(out, "simulate")
     if out.exists() and any(out.iterdir()):
         raise InputError(f"simulate {out}: not an empty folder; give a new one or empty it")

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -162,3 +163,32 @@ def test_what_the_simulator_cannot_make_does_not_apply(
     too_much = Intact(load_scene(session), session.parent, odd_scene, tmp_path, 2.0, 0)
     with pytest.raises(DoesNotApply, match="motion_scale"):  # four times as large is more than there is
         AXES["deformation"].damaging(too_much)
+
+
+def test_without_the_renderer_only_what_is_rendered_already_applies(
+    session: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "seed0").mkdir()
+    intact = Intact(load_scene(session), session.parent, odd_scene, tmp_path / "seed0", 50.0, 0)
+    AXES["sweep_motion"].damaging(intact)
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    AXES["sweep_motion"].damaging(intact)
+    with pytest.raises(DoesNotApply, match="mitsuba, which is not installed"):
+        AXES["sweep_motion"].damaging(replace(intact, severity=60.0))
+
+
+def test_a_folder_that_cannot_be_written_ends_the_suite(
+    session: Path, odd_scene: Scene, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    intact = Intact(load_scene(session), session.parent, odd_scene, tmp_path / "file/seed0", 50.0, 0)
+    with pytest.raises(InputError, match="file"):
+        AXES["sweep_motion"].damaging(intact)
+
+
+def test_a_session_lies_there_until_another_is_whole(session: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "session"
+    shutil.copytree(session.parent, folder)
+    with pytest.raises(InputError, match="--cameras 0"):
+        rendered(folder, replace(made(), cameras=0))
+    assert is_rendered(folder, made())

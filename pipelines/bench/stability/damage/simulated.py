@@ -12,6 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from devrf.capture.errors import InputError
+from devrf.capture.simulate.mitsuba import load_mitsuba
+from devrf.capture.simulate.session import check_arguments
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.bench.stability.damage.intact import (
     Damage,
@@ -20,7 +22,7 @@ from devrf.pipelines.bench.stability.damage.intact import (
     Intact,
     with_capture,
 )
-from devrf.pipelines.bench.stability.session import TRUTH, Simulated, rendered
+from devrf.pipelines.bench.stability.session import TRUTH, Simulated, is_rendered, rendered
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.simulate_command import session_code
 
@@ -51,9 +53,12 @@ def again(
         try:
             options = was.options.model_dump() | change(was.options, intact.severity)
             made = replace(was, scene=scene or was.scene, options=SessionOptions.model_validate(options))
-            rendered(folder, made, kept)
+            check_arguments(made.scene, made.cameras, made.size, made.options)
+            if not is_rendered(folder, made):
+                load_mitsuba()
         except (InputError, ValidationError) as error:
             raise DoesNotApply(str(error)) from error
+        rendered(folder, made, kept)  # a folder that cannot be written says nothing about the damage
         return Damage(_filmed_in(intact, folder))
 
     return damage
