@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
+from devrf.capture.simulate.rig import fixed_cameras
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage.intact import DoesNotApply, Intact
@@ -192,3 +194,31 @@ def test_a_session_lies_there_until_another_is_whole(session: Path, tmp_path: Pa
     with pytest.raises(InputError, match="--cameras 0"):
         rendered(folder, replace(made(), cameras=0))
     assert is_rendered(folder, made())
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_cameras_draw_together_only_where_the_witness_stays(
+    session: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    folder, asked = tmp_path / "session", list[Simulated]()
+    shutil.copytree(session.parent, folder)
+    truth = json.loads((folder / "ground_truth.json").read_text())
+    truth["cams"] = {f"cam{n}": {} for n in range(count)} | {"witness": {}}
+    (folder / "ground_truth.json").write_text(json.dumps(truth))
+    monkeypatch.setattr(
+        "devrf.pipelines.bench.stability.damage.simulated.rendered",
+        lambda folder, made, kept: asked.append(made),
+    )
+    intact = Intact(load_scene(folder / "scene.yaml"), folder, odd_scene, tmp_path / "axis/seed0", 75.0, 0)
+    if count % 2:
+        with pytest.raises(DoesNotApply, match="odd number"):
+            AXES["spread"].damaging(intact)
+        return
+    AXES["spread"].damaging(intact)
+    before, after = (
+        [c.camera.centre for c in fixed_cameras(np.random.default_rng(0), count, (32, 24), how.options)]
+        for how in (replace(made(), cameras=count), *asked)
+    )
+    np.testing.assert_array_equal(before[-1], after[-1])
+    np.testing.assert_allclose(before[0], after[0], atol=1e-12)  # at the end to which the others draw
+    assert np.linalg.norm(after[0] - after[-2]) < 0.5 * np.linalg.norm(before[0] - before[-2])

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from devrf.pipelines.bench.stability.damage import between, configuration, raw
 from devrf.pipelines.bench.stability.damage.intact import Damaging
-from devrf.pipelines.bench.stability.damage.simulated import again
+from devrf.pipelines.bench.stability.damage.simulated import again, narrower
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,7 @@ AXES = {
         "angle between the training cameras, which draw together at one end",
         "% narrower",
         (30.0, 50.0, 75.0, 95.0),
-        again(
-            lambda was, percent: {
-                "spread_deg": was.spread_deg * (1 - percent / 100),
-                "fan_deg": was.fan_deg - was.spread_deg * percent / 200,
-            },
-            sweep_stays=True,
-        ),
+        narrower,
     ),
     "pose_noise": Axis(
         "rig", "training cameras turned", "degrees", (0.25, 1.0, 4.0, 16.0), between.turned_cameras

@@ -64,6 +64,26 @@ def again(
     return damage
 
 
+def narrower(intact: Intact) -> Damage:
+    """The training cameras draw together at one end by so many percent of their angle; the witness stays.
+
+    The simulator's witness stands in the middle of an even number of cameras. Of an odd number it stands between two
+    of them and would move with them: other test views, which the undisturbed bar says nothing about.
+    """
+    if simulated(intact).cameras % 2:
+        raise DoesNotApply("the witness of an odd number of simulated cameras would move with them")
+    return _NARROWER(intact)
+
+
+_NARROWER = again(
+    lambda was, percent: {
+        "spread_deg": was.spread_deg * (1 - percent / 100),
+        "fan_deg": was.fan_deg - was.spread_deg * percent / 200,
+    },
+    sweep_stays=True,
+)
+
+
 def simulated(intact: Intact) -> Simulated:
     """How the scene was simulated.
 
