@@ -173,6 +173,22 @@ def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path
     assert "cycles" in wrong and "rest_entropy" in wrong
 
 
+@pytest.mark.parametrize(
+    ("name", "option", "value", "expected"),
+    [
+        ("parts", "--parts", "cycles", "rest_entropy"),
+        ("parts", "--device", "tpu", "cuda"),
+        ("stability", "--device", "tpu", "cuda"),
+    ],
+)
+def test_nothing_is_rendered_for_words_that_are_wrong(
+    devrf: Any, tmp_path: Path, name: str, option: str, value: str, expected: str
+) -> None:
+    done = devrf("bench", name, "--out", str(tmp_path / "o"), option, value)
+    assert done.code == 2 and value in done.said and expected in done.said
+    assert not (tmp_path / "o").exists()
+
+
 def test_parts_of_the_motion_share_the_scene_at_rest_even_where_they_change_the_scene(
     dataset: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
