@@ -83,7 +83,7 @@ def run_stability(
     for name in names:
         for severity in AXES[name].some(severities):
             for seed in seeds:
-                if time.monotonic() > until:
+                if time.monotonic() >= until:
                     left_out.setdefault(name, f"from {severity:g} on not begun within {minutes:g} minutes")
                     break
                 try:
