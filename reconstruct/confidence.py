@@ -115,28 +115,41 @@ def _chosen(scene: Scene, moves: bool) -> list[PosedFrame]:
 
 
 def _learn(scene: Scene, evidence: Evidence, frames: Sequence[PosedFrame]) -> ErrorBudget:
-    trues = [load_image(f, scene.image_scale, scene.background).astype(np.float32) / 255 for f in frames]
-    cameras = [f.camera.scaled(scene.image_scale) for f in frames]
+    textures, unrelated = [], []
+    for frame in frames:
+        true = _true(scene, frame)
+        textures.append(slope(true).mean())
+        unrelated.append(2 * true.reshape(-1, 3).var(axis=0).mean())
     ground = Ground(
-        texture=float(np.mean([slope(true).mean() for true in trues])),
-        focal_px=float(np.mean([camera.K[0, 0] for camera in cameras])),
-        unrelated=float(np.mean([2 * true.reshape(-1, 3).var(axis=0).mean() for true in trues])) + LEAST,
+        texture=float(np.mean(textures)),
+        focal_px=float(np.mean([frame.camera.scaled(scene.image_scale).K[0, 0] for frame in frames])),
+        unrelated=float(np.mean(unrelated)) + LEAST,
         sweep=_mean_residual(evidence.sweep),
         motion=_mean_residual([w for witnesses in evidence.fixed.values() for w in witnesses]),
     )
-    terms, errors = [], []
-    for frame, camera, true in zip(frames, cameras, trues, strict=True):
-        layers = render_layers(evidence.model, camera, frame.time)
-        surface = surface_of(evidence, camera, frame.time, layers, besides=frame)
-        every = -(-true[..., 0].size // FIT_PIXELS)
-        found = causes(surface, camera, layers, ground)
-        most = most_displaced(layers, ground)[..., None]
-        found[..., DISPLACED] = np.minimum(found[..., DISPLACED], most)
-        terms.append(found.reshape(-1, len(CAUSES))[::every])
-        errors.append(((layers[0] - true) ** 2).mean(-1).reshape(-1)[::every])
+    terms, errors = zip(*(_some_pixels(scene, evidence, ground, frame) for frame in frames), strict=True)
     fitted = _fit(np.concatenate(terms), np.concatenate(errors).astype(np.float64))
     factors: dict[str, float] = dict(zip(CAUSES, fitted.tolist(), strict=True))
     return ErrorBudget(ground, factors, tuple((f.camera_name, f.index) for f in frames))
+
+
+def _true(scene: Scene, frame: PosedFrame) -> Float32[np.ndarray, "h w 3"]:
+    return load_image(frame, scene.image_scale, scene.background).astype(np.float32) / 255
+
+
+def _some_pixels(
+    scene: Scene, evidence: Evidence, ground: Ground, frame: PosedFrame
+) -> tuple[Float64[np.ndarray, "n causes"], Float32[np.ndarray, " n"]]:
+    """Causes and squared errors of every n-th pixel of a training picture; what is kept of it is only these."""
+    camera, true = frame.camera.scaled(scene.image_scale), _true(scene, frame)
+    layers = render_layers(evidence.model, camera, frame.time)
+    surface = surface_of(evidence, camera, frame.time, layers, besides=frame)
+    every = -(-true[..., 0].size // FIT_PIXELS)
+    found = causes(surface, camera, layers, ground)
+    most = most_displaced(layers, ground)[..., None]
+    found[..., DISPLACED] = np.minimum(found[..., DISPLACED], most)
+    error = ((layers[0] - true) ** 2).mean(-1)
+    return found.reshape(-1, len(CAUSES))[::every].copy(), error.reshape(-1)[::every].copy()
 
 
 def _fit(x: Float64[np.ndarray, "n causes"], y: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " causes"]:

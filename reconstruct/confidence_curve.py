@@ -36,7 +36,7 @@ class ErrorCurve:
         expected, squared = expected[kept].reshape(-1), squared[kept].reshape(-1)
         every = max(1, -(-len(squared) // PER_PICTURE))
         self._expected.append(expected[::every].astype(np.float64))
-        self._squared.append(squared[::every])
+        self._squared.append(squared[::every].copy())  # a view would keep the whole picture
 
     def summary(self, absent: str) -> dict[str, Any]:
         """The curve, in grey levels.

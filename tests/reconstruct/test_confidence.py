@@ -1,5 +1,6 @@
 """Expected errors of rendered pictures: what is seen less is less sure, and errors fall as confidence rises."""
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.confidence import Confidence
-from devrf.reconstruct.confidence_curve import ErrorCurve
+from devrf.reconstruct.confidence_curve import PER_PICTURE, ErrorCurve
 from devrf.reconstruct.confidence_regions import weakest_regions
 from devrf.reconstruct.error_causes import CAUSES, surface_of
 from devrf.reconstruct.error_map import confidence_picture
@@ -247,6 +248,18 @@ def test_curve_of_known_errors() -> None:
     assert abs(worse["spearman"]) < 0.1
     assert worse["ause"] == pytest.approx(worse["ause_random"], rel=0.1)
     assert ErrorCurve().summary("none held out") == {"pixels": 0, "why": "none held out"}
+
+
+def test_a_curve_keeps_only_its_pixels_of_a_picture() -> None:
+    expected, picture = np.full((400, 500), 0.1, np.float32), np.zeros((400, 500, 3), np.float32)
+    curve = ErrorCurve()
+    tracemalloc.start()
+    for _ in range(5):
+        curve.add(expected, picture, picture)
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert curve.summary("")["pixels"] == 5 * PER_PICTURE
+    assert held < 1.5 * 5 * PER_PICTURE * 16  # two numbers of eight bytes for each
 
 
 def test_grey_of_expected_errors() -> None:
