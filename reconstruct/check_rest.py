@@ -3,8 +3,8 @@
 A fixed camera that is wrong (pose, focal length, exposure, blur), a clip that does not begin at rest, a sweep in
 which something moved: all of them show as a picture that the model does not explain as it explains the sweep's own
 held-out pictures. Two measures: how far the picture lies beside the model's (`displacement.py`), and its error where
-the box is seen. At rest is a camera's picture nearest to the time of rest; where the clips never show the scene at
-rest, the median over the clip, in pixels that do not change.
+the box is seen. At rest is a camera's picture nearest to the time of rest; of a clip that does not show the scene at
+rest (it never rests, or this camera began later), the median in pixels that do not change.
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene, load_image, plain_colour
+from devrf.reconstruct.clocks import picture_gap_s
 from devrf.reconstruct.displacement import Displacement, displacement
 from devrf.reconstruct.grids import voxel_size
 from devrf.reconstruct.model import DynamicModel, render_view
@@ -29,6 +30,7 @@ SIDE_PX = 192  # of the longer side, at most: a shift of a thousandth of the wid
 HELD_OUT = (
     4  # pictures of the sweep to compare with, spread over it: their spread is seen, and little time taken
 )
+AT_REST = 1.5  # picture gaps: clocks that run free have a picture within one of every time that they film
 OF_CLIP = 9  # pictures, for the median of a clip that never rests
 LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601
 PLAIN_APART = 2 / 255  # from the plain background: nothing of the subject
@@ -71,9 +73,8 @@ def check_rest(scene: Scene, rest: RestModel) -> tuple[dict[str, RestFit], list[
 
 
 def _of_clip(scene: Scene, model: DynamicModel, clip: Sequence[PosedFrame]) -> RestFit | None:
-    rest_time = scene.rest_time
-    if rest_time is not None:
-        nearest = min(clip, key=lambda frame: abs((frame.time or 0.0) - rest_time))
+    nearest = _at_rest(scene, clip)
+    if nearest is not None:
         return _fit(scene, model, nearest.camera, _picture(scene, nearest), None)
     few = spread(clip, OF_CLIP)
     if len(few) < 3 or any((f.camera.cam_from_world != few[0].camera.cam_from_world).any() for f in few):
@@ -85,6 +86,20 @@ def _of_clip(scene: Scene, model: DynamicModel, clip: Sequence[PosedFrame]) -> R
     pictures = rays.pixels.reshape(len(few), height, width, 3).numpy()
     median = np.median(pictures, axis=0).astype(np.float32) / 255
     return _fit(scene, model, few[0].camera, median, still.reshape(height, width))
+
+
+def _at_rest(scene: Scene, clip: Sequence[PosedFrame]) -> PosedFrame | None:
+    """The camera's picture of the scene at rest, if it filmed then."""
+    rest_time = scene.rest_time
+    if rest_time is None:
+        return None
+
+    def away(frame: PosedFrame) -> float:
+        return abs((frame.time or 0.0) - rest_time)
+
+    nearest = min(clip, key=away)
+    longest = AT_REST * picture_gap_s(clip) / (scene.t1_s - scene.t0_s)
+    return nearest if away(nearest) <= longest else None
 
 
 def _fit(

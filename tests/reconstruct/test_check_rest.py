@@ -47,6 +47,14 @@ def test_a_clip_that_does_not_begin_at_rest_is_seen(ball, rest: RestModel) -> No
     assert words(scene, rest)["PSNR of the scene at rest"] == "warn"
 
 
+@pytest.mark.parametrize("missing", [2, 3])
+def test_a_camera_that_begins_later_is_not_compared_in_motion(ball, rest: RestModel, missing: int) -> None:
+    """Its first picture shows a ball that has moved, which is no fault of the camera."""
+    clips = ball.scene.dynamic
+    late = tuple(f for f in clips if f.camera_name != "cam1" or f.index >= missing)
+    assert set(words(replace(ball.scene, dynamic=late), rest).values()) == {"ok"}
+
+
 def test_a_wrong_focal_length_is_seen(ball, rest: RestModel) -> None:
     scene = changed(ball.scene, lambda f: replace(f, camera=zoomed(f.camera, 1.2)))
     assert "warn" in words(scene, rest).values()
