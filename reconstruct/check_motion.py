@@ -66,7 +66,9 @@ Rays = tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"], Float[Tensor, " n"]]
 
 @torch.no_grad()
 def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, MotionFit]:
-    """Look at every training camera whose pictures change by more than a flicker.
+    """Look at every training camera that stands still and whose pictures change by more than a flicker.
+
+    Where pictures change is found by comparing those of one pose: of a camera that moves nothing is asked.
 
     Args:
         scene: Any frame; its times are the ones that the motion was learned with.
@@ -84,7 +86,8 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     asked = {f.camera_name for f, where, view in changed if len(where) > grown_pixels(view)}
     if not asked:
         return {}
-    pictures = torch.tensor([n for n, f in enumerate(frames) if f.camera_name in asked], device=device)
+    counts = torch.tensor([f.camera_name in asked for f in frames], device=device)
+    pictures = counts.nonzero()[:, 0]
     generator = torch.Generator().manual_seed(seed)
     batch = draw_with_importance(rays, changing, RAYS * len(pictures), 1.0, pictures, generator)
     surroundings = PixelSurroundings(model, rays)
@@ -103,6 +106,7 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     gaps = torch.tensor([picture_gap_s(clip) for clip in by_camera.values()], device=device)[of_frame]
     shifts = torch.from_numpy(SHIFTS).to(rays.times) * gaps[:, None] / (scene.t1_s - scene.t0_s)
     times = (rays.times[:, None] + shifts).to(rays.times)
+    times[~counts] = torch.nan  # at no time: these pictures are not rendered
     rest = model.in_motion or model.rest
     curves = error_curves(rest, model.motion, rays, surroundings, changing, times, generator)
     empty = torch.minimum(left, rest_left) > OPAQUE

@@ -133,7 +133,7 @@ def error_curves(
         rays: The pictures.
         around: What they see outside the box.
         changing: Where they change; only there they are looked at.
-        times: Ascending, in the scene's time.
+        times: Ascending, in the scene's time; NaN: not to be looked at.
         generator: Of the pixels that are looked at.
     """
     curves = np.full(times.shape, np.nan)

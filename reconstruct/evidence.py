@@ -22,6 +22,7 @@ from devrf.reconstruct.pictures import clips, spread, training
 WITNESS_SCALE = 1 / 4
 MOST_OF_SWEEP = 10  # witnesses at rest, spread over the sweep
 MOST_OF_MOTION = 12  # witnesses in motion, over all cameras
+LEAST_PER_CAMERA = 3  # the first, which is mostly at rest, one in the middle and the last
 FEWEST_PX = 32  # of its longer side: with less it cannot tell what hides what
 SAME_SURFACE = 0.03  # of the distance: a point farther behind what a witness sees is hidden from it
 SOLID = 0.5  # opacity from which a pixel shows a surface
@@ -92,7 +93,7 @@ class Evidence:
         self.fixed: dict[str, tuple[Witness, ...]] = {}
         moving = clips(scene) if model.motion is not None else {}
         for name, clip in moving.items():
-            chosen = spread(clip, max(2, MOST_OF_MOTION // len(moving)))
+            chosen = spread(clip, max(LEAST_PER_CAMERA, MOST_OF_MOTION // len(moving)))
             self.fixed[name] = tuple(_witness(scene, model, f) for f in chosen)
 
     def places(self, points: Float[np.ndarray, "n 3"], time: float | None) -> Places:

@@ -15,7 +15,7 @@ from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.check_motion import SHIFTS, MotionFit, _seen_by_others, better_shift, check_motion
 from devrf.reconstruct.late_camera import FEWEST_PICTURES, moved_by
-from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.model import DynamicModel, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.rays import RaySet
@@ -141,6 +141,28 @@ def test_a_flicker_is_not_asked_to_be_explained(ball, true: DynamicModel, tmp_pa
     assert list(check_motion(scene, true)) == ["cam0", "cam1"]
     alone = replace(scene, dynamic=tuple(f for f in scene.dynamic if f.camera_name == "cam2"))
     assert check_motion(alone, true) == {}
+
+
+def test_a_camera_that_moves_is_not_asked_but_sees(ball, true: DynamicModel, monkeypatch) -> None:
+    """cam2 stands elsewhere in each picture; its pictures are not rendered, and cam1 still is not alone."""
+
+    def walks(frame: PosedFrame) -> PosedFrame:
+        if frame.camera_name != "cam2":
+            return frame
+        there = frame.camera.cam_from_world.copy()
+        there[0, 3] += 1e-3 * frame.index
+        return replace(frame, camera=replace(frame.camera, cam_from_world=there))
+
+    rendered: list[int] = []
+
+    def counted(rest: RestModel, window: Any, live: Any, rays_o: torch.Tensor, *others: Any) -> Any:
+        rendered.append(len(rays_o))
+        return render_moved(rest, window, live, rays_o, *others)
+
+    monkeypatch.setattr("devrf.reconstruct.clocks.render_moved", counted)
+    fits = check_motion(replace(ball.scene, dynamic=tuple(walks(f) for f in ball.scene.dynamic)), true)
+    assert list(fits) == ["cam0", "cam1"] and len(rendered) == 2 * 5
+    assert fits["cam1"].alone is not None and fits["cam1"].alone < 0.15
 
 
 @pytest.mark.parametrize("z", [1.5, 6.0])

@@ -18,6 +18,7 @@ from devrf.reconstruct.confidence_regions import weakest_regions
 from devrf.reconstruct.error_causes import CAUSES, surface_of
 from devrf.reconstruct.error_map import confidence_picture
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
+from devrf.reconstruct.evidence import Evidence
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc
@@ -72,6 +73,15 @@ def test_a_part_that_fewer_cameras_see_is_less_sure(ball, known: Confidence, mov
     assert known.budget.factors["place"] > 0
     assert np.median(one_sees[hidden] / all_see[hidden]) > 1.5
     assert (one_sees[ball_there] >= all_see[ball_there] * 0.999).mean() > 0.9
+
+
+def test_each_of_many_cameras_witnesses_more_than_the_scene_at_rest_and_the_end(
+    ball, moving: DynamicModel
+) -> None:
+    clip = [f for f in ball.scene.dynamic if f.camera_name == "cam0"]
+    six = tuple(replace(f, camera_name=f"cam{n}") for n in range(6) for f in clip)
+    evidence = Evidence(replace(ball.scene, static=(), dynamic=six), moving)
+    assert [[w.frame.index for w in each] for each in evidence.fixed.values()] == [[0, 2, 4]] * 6
 
 
 def test_a_part_that_no_sweep_picture_shows_is_less_sure(ball, rest: RestModel) -> None:
