@@ -83,8 +83,8 @@ def evaluate(
         confidence: Expected errors of the same model's pictures; None: nothing is said of them.
     Returns:
         `test`, `test_static`, `test_moving`, `static_baseline`, `per_view`, `render_fps`; with `confidence` also
-        `confidence`: `test` and `test_moving`, expected errors against measured ones (`ErrorCurve.summary`), of the
-        pictures that confidence is kept of.
+        `confidence`: `test`, `test_static` and `test_moving`, expected errors against measured ones
+        (`ErrorCurve.summary`), of the pictures that confidence is kept of.
     """
     scene = scene.in_box_frame()
     moving = sorted(
@@ -110,8 +110,10 @@ def evaluate(
         name: [v[name] for v in later if v[name]["psnr"] is not None] for name in ("moving", "rest_moving")
     }
     no_pixels = absent if not later else "no pixel differs from the scene at rest"
+    still_curve = session.still_curve.summary(nothing_held_out)
     curves = {
-        "test": (session.curve if scene.dynamic else session.still_curve).summary(absent),
+        "test": session.curve.summary(absent) if scene.dynamic else still_curve,
+        "test_static": still_curve,
         "test_moving": session.moving_curve.summary(no_pixels),
     }
     return {

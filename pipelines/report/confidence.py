@@ -11,6 +11,7 @@ from devrf.pipelines.report.run import RunFolder, as_float, at, evenly
 METRICS, BUDGET = "evaluate/metrics.json", "evaluate/confidence.json"
 KINDS = ("true", "rendered", "confidence", "error")
 WIDTH, MAX_VIEWS, MAX_REGIONS = 320, 3, 6
+CURVES = {"test": "test views", "test_moving": "where it moves", "test_static": "held-out sweep"}
 LEAD = (
     "How wrong each pixel is expected to be, from who sees it, how well training pictures are explained there and how "
     "consistent the motion is; never from the true picture. White is sure, an expected PSNR of 40 dB or more; black is "
@@ -48,10 +49,12 @@ def _picture(folder: Path, row: dict[str, Any], kind: str) -> str:
 
 def _curves(found: dict[str, Any]) -> str:
     series, rows = [], []
-    for n, (key, name) in enumerate((("test", "test views"), ("test_moving", "where it moves"))):
+    for n, (key, name) in enumerate(CURVES.items()):
         bins = at(found, f"{key}.bins")
         if not isinstance(bins, list) or not bins:
             continue
+        if key == "test_static" and at(found, key) == at(found, "test"):
+            continue  # nothing moves: these are the test views
         expected, measured = (
             [as_float(at(part, which)) for part in bins] for which in ("expected_rms", "measured_rms")
         )

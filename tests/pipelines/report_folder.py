@@ -241,7 +241,8 @@ def _confidence() -> dict[str, object]:
         "low": 0.75,
         "cameras": 1.25,
     }
-    return {"test": curve, "test_moving": {"pixels": 0, "why": "none"}, "as_seen_by": f"cam0{NASTY}", "moves": True,
+    return {"test": curve, "test_static": {**curve, "spearman": 0.375}, "test_moving": {"pixels": 0, "why": "none"},
+            "as_seen_by": f"cam0{NASTY}", "moves": True,
             "low_above": 32.0, "low_share": 0.0625, "regions": [region]}  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from tests.pipelines.report_folder import NASTY, write_json, write_run
 
+from devrf.pipelines.report.confidence import CURVES, confidence_section
 from devrf.pipelines.report.page import SECTIONS, build_report
 from devrf.pipelines.report.run import RunFolder
 from devrf.pipelines.stages import STAGES, stage_names
@@ -85,9 +86,21 @@ def test_confidence_shows_pictures_curve_and_regions(full_run):
     html, page = _page(full_run)
     quoted = {key: value for file, key, value in page.numbers if file == "evaluate/metrics.json"}
     assert quoted["confidence.test.spearman"] == 0.625
+    assert quoted["confidence.test_static.spearman"] == 0.375 and "held-out sweep" in page.text
     assert quoted["confidence.regions.0.expected_rms"] == 40.5
     assert html.count('alt="confidence picture"') == 2  # of the two test views in motion
     assert "measured error, grey levels" in html and "back, low" in page.text
+
+
+@pytest.mark.parametrize(("curves", "said"), [({"test_static"}, 1), ({"test", "test_static"}, 1), (set(), 0)])
+def test_held_out_sweep_pictures_stand_in_for_test_views(tmp_path, curves, said):
+    """Without a test camera they are shown; where nothing moves they are the test views, and shown once."""
+    bins = [{"share": 1.0, "expected_rms": 4.0, "measured_rms": 3.5}]
+    found = {key: {"bins": bins} if key in curves else {"pixels": 0, "why": "none"} for key in CURVES}
+    write_json(tmp_path / "evaluate/metrics.json", {"confidence": found})
+    html = confidence_section(RunFolder(tmp_path, stage_names(), {}))
+    assert html.count("<td>test views</td>") + html.count("<td>held-out sweep</td>") == said
+    assert ("Not compared with true pictures: none" in html) == (not said)
 
 
 def test_speed_is_shown_where_it_was_measured(full_run):

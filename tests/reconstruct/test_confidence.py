@@ -135,6 +135,7 @@ def test_pictures_and_curves_are_written(ball, known: Confidence, tmp_path: Path
     )
     curves = out["confidence"]
     assert curves["test"]["pixels"] > curves["test_moving"]["pixels"] > 0
+    assert curves["test_static"]["pixels"] == 2 * 48 * 40 and curves["test_static"] != curves["test"]
     assert sum(part["share"] for part in curves["test"]["bins"]) == pytest.approx(1)
     rows = [row for row in out["per_view"] if "error" in row]
     assert len(rows) == 7 and all("confidence" in row for row in rows)
@@ -194,6 +195,7 @@ def test_a_scene_at_rest(ball, rest: RestModel, tmp_path: Path) -> None:
         scene, lambda c, t: known.render(c, t)[0], LpipsNets.load(None), tmp_path, confidence=known
     )
     assert out["confidence"]["test"]["spearman"] > 0.5
+    assert out["confidence"]["test_static"] == out["confidence"]["test"]
     assert out["confidence"]["test_moving"] == {"pixels": 0, "why": "nothing moves in this capture"}
     assert not weakest_regions(scene, known)["moves"]
 
