@@ -63,6 +63,7 @@ RIG_S_PER_CAMERA = 4.0
 SCENE_S_PER_PICTURE = 0.15
 FLOW_S_PER_MEGAPIXEL = 0.45
 VIEW_S_PER_MEGAPIXEL = 13.0  # of test pictures, rendered in motion and at rest
+CONFIDENCE_PICTURES = 5  # as many test pictures' time that confidence takes, whatever is tested: some are trained on
 FILM_S_PER_MEGAPIXEL = 20.0
 
 
@@ -209,7 +210,7 @@ def _evaluate(config: SceneConfig, material: Material, device: str) -> Need:
         need,
         base=need.base + SCORED * pixels,
         left=int(VIEW_STORED * pixels * material.tested) + SMALL,
-        seconds=FEW_S + VIEW_S_PER_MEGAPIXEL * pixels * material.tested / 1e6,
+        seconds=FEW_S + VIEW_S_PER_MEGAPIXEL * pixels * (material.tested + CONFIDENCE_PICTURES) / 1e6,
     )
 
 
