@@ -63,7 +63,9 @@ RIG_S_PER_CAMERA = 4.0
 SCENE_S_PER_PICTURE = 0.15
 FLOW_S_PER_MEGAPIXEL = 0.45
 VIEW_S_PER_MEGAPIXEL = 13.0  # of test pictures, rendered in motion and at rest
-CONFIDENCE_PICTURES = 5  # as many test pictures' time that confidence takes, whatever is tested: some are trained on
+CONFIDENCE_PICTURES = (
+    5  # as many test pictures' time that confidence takes, whatever is tested: some are trained on
+)
 FILM_S_PER_MEGAPIXEL = 20.0
 
 
