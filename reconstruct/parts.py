@@ -28,7 +28,6 @@ class Part:
         what: It does, in words.
         without: The scene and the options that leave it out; the same scene, and equal options, where it is not in use.
         needs: Whether it can have an effect on a scene.
-        needs_clocks: Whether it can have one only where cameras have clocks of their own, as those of captures have.
     """
 
     name: str
@@ -36,11 +35,10 @@ class Part:
     what: str
     without: Callable[[Scene, Options], Setup]
     needs: Callable[[Scene, Options], bool] = lambda scene, options: True
-    needs_clocks: bool = False
 
-    def in_use(self, scene: Scene, options: Options, clocks: bool = True) -> bool:
-        """Whether leaving it out changes anything, in a scene whose cameras have clocks of their own or not."""
-        if not self.needs(scene, options) or (self.needs_clocks and not clocks):
+    def in_use(self, scene: Scene, options: Options) -> bool:
+        """Whether leaving it out changes anything."""
+        if not self.needs(scene, options):
             return False
         other, changed = self.without(scene, options)
         return other is not scene or changed != options
@@ -67,7 +65,7 @@ def _plain(scene: Scene, options: Options) -> bool:
     return scene.background != "shell"
 
 
-def _enough_clocks(scene: Scene, options: Options) -> bool:
+def _enough_cameras(scene: Scene, options: Options) -> bool:
     return len({f.camera_name for f in scene.dynamic if f.split == "train"}) >= FEWEST
 
 
@@ -131,7 +129,7 @@ PARTS: tuple[Part, ...] = (
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
     Part("learn_clocks", "motion", "offsets of clocks learned", _motion(learn_clocks=False)),
     Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False),
-         _enough_clocks, needs_clocks=True),
+         _enough_cameras),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",
          _motion(**_published(MotionOptions, "lr"))),

@@ -50,8 +50,8 @@ def train_deformation(
 
     Arguments and errors as `train_motion`'s.
     """
-    searching = bool(options.find_late_camera and clock_stds)
-    share, check = MOTION if options.fine_tuning or searching else 1.0, _CheckedOnce()
+    searched = clock_stds if options.find_late_camera else None
+    share, check = MOTION if options.fine_tuning or searched else 1.0, _CheckedOnce()
     motion, metrics = train_motion(
         scene,
         rest,
@@ -64,9 +64,9 @@ def train_deformation(
         clock_stds,
         check,
     )
-    if clock_stds and searching:
+    if searched:
         motion, metrics = _with_late_camera(
-            scene, rest, flows, options, device, progress, checkpoint, clock_stds, check, motion, metrics
+            scene, rest, flows, options, device, progress, checkpoint, searched, check, motion, metrics
         )
     if not options.fine_tuning:
         return motion, None, metrics

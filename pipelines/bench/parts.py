@@ -13,7 +13,6 @@ from devrf.capture.scene import Scene
 from devrf.pipelines.bench.charts import gains as gains_chart
 from devrf.pipelines.bench.rows import PIPE_WIDTH, Row, say_files, write_rows
 from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
-from devrf.pipelines.clocks_in_use import clock_stds
 from devrf.pipelines.console import Talk
 from devrf.reconstruct import parts as parts_module
 from devrf.reconstruct.options import Options
@@ -75,8 +74,7 @@ def run_parts(bench: Bench, names: Sequence[str], seeds: Sequence[int], json_pat
     """
     talk, options = bench.run.talk, bench.options()
     chosen = [part for part in PARTS if part.name in names]
-    clocks = bool(clock_stds(bench.run.run_dir))
-    used = [part for part in chosen if part.in_use(bench.scene, options, clocks)]
+    used = [part for part in chosen if part.in_use(bench.scene, options)]
     whole = [_whole(bench, seed) for seed in seeds]
     judged = []
     for part in used:

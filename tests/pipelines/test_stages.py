@@ -11,7 +11,7 @@ from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.stamps.code_version import code_version, sources
-from devrf.pipelines.training_options import training_options
+from devrf.pipelines.training_options import planned_options, training_options
 
 CONTRACT = (
     "ingest static_poses sync rig colour scene flow canonical deformation evaluate render report".split()  # noqa: SIM905
@@ -84,6 +84,13 @@ def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bo
 
     changes = rest(**{key: values.get(key, 77)}) != rest()
     assert changes == (f"reconstruct.{key}" in BY_NAME["canonical"].config_keys)
+
+
+def test_a_late_camera_is_looked_for_where_there_are_clocks() -> None:
+    capture = config(capture={"static": "s.mp4", "cameras": {"a": "a.mp4", "b": "b.mp4", "c": "c.mp4"}})
+    assert planned_options(capture).motion.find_late_camera
+    dataset = config(dataset={"format": "devrf", "path": "d"})
+    assert not planned_options(dataset).motion.find_late_camera
 
 
 def test_code_version_follows_imports() -> None:

@@ -78,17 +78,16 @@ def test_what_means_nothing_for_a_scene_is_not_in_use(ball) -> None:
     }
 
 
-def test_a_late_camera_is_looked_for_among_three_with_clocks(ball) -> None:
-    part, options, train = (
-        by_name("find_late_camera"),
-        preset("tiny"),
-        [f for f in ball.scene.dynamic if f.split == "train"],
-    )
+def test_a_late_camera_is_looked_for_among_three(ball) -> None:
+    part, options = by_name("find_late_camera"), preset("tiny")
+    train = [f for f in ball.scene.dynamic if f.split == "train"]
     three = tuple(replace(f, camera_name=f"cam{n % 3}") for n, f in enumerate(train))
     scene = replace(ball.scene, dynamic=three)
-    assert part.in_use(scene, options, clocks=True) and not part.in_use(scene, options, clocks=False)
+    assert part.in_use(scene, options)
+    learned = preset("tiny", learn_clocks=True)
+    assert not part.in_use(scene, learned)
     two = replace(scene, dynamic=tuple(f for f in three if f.camera_name != "cam2"))
-    assert not part.in_use(two, options, clocks=True)
+    assert not part.in_use(two, options)
 
 
 def test_levels_are_left_out_with_their_iterations(ball) -> None:
