@@ -1,11 +1,17 @@
 """Where a stage that trains keeps its state, in the run folder beside the finished stages."""
 
 from dataclasses import asdict
+from pathlib import Path
 
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamps.stamp import identity_key
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+
+
+def checkpoint_path(run_dir: Path, stage: str) -> Path:
+    """Where a stage's training keeps its state."""
+    return run_dir / f".{stage}.safetensors"
 
 
 def training_checkpoint(
@@ -17,7 +23,7 @@ def training_checkpoint(
     """
     of = {"made_from": context.made_from, "options": asdict(asked), "device": context.device}
     checkpoint = Checkpoint(
-        context.run_dir / f".{stage}.safetensors", identity_key(stage, of), until=context.allowance.until
+        checkpoint_path(context.run_dir, stage), identity_key(stage, of), until=context.allowance.until
     )
     context.afterwards.append(checkpoint.remove)
     return checkpoint

@@ -19,6 +19,7 @@ from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.kernels.trilinear import trilinear
 from devrf.reconstruct.ndc import Ndc
 
+NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")  # of a `Canonical`
 VIEW_FREQUENCIES = 4  # sin and cos at 2^0 .. 2^3 of each component
 PUBLISHED_PLANES = 256  # multi-plane densities are per this part of the depth (DirectVoxGO)
 OPAQUE = 10.0  # raw density of the last plane: every ray ends there

@@ -21,7 +21,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from devrf.capture.durable import sync
-from devrf.capture.errors import OutOfTime
+from devrf.capture.errors import OutOfTime, ReconstructError
 from devrf.reconstruct.training_log import TrainingLog
 
 FIRST_S = 5.0  # of training before the first checkpoint
@@ -191,6 +191,27 @@ class Checkpoint:
             logger.warning("%s: damaged (%s); training begins anew", path, error)
             return None
         return Saved(numbers.pop("done"), tensors, numbers)
+
+
+def look_at(path: Path, device: str, wanted: Callable[[str], bool]) -> Saved:
+    """The newest state of a training that goes on in another process, to be looked at and not taken up.
+
+    Files are replaced whole, so what is read belongs together; the digest of all content is not asked for.
+
+    Args:
+        path: A checkpoint of any training.
+        device: Where the tensors are wanted.
+        wanted: Which of them, by name.
+    Raises:
+        ReconstructError: It is not there any more, or no checkpoint.
+    """
+    try:
+        with safe_open(str(path), framework="pt", device=device) as file:
+            numbers = json.loads(_proven_head(file.metadata() or {}))
+            tensors = {n: file.get_tensor(n) for n in file.keys() if wanted(n)}  # noqa: SIM118 (not a dict)
+    except (OSError, SafetensorError, ValueError) as error:
+        raise ReconstructError(f"{path}: no training to look at ({error})") from None
+    return Saved(numbers.pop("done"), tensors, numbers)
 
 
 NOWHERE = Checkpoint(None)

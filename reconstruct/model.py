@@ -5,10 +5,12 @@ background). Surroundings do not move, so a camera that stands still needs them 
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Float32
 from torch import Tensor
 
@@ -26,8 +28,14 @@ from devrf.reconstruct.train_canonical import RestModel
 
 FEWEST_AT_ONCE = 1 << 9  # rays, where memory is short: fewer would be slow and need hardly less
 CACHED_BYTES = 1 << 28  # of surroundings of cameras that are remembered: 20 cameras of 0.5 megapixels
+CACHED_TIMES = 64  # of which it is remembered where the moving scene may be: 64 kB each
+QUICK = 2  # in a hurry, surroundings are rendered at so many times smaller sides: a quarter of the time
 LIVE_VOXELS = 40  # size of the grid that says where the moving scene may be
 STRETCH = 1.5  # how much a motion may stretch space inside one of its cells
+
+
+def _nothing() -> None:
+    pass
 
 
 @dataclass
@@ -83,14 +91,24 @@ class DynamicModel:
     in_motion: RestModel | None = None
     chunk: int = CHUNK
     _around: OrderedDict[tuple[object, ...], Around] = field(default_factory=OrderedDict, repr=False)
+    _live: OrderedDict[float, Tensor] = field(default_factory=OrderedDict, repr=False)
 
-    def around_camera(self, camera: Camera) -> Around:
-        """Surroundings of all pixels of a camera, row by row; remembered."""
-        key = (camera.cam_from_world.tobytes(), *camera.lens)
+    def alone(self, background: str) -> "DynamicModel":
+        """What is in the box before a plain colour, without its surroundings; grids are not copied."""
+        parts = [self.rest, self.in_motion]
+        rest, in_motion = (p and replace(p, shell=None, background=background) for p in parts)
+        assert rest is not None
+        return DynamicModel(rest, self.motion, in_motion, self.chunk)
+
+    def around_camera(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
+        """Surroundings of all pixels of a camera, row by row; remembered. `between` as `render_layers`'."""
+        key = _key(camera)
         if key not in self._around:
             device = str(self.rest.canonical.density.device)
-            rays_o, rays_d = camera_rays(camera, device)
-            parts = [self.around(o, d) for o, d in _chunks(rays_o, rays_d, self.chunk)]
+            parts = []
+            for o, d in _chunks(*camera_rays(camera, device), self.chunk):
+                between()
+                parts.append(self.around(o, d))
             self._around[key] = Around(
                 *(torch.cat([getattr(p, name) for p in parts]) for name in ("front", "through", "back"))
             )
@@ -98,9 +116,32 @@ class DynamicModel:
                 self._around.popitem(last=False)
         return self._around[key]
 
+    def around_roughly(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
+        """The same of a smaller picture, interpolated; as they are where they are remembered."""
+        if _key(camera) in self._around or self.rest.shell is None:
+            return self.around_camera(camera, between)
+        small = camera.scaled(1 / QUICK)
+        found = self.around_camera(small, between)
+        maps = torch.cat([found.front, found.through[:, None], found.back], dim=1)
+        maps = maps.T.reshape(1, 7, small.height, small.width)
+        whole = F.interpolate(maps, (camera.height, camera.width), mode="bilinear").reshape(7, -1).T
+        return Around(whole[:, :3], whole[:, 3], whole[:, 4:])
+
+    def live_at(self, time: float) -> Tensor:
+        """Distances to where the scene may be occupied at a time (`live_distance`); remembered."""
+        assert self.motion is not None
+        if time not in self._live:
+            rest = self.in_motion or self.rest
+            motion, tau = self.motion.at(time, rest.canonical.density.device)
+            self._live[time] = live_distance(rest, motion, tau, 1)
+            if len(self._live) > CACHED_TIMES:
+                self._live.popitem(last=False)
+        return self._live[time]
+
     def forget(self) -> None:
         """Give back memory that is only held to be quicker."""
         self._around.clear()
+        self._live.clear()
         torch.cuda.empty_cache()  # does nothing where there is none
 
     @torch.no_grad()
@@ -172,7 +213,12 @@ def render_view(
 
 @torch.no_grad()
 def render_layers(
-    model: DynamicModel, camera: Camera, time: float | None
+    model: DynamicModel,
+    camera: Camera,
+    time: float | None,
+    *,
+    between: Callable[[], object] = _nothing,
+    roughly: bool = False,
 ) -> tuple[
     Float32[np.ndarray, "height width 3"],
     Float32[np.ndarray, "height width"],
@@ -181,10 +227,17 @@ def render_layers(
     """A picture, its depth (weighted distance in the box, 0 where nothing is) and the box's opacity.
 
     Where a GPU has no room for the rays, it is tried again with half of them at once, and so from then on.
+
+    Args:
+        model: What is rendered.
+        camera: In the box frame.
+        time: In [0, 1]; None: the scene at rest.
+        between: Called before each part of the rays; what it raises ends the picture.
+        roughly: Surroundings of new cameras may be softer, for a picture that another one follows at once.
     """
     while True:
         try:
-            return _layers(model, camera, time)
+            return _layers(model, camera, time, between, roughly)
         except torch.OutOfMemoryError:
             if model.chunk <= FEWEST_AT_ONCE:
                 raise
@@ -193,7 +246,7 @@ def render_layers(
 
 
 def _layers(
-    model: DynamicModel, camera: Camera, time: float | None
+    model: DynamicModel, camera: Camera, time: float | None, between: Callable[[], object], roughly: bool
 ) -> tuple[
     Float32[np.ndarray, "height width 3"],
     Float32[np.ndarray, "height width"],
@@ -202,14 +255,15 @@ def _layers(
     rest, motion = model.rest, model.motion
     device = str(rest.canonical.density.device)
     rays_o, rays_d = camera_rays(camera, device)
-    around = model.around_camera(camera)
+    around = (model.around_roughly if roughly else model.around_camera)(camera, between)
     live = tau = None
     if motion is not None and time is not None:
         rest = model.in_motion or rest
         motion, tau = motion.at(time, device)
-        live = live_distance(rest, motion, tau, 1)
+        live = model.live_at(time)
     out: list[tuple[Tensor, Tensor, Tensor]] = []
     for o, d in _chunks(rays_o, rays_d, model.chunk):
+        between()
         middle = o.new_full((len(o),), 0.5)
         if motion is not None and live is not None and tau is not None:
             seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
@@ -223,6 +277,10 @@ def _layers(
     size = (camera.height, camera.width)
     picture = around.compose(rgb, left).clamp(0, 1).reshape(*size, 3)
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
+
+
+def _key(camera: Camera) -> tuple[object, ...]:
+    return (camera.cam_from_world.tobytes(), *camera.lens)
 
 
 def _chunks(rays_o: Tensor, rays_d: Tensor, size: int) -> list[tuple[Tensor, Tensor]]:

@@ -9,7 +9,6 @@ metadata, as JSON under `devrf`.
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
-from devrf.reconstruct.canonical import EMPTY, Canonical, ColourNet
+from devrf.reconstruct.canonical import EMPTY, NUMBERS, Canonical, ColourNet
 from devrf.reconstruct.grids import grown
 from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.model import DynamicModel
@@ -42,14 +41,12 @@ TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion
 FORMAT = 5
 BYTES, STREAM = ("codes", "low", "step"), ("stream", "ends")
 MOTION_STEP = 0.05  # voxels of the scene at rest
-CANONICAL_NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")
 
 
 def save_rest(path: Path, model: RestModel) -> None:
     """Write the scene at rest."""
+    meta = {"kind": "rest", **model.numbers()}
     canonical, shell, net = model.canonical, model.shell, model.canonical.net
-    if not isinstance(net, ColourNet):
-        raise ValueError("a coarse model without an MLP is not saved")
     tensors = {
         "canonical.aabb": canonical.aabb,
         **_kept(
@@ -57,24 +54,10 @@ def save_rest(path: Path, model: RestModel) -> None:
         ),
         **{f"net.{name}": value for name, value in net.state_dict().items()},
     }
-    meta: dict[str, Any] = {
-        "kind": "rest",
-        "canonical": {name: getattr(canonical, name) for name in CANONICAL_NUMBERS},
-        "shape": canonical.shape,
-        "channels": canonical.features.shape[3],
-        "mlp_width": net.hidden.out_features,
-        "view_frequencies": net.frequencies,
-        "deferred": canonical.deferred,
-        "ndc": asdict(canonical.ndc) if canonical.ndc is not None else None,
-        "background": model.background,
-        "near": model.near,
-        "far": model.far,
-    }
     if shell is not None:
         density, colour = shell.grid[..., :1], shell.grid[..., 1:]
         tensors["shell.aabb"] = shell.aabb
         tensors |= _kept("shell", shell.distance == 0, shell.reachable(), density, colour)
-        meta["shell"] = {"size": shell.size, "final": shell.final, "near": shell.near, "far": shell.far}
     _save(path, tensors, meta)
 
 
@@ -146,12 +129,7 @@ def load_deformation(folder: Path, device: str = "cpu") -> tuple[MotionField | N
 
 
 def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> RestModel:
-    with torch.device("meta"):  # no memory by what the file says, before its tensors are known to fit
-        net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"])
-    weights = {k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")}
-    net.load_state_dict(weights, assign=True)
-    for parameter in net.parameters():
-        parameter.requires_grad_(False)
+    net = net_of(tensors, meta)
     X, Y, Z = meta["shape"]
     occupied = mask_of(tensors["canonical.occupied"].cpu(), (X, Y, Z)).to(device)
     canonical = Canonical(
@@ -160,7 +138,7 @@ def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> Rest
         net,
         deferred=bool(meta["deferred"]),
         ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
-        **{name: float(meta["canonical"][name]) for name in CANONICAL_NUMBERS},
+        **{name: float(meta["canonical"][name]) for name in NUMBERS},
     )
     canonical.distance = distance(occupied)
     shell = None
@@ -178,6 +156,17 @@ def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> Rest
         shell.distance = distance(occupied)
         shell.grid = torch.cat(_spread("shell", tensors, shell.reachable()), dim=-1)
     return RestModel(canonical, shell, meta["background"], float(meta["near"]), float(meta["far"]), {})
+
+
+def net_of(tensors: dict[str, Tensor], meta: dict[str, Any]) -> ColourNet:
+    """The MLP among a file's tensors, not to be trained."""
+    with torch.device("meta"):  # no memory by what the file says, before its tensors are known to fit
+        net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"])
+    weights = {k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")}
+    net.load_state_dict(weights, assign=True)
+    for parameter in net.parameters():
+        parameter.requires_grad_(False)
+    return net
 
 
 def _kept(

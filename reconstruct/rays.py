@@ -18,7 +18,10 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.resize import shrink
 from devrf.capture.scene import Background, PosedFrame, load_image, read_opacity
 
+REMEMBERED_LENSES, REMEMBERED_PIXELS = 2, 1 << 20  # a picture and a smaller one of it; 12 MB each
 PARALLEL = 1e-9  # direction components below this are held to it, so that a slab test divides safely
+
+_directions: dict[tuple[object, ...], np.ndarray] = {}  # the newest last
 
 
 @dataclass(frozen=True)
@@ -188,9 +191,22 @@ def load_matte(
 def camera_rays(camera: Camera, device: str = "cpu") -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
     """Origins and unit directions of all pixels of a camera, row by row."""
     pose = camera.world_from_cam.astype(np.float32)
-    rays_d = local_directions(camera) @ pose[:3, :3].T
+    rays_d = _remembered_directions(camera) @ pose[:3, :3].T
     rays_o = np.broadcast_to(pose[:3, 3], rays_d.shape)
     return torch.from_numpy(rays_o.copy()).to(device), torch.from_numpy(rays_d).to(device)
+
+
+def _remembered_directions(camera: Camera) -> Float[np.ndarray, "n 3"]:
+    """`local_directions`; for the lenses of a film or of a view that moves they are found once."""
+    if camera.width * camera.height > REMEMBERED_PIXELS:
+        return local_directions(camera)
+    found = _directions.get(camera.lens)
+    if found is None:
+        found = local_directions(camera)
+        while len(_directions) >= REMEMBERED_LENSES:
+            _directions.pop(next(iter(tuple(_directions))), None)
+        _directions[camera.lens] = found
+    return found
 
 
 def local_directions(camera: Camera) -> Float[np.ndarray, "n 3"]:

@@ -6,7 +6,7 @@ comes from a coarse model, as published, or from silhouettes. A forward-facing s
 normalised device coordinates, without a box to find.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.canonical import EMPTY, NUMBERS, Canonical, ColourNet
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.coarse_box import find_subject
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
@@ -61,6 +61,31 @@ class RestModel:
     near: float
     far: float
     metrics: dict[str, Any]
+
+    def numbers(self) -> dict[str, Any]:
+        """All of it that is no tensor, as JSON has it: what files of models and of trainings keep.
+
+        Raises:
+            ValueError: A coarse model without an MLP, which is not kept.
+        """
+        canonical, shell, net = self.canonical, self.shell, self.canonical.net
+        if not isinstance(net, ColourNet):
+            raise ValueError("a coarse model without an MLP is not saved")
+        out: dict[str, Any] = {
+            "canonical": {name: getattr(canonical, name) for name in NUMBERS},
+            "shape": canonical.shape,
+            "channels": canonical.features.shape[3],
+            "mlp_width": net.hidden.out_features,
+            "view_frequencies": net.frequencies,
+            "deferred": canonical.deferred,
+            "ndc": asdict(canonical.ndc) if canonical.ndc is not None else None,
+            "background": self.background,
+            "near": self.near,
+            "far": self.far,
+        }
+        if shell is not None:
+            out["shell"] = {"size": shell.size, "final": shell.final, "near": shell.near, "far": shell.far}
+        return out
 
 
 def train_canonical(
@@ -356,6 +381,7 @@ class _Recipe:
             tensors["surround distance"] = self.shell.distance
         tensors |= {f"{GOOD}{name}": values for name, values in self.good.items()}
         return tensors, {
+            "model": self.model({}).numbers() | {"aabb": self.canonical.aabb.tolist()},  # to look at it
             "samples_per_ray": self.samples_per_ray,
             "good_iteration": self.good_iteration,
             "guard": self.guard.state(),

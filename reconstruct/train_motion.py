@@ -264,6 +264,13 @@ class _Recipe:
         names = ("level", "left_box", "seen", "errors", "gains", "keys_left")
         numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
         numbers["guard"] = self.guard.state()
+        motion = self.motion
+        numbers["motion"] = {  # to look at it
+            "aabb": motion.aabb.tolist(),
+            "t_first": motion.t_first,
+            "t_last": motion.t_last,
+            "rest_key": motion.rest_key,
+        }
         if self.clocks is not None:
             numbers["learned"] = {name: asdict(clock) for name, clock in self.clocks.learned.items()}
         return tensors, numbers
@@ -272,6 +279,7 @@ class _Recipe:
         """Go on from a `state`; returns how many keys of how many levels it has behind it."""
         done, tensors, numbers = saved
         self.guard.take_up(numbers.pop("guard"))
+        numbers.pop("motion", None)
         if self.clocks is not None:
             learned = numbers.pop("learned")
             self.clocks.learned = {name: LearnedClock(**clock) for name, clock in learned.items()}

@@ -18,7 +18,10 @@ from devrf.capture.camera import Camera
 from devrf.capture.picture_files import write_png
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
-from devrf.reconstruct.film import film_cameras, film_frames, film_times, orbit
+from devrf.reconstruct.film.layers import to_8_bits
+from devrf.reconstruct.film.paths import orbit
+from devrf.reconstruct.film.span import film_cameras, film_lens
+from devrf.reconstruct.film.times import film_times
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.train_canonical import train_canonical
@@ -61,8 +64,10 @@ render = lambda camera, time: render_view(model, camera, time)
 scores = evaluate(scene, render, LpipsNets.load(None), folder / "out")
 assert scores["test"]["views"] == 3 and 0 < scores["test"]["psnr"] < 60, scores
 assert len(list((folder / "out").rglob("*_error.png"))) == 4
-path = orbit(film_cameras(scene), scene.aabb, 2, 400)
-assert len(list(film_frames(render, path, film_times(scene, 2)))) == 2
+cameras = film_cameras(scene)
+path = orbit(cameras, scene.aabb, 2, film_lens(cameras, 400))
+for camera, time in zip(path, film_times(scene, 2), strict=True):
+    assert to_8_bits(render(camera, time)).any()
 """
 
 

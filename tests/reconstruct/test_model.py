@@ -6,7 +6,7 @@ import torch
 from tests.reconstruct.test_model_io import _camera, _model
 
 from devrf.reconstruct import model as models
-from devrf.reconstruct.model import CHUNK, FEWEST_AT_ONCE, render_view
+from devrf.reconstruct.model import CHUNK, FEWEST_AT_ONCE, render_layers, render_view
 
 
 def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,3 +27,57 @@ def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPat
     most = FEWEST_AT_ONCE - 1
     with pytest.raises(torch.OutOfMemoryError):
         render_view(model, camera, None)
+
+
+@pytest.mark.parametrize("background", ["white", "shell"])
+def test_a_rough_picture_differs_only_in_its_surroundings(background: str) -> None:
+    camera = _camera().scaled(4.0)
+    exact, depth, opacity = render_layers(_model(background), camera, 0.3)
+    model = _model(background)
+    rough, rough_depth, rough_opacity = render_layers(model, camera, 0.3, roughly=True)
+    np.testing.assert_array_equal(depth, rough_depth)
+    np.testing.assert_array_equal(opacity, rough_opacity)
+    error = np.abs(rough - exact)
+    if background == "white":
+        assert not error.any()
+    else:
+        assert error.any() and np.sqrt((error**2).mean()) < 0.1 * exact.std() + 0.02
+        model.around_camera(camera)  # what is remembered is taken as it is
+        np.testing.assert_array_equal(render_layers(model, camera, 0.3, roughly=True)[0], exact)
+
+
+def test_a_picture_can_be_given_up_between_two_parts() -> None:
+    model, camera, parts = _model("shell"), _camera().scaled(4.0), []
+    model.chunk = 1 << 9
+
+    def third() -> None:
+        parts.append(1)
+        if len(parts) == 3:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        render_layers(model, camera, None, between=third)
+    assert len(parts) == 3
+    whole = render_view(model, camera, None)  # what was begun does no harm
+    np.testing.assert_array_equal(whole, render_view(_model("shell"), camera, None))
+
+
+def test_what_is_remembered_of_a_time_changes_nothing() -> None:
+    model = _model("white")
+    first = render_view(model, _camera(), 0.7)
+    for time in np.linspace(0, 1, models.CACHED_TIMES + 5):
+        model.live_at(float(time))
+    assert len(model._live) <= models.CACHED_TIMES
+    np.testing.assert_array_equal(render_view(model, _camera(), 0.7), first)
+
+
+def test_what_is_in_the_box_alone_has_no_surroundings() -> None:
+    model, camera = _model("shell"), _camera().scaled(2.0)
+    whole, depth, opacity = render_layers(model, camera, 0.4)
+    alone, same_depth, same_opacity = render_layers(model.alone("white"), camera, 0.4)
+    np.testing.assert_array_equal(depth, same_depth)
+    np.testing.assert_array_equal(opacity, same_opacity)
+    np.testing.assert_allclose(alone[opacity == 0], 1.0)
+    assert not np.allclose(alone, whole, atol=0.05)
+    assert not model.alone("white")._around and model._around
+    assert model.rest.shell is not None

@@ -7,7 +7,8 @@ import torch
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
-from devrf.reconstruct.rays import RaySet, camera_rays, intersect
+from devrf.reconstruct import rays as rays_of
+from devrf.reconstruct.rays import RaySet, camera_rays, intersect, local_directions
 
 POSE = np.array([[0, 1, 0, 0.1], [0, 0, 1, -0.2], [1, 0, 0, 3.0]])
 
@@ -91,3 +92,11 @@ def test_cameras_have_the_size_of_their_pictures_whatever_the_scale(tmp_path) ->
     for scale in (0.35136418, 0.608, 0.51):
         rays = RaySet((frame,), scale, "shell")
         assert int(rays.first[-1]) == len(rays.pixels)
+
+
+def test_directions_are_remembered_by_lens_and_never_mixed_up() -> None:
+    cameras = [camera.scaled(scale) for scale in (0.5, 1.0, 1.5) for camera in _cameras()]
+    for camera in [*cameras, *reversed(cameras), *cameras[::2]]:
+        expected = local_directions(camera) @ camera.world_from_cam[:3, :3].T.astype(np.float32)
+        np.testing.assert_array_equal(camera_rays(camera)[1].numpy(), expected)
+    assert len(rays_of._directions) <= rays_of.REMEMBERED_LENSES

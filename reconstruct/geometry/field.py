@@ -1,0 +1,152 @@
+"""The trained model as a function of place and time: how dense it is there, where that rests, and of which colour.
+
+Points are given in the coordinates of the model's grids, which are the box frame, or the reference camera's normalised
+device coordinates (`ndc.py`); `to_box` and `from_box` lead from one to the other. What is empty for the march is
+empty here: the density is 0 beyond the box of the scene at rest and where its occupancy says so.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Float32
+from torch import Tensor
+
+from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.kernels.trilinear import trilinear
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.motion import MotionField
+
+AT_ONCE = 1 << 18  # points; each needs about 200 bytes on its way
+
+
+@dataclass(frozen=True)
+class Field:
+    """The scene at one time. Methods work on any number of points; `blocks` cuts many into parts.
+
+    Attributes:
+        canonical: The scene at rest, as it is rendered at this time.
+        motion: The two key times around the time; None: the scene is at rest.
+        tau: Of the time, in spacings of those two [1].
+    """
+
+    canonical: Canonical
+    motion: MotionField | None = None
+    tau: Float[Tensor, "1"] | None = None
+
+    @property
+    def aabb(self) -> Float[Tensor, "2 3"]:
+        """Box outside which there is nothing, in the coordinates of the grids; on the CPU."""
+        return self.canonical.aabb if self.motion is None else self.motion.aabb
+
+    @property
+    def voxel(self) -> float:
+        """Side of a voxel of the scene at rest; the distance of two planes where the grids are planes."""
+        canonical = self.canonical
+        return canonical.step / canonical.stepsize
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Vertices along each axis of a grid over the box, as far apart as those of the scene at rest."""
+        rest, cells = self.canonical.aabb, torch.tensor(self.canonical.shape) - 1
+        step = (rest[1] - rest[0]) / cells
+        x, y, z = (max(2, round(n) + 1) for n in ((self.aabb[1] - self.aabb[0]) / step).tolist())
+        return x, y, z
+
+    def at_rest(self) -> "Field":
+        """The same scene before it moved."""
+        return replace(self, motion=None, tau=None)
+
+    def to_rest(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Where points seen at this time rest (backward motion)."""
+        return x if self.motion is None else self.motion.to_rest(x, self._taus(x))
+
+    def from_rest(self, x_rest: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Where resting points are at this time (forward motion)."""
+        return x_rest if self.motion is None else self.motion.from_rest(x_rest, self._taus(x_rest))
+
+    @torch.no_grad()
+    def density(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Extinction at points: what absorbs light, per unit of the grids' coordinates (NDC: along z')."""
+        canonical, x0 = self.canonical, self.to_rest(x)
+        raw = trilinear(canonical.density, x0, canonical.aabb)[:, 0]
+        dense = F.softplus(raw + canonical.shift) / canonical.base_voxel
+        return torch.where(_occupied(canonical, x0), dense, 0.0)
+
+    def opacity(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """How much of the light a layer of a voxel's thickness absorbs, in [0, 1]: 0.5 and more looks solid."""
+        return 1 - torch.exp(-self.voxel * self.density(x))
+
+    @torch.no_grad()
+    def features(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
+        """Colour features at points."""
+        return self.canonical.features_at(self.to_rest(x))
+
+    @torch.no_grad()
+    def colours(self, x: Float[Tensor, "n 3"], rays_d: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """RGB in [0, 1] of points, each seen in a direction of its own (unit vectors in the box frame, away from the
+        camera)."""
+        return self.canonical.net(self.features(x), rays_d, torch.arange(len(x), device=x.device))
+
+    def colours_from_outside(
+        self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """RGB in [0, 1] of surface points in the box frame, each looked at against its outward unit normal."""
+        device, out = self.canonical.density.device, np.empty(points.shape)
+        for first in range(0, len(points), AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            x = torch.from_numpy(points[part].astype(np.float32)).to(device)
+            rays_d = torch.from_numpy(-normals[part].astype(np.float32)).to(device)
+            out[part] = self.colours(self.from_box(x), rays_d).cpu().numpy()
+        return out
+
+    def to_box(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Points in the box frame."""
+        return x if self.canonical.ndc is None else self.canonical.ndc.to_world(x)
+
+    def from_box(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Points of the box frame in the coordinates of the grids; NDC: they lie before the reference camera."""
+        return x if self.canonical.ndc is None else self.canonical.ndc.from_world(x)
+
+    def blocks(self, shape: tuple[int, int, int]) -> Iterator[tuple[slice, Float[Tensor, "n 3"]]]:
+        """The vertices of a grid over the box, some planes of its first axis at a time, with where those are."""
+        lines = vertices(self.aabb, (2, *shape[1:]))[0]  # of one plane; its x is put in below
+        xs = torch.linspace(float(self.aabb[0, 0]), float(self.aabb[1, 0]), shape[0])
+        planes = max(1, AT_ONCE // (shape[1] * shape[2]))
+        for first in range(0, shape[0], planes):
+            part = slice(first, min(first + planes, shape[0]))
+            x = lines.expand(part.stop - part.start, *lines.shape).clone()
+            x[..., 0] = xs[part, None, None]
+            yield part, x.reshape(-1, 3).to(self.canonical.density.device)
+
+    def opacity_grid(self, shape: tuple[int, int, int]) -> Float32[Tensor, "X Y Z"]:
+        """`opacity` at the vertices of a grid over the box, on the CPU."""
+        out = torch.empty(shape)
+        for part, x in self.blocks(shape):
+            out[part] = self.opacity(x).reshape(-1, *shape[1:]).cpu()
+        return out
+
+    def _taus(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        assert self.tau is not None
+        return self.tau.to(x).expand(len(x)).contiguous()
+
+
+def field_at(model: DynamicModel, time: float | None) -> Field:
+    """The scene at a time in [0, 1], or at rest (None, or nothing moves), as `render_view` shows it."""
+    if model.motion is None or time is None:
+        return Field(model.rest.canonical)
+    motion, tau = model.motion.at(time, model.rest.canonical.density.device)
+    return Field((model.in_motion or model.rest).canonical, motion, tau)
+
+
+def _occupied(canonical: Canonical, x: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+    """Whether points at rest lie in the box, next to an occupied vertex: those that the march looks at."""
+    lo, hi = canonical.aabb.to(x)
+    last = torch.tensor(canonical.shape, device=x.device) - 1
+    vertex = (x - lo) / (hi - lo) * last
+    inside = ((vertex >= 0) & (vertex <= last)).all(-1)
+    near = torch.minimum((vertex + 0.5).floor().clamp(min=0), last.to(x)).long()
+    return inside & (canonical.distance[tuple(near.unbind(-1))] == 0)

@@ -1,0 +1,98 @@
+"""Splats of a trained model: looked for, fitted, and where they are at each time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import Scene, plain_colour
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.splats.fit import fit
+from devrf.reconstruct.splats.gaussians import Gaussians
+from devrf.reconstruct.splats.looks import look_around
+from devrf.reconstruct.splats.moving import moved
+from devrf.reconstruct.splats.sample import sample
+
+ROUNDS = 4  # of fitting, through all pictures
+LOOKING = 0.4  # of the whole time
+STILL = 0.25  # of its mean standard deviation: a splat that never goes farther does not move
+FAINTEST = 0.02  # opacity below which a splat is left out
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Splats of a scene.
+
+    Attributes:
+        gaussians: At rest, in the box frame; those that move come first.
+        ways: Places of those that move, at each of the times.
+        behind: RGB of what is behind all of them.
+    """
+
+    gaussians: Gaussians
+    ways: Float[Tensor, "K M 3"]
+    behind: Float[Tensor, " 3"]
+
+    @property
+    def moving(self) -> int:
+        """How many move."""
+        return self.ways.shape[1]
+
+    def at(self, key: int) -> Gaussians:
+        """As they are at one of the times."""
+        return self.gaussians.at(torch.cat([self.ways[key], self.gaussians.places[self.moving :]]))
+
+
+def make_splats(
+    scene: Scene,
+    model: DynamicModel,
+    count: int,
+    times: Sequence[float | None],
+    progress: Progress = no_progress,
+    *,
+    rounds: int = ROUNDS,
+    seed: int = 0,
+) -> Splats:
+    """About `count` splats of a model, and where they are at some times.
+
+    Args:
+        scene: In the box frame.
+        model: As it is rendered.
+        count: At most so many.
+        times: In [0, 1], in order; None where nothing moves.
+        progress: To be called with (fraction done, short text).
+        rounds: Of fitting; 0: they stay as they were sampled.
+        seed: Of everything that is drawn.
+    Raises:
+        ReconstructError: The model shows no surface.
+    """
+    behind = behind_of(scene).to(model.rest.canonical.density.device)
+    placed, others = look_around(scene, model, lambda done, text: progress(LOOKING * done, text))
+    gaussians = sample(placed, count, seed)
+
+    def fitting(done: float, text: str) -> None:
+        progress(LOOKING + (1 - LOOKING) * done, text)
+
+    if rounds:
+        gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, seed, fitting)
+    return along(model, gaussians.only(gaussians.logits.sigmoid() > FAINTEST), times, behind)
+
+
+def along(
+    model: DynamicModel, gaussians: Gaussians, times: Sequence[float | None], behind: Float[Tensor, " 3"]
+) -> Splats:
+    """Resting splats with their places at some times; those that stay where they are come last."""
+    places = torch.stack([moved(model, gaussians.places, time) for time in times])
+    farthest = (places - gaussians.places).norm(dim=2).amax(0)
+    moves = farthest > STILL * gaussians.log_scales.exp().mean(1)
+    order = torch.cat([moves.nonzero()[:, 0], (~moves).nonzero()[:, 0]])
+    return Splats(gaussians.only(order), places[:, order[: int(moves.sum())]], behind)
+
+
+def behind_of(scene: Scene) -> Float[Tensor, " 3"]:
+    """The plain colour behind a scene; black behind modelled surroundings, which leave nothing open."""
+    return torch.from_numpy(np.array(plain_colour(scene.background) or (0.0, 0.0, 0.0), np.float32))

@@ -1,0 +1,84 @@
+"""Splats in few bytes, for a page that carries them (pipelines/player/splats.js unpacks them).
+
+Places are floats of 32 bits, since surroundings may be far; what moves goes on in 16-bit steps of its own extent, as
+differences from key time to key time whose rounding does not add up. Orientations are four bytes, logarithms of the
+scales, opacities and colours one byte each. 16-bit numbers are stored with all low bytes before all high ones, which
+deflates better.
+"""
+
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from devrf.reconstruct.splats.gaussians import Gaussians
+
+STEPS = (1 << 15) - 2  # of the longest way of all: its differences fit, wherever it leads
+DEFLATE = 9
+BYTES, BYTES_PER_KEY = 23, 6  # of a splat, and for each key time after the first if it moves
+
+
+@dataclass(frozen=True)
+class Packed:
+    """Splats as a page carries them.
+
+    Attributes:
+        about: What a reader needs to know, for JSON.
+        data: Deflated (zlib).
+    """
+
+    about: dict[str, Any]
+    data: bytes
+
+
+def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"]) -> Packed:
+    """Pack splats.
+
+    Args:
+        gaussians: Those that move first; their own places count only for those that do not.
+        ways: Places of those that move, at the key times.
+    """
+    places = gaussians.places.cpu().numpy().astype("<f4")
+    paths = ways.cpu().numpy().astype(np.float64)
+    keys, moving = paths.shape[:2]
+    places[:moving] = paths[0]
+    away = paths - paths[0]
+    step = 2 * float(np.abs(away).max(initial=0.0)) / STEPS or 1.0
+    log_scales = gaussians.log_scales.cpu().numpy().astype(np.float64)
+    scales = float(log_scales.min()), float(log_scales.max())
+    quats = gaussians.quats.cpu().numpy().astype(np.float64)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    parts = [
+        places,
+        _bytes(quats * 127 + 128),
+        _bytes((log_scales - scales[0]) / max(scales[1] - scales[0], 1e-9) * 255),
+        _bytes(gaussians.logits.sigmoid().cpu().numpy() * 255),
+        _bytes(gaussians.colours.cpu().numpy() * 255),
+        *(_words(way) for way in np.diff(np.round(away / step).astype(np.int64), axis=0)),
+    ]
+    about = {
+        "count": len(places),
+        "moving": moving,
+        "keys": keys,
+        "step": step,
+        "scales": scales,
+    }
+    return Packed(about, zlib.compress(b"".join(part.tobytes() for part in parts), DEFLATE))
+
+
+def size_at_most(count: int, moving: int, keys: int) -> int:
+    """Bytes that splats take at most, packed."""
+    return round(1.001 * (BYTES * count + BYTES_PER_KEY * moving * max(0, keys - 1))) + 64
+
+
+def _words(codes: Int[np.ndarray, "n 3"]) -> UInt8[np.ndarray, " n6"]:
+    """The low bytes of 16-bit numbers, then the high ones; negative numbers as two's complement."""
+    flat = codes.reshape(-1)
+    return np.concatenate([flat & 255, (flat >> 8) & 255]).astype(np.uint8)
+
+
+def _bytes(values: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    return np.clip(np.round(values), 0, 255).astype(np.uint8)
