@@ -97,7 +97,7 @@ def scene_bounds(
     cameras = [*sweep, *fixed]
     if not cameras:
         raise ValueError("bounds of a scene without cameras")
-    box_from_up = _upright(sweep or fixed, fixed or sweep)
+    box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
     hull = visual_hull(masks, focus, box_from_up) if len(masks) > 1 else None
     if hull is not None:
@@ -201,7 +201,7 @@ def visual_hull(
     return cells[large].min(0) - cell / 2, cells[large].max(0) + cell / 2
 
 
-def _upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
+def upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
     """Rotation whose z axis is the mean up of cameras and whose y axis is a mean view direction, levelled."""
     up = -np.mean([c.cam_from_world[1, :3] for c in up_from], axis=0)
     up /= max(float(np.linalg.norm(up)), 1e-9)

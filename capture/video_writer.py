@@ -5,9 +5,12 @@ column repeated. Colours are converted with, and tagged as, BT.709; an untagged 
 whatever matrix the player guesses. The index is put in front, so that playing starts while loading.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 
 import numpy as np
 from jaxtyping import UInt8
@@ -16,6 +19,7 @@ from devrf.capture.errors import CaptureError
 
 CRF = 18  # x264's quality scale: 18 cannot be told from the original by eye, 23 is its default
 BT709 = 1  # number of that matrix, transfer and primaries in ITU-T H.273
+WAITING = 4  # pictures that may wait for the encoder: memory stays bounded where it is the slower one
 
 
 def write_video(
@@ -70,6 +74,53 @@ def write_video(
         path.unlink(missing_ok=True)
         raise CaptureError(f"{path.name}: no pictures to write, expected at least one")
     return count
+
+
+@contextmanager
+def video_beside(path: Path, fps: float) -> Iterator[Callable[[UInt8[np.ndarray, "height width 3"]], None]]:
+    """Write a film beside other work: what is given is called with one picture after the other.
+
+    The film is whole when the block ends; where that ends by an error there is none. Arguments and errors are those of
+    `write_video`; errors come from the next call, or at the end.
+    """
+    queue: Queue[UInt8[np.ndarray, "height width 3"] | None] = Queue(WAITING)
+    failed: list[BaseException] = []
+    given = _until_none(queue)
+
+    def encode() -> None:
+        try:
+            write_video(path, given, fps)
+        except BaseException as error:
+            failed.append(error)
+            for _ in given:  # or who puts would wait for a place
+                pass
+
+    def put(picture: UInt8[np.ndarray, "height width 3"]) -> None:
+        if failed:
+            raise failed[0]
+        queue.put(picture)
+
+    thread = Thread(target=encode, name=f"encoder of {path.name}", daemon=True)
+    thread.start()
+    try:
+        yield put
+    except BaseException:
+        queue.put(None)
+        thread.join()
+        path.unlink(missing_ok=True)
+        raise
+    queue.put(None)
+    thread.join()
+    if failed:
+        path.unlink(missing_ok=True)
+        raise failed[0]
+
+
+def _until_none(
+    queue: "Queue[UInt8[np.ndarray, 'height width 3'] | None]",
+) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    while (picture := queue.get()) is not None:
+        yield picture
 
 
 def _even(picture: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "even_height even_width 3"]:

@@ -12,8 +12,10 @@ import numpy as np
 from devrf.calibration.formats.found import Found, FoundCamera
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
-from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder, pose, quat_wxyz
+from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder
 from devrf.capture.formats.colmap_model import Model, ModelImage, read_model, write_model
+from devrf.capture.formats.colmap_poses import pose, quat_wxyz
+from devrf.capture.formats.colmap_rigs import common_rig, write_rigs
 
 FORMAT = "COLMAP model"
 SAME_ROTATION, SAME_POSITION = (
@@ -56,7 +58,9 @@ def write_colmap_rig(folder: Path, cameras: Mapping[str, Camera], metric: bool) 
         rotation = quat_wxyz(camera.cam_from_world[:, :3])
         images[n + 1] = ModelImage(f"{name}.png", n + 1, rotation, camera.cam_from_world[:, 3])
     models = {n + 1: model_camera(camera) for n, camera in enumerate(cameras.values())}
-    write_model(folder / "sparse" / "0", Model(models, images, {}))
+    model = Model(models, images, {})
+    write_model(folder / "sparse" / "0", model)
+    write_rigs(folder / "sparse" / "0", *common_rig(model, [list(images)]))
 
 
 def _check_fixed(place: Path, seen: Mapping[str, list[FoundCamera]]) -> None:

@@ -1,6 +1,7 @@
 """A COLMAP model with its pictures as a scene at rest: `sparse/0` (or `sparse`) and `images/`.
 
-Our addition, which other programs use too: `test.txt` beside the model, names of the test pictures.
+Our addition, which other programs use too: `test.txt` beside the model, names of the test pictures. Written, pictures
+in motion are a second folder of the same kind, `motion/`, with the fixed cameras as a rig.
 """
 
 from pathlib import Path
@@ -19,12 +20,22 @@ from devrf.capture.formats.colmap_model import (
     read_model,
     write_model,
 )
+from devrf.capture.formats.colmap_poses import pose, quat_wxyz
+from devrf.capture.formats.colmap_rigs import (
+    ModelFrame,
+    ModelRig,
+    common_rig,
+    own_rigs,
+    simultaneous,
+    write_rigs,
+)
 from devrf.capture.formats.export import Export, copied, static_of
 from devrf.capture.formats.files import Header, find_picture, read_header
 from devrf.capture.formats.llff import TEST_LIST, read_names
 from devrf.capture.picture_files import natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
 
+MOTION, TIMES = "motion", "times.csv"
 LARGEST_ERROR_PX, SHORTEST_TRACK = 2.0, 3  # as for our own sweeps: points beyond are often wrong
 READ_MODELS = (
     "SIMPLE_PINHOLE",
@@ -64,14 +75,43 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
 
 
 def write_colmap(export: Export) -> None:
-    """`sparse/0` with each camera's own lens, the points, and the pictures as they are."""
-    frames = copied(export, static_of(export, "colmap"), "images")
-    base, points = export.folder / "images", export.scene.points
-    cameras: dict[ModelCamera, int] = {}
+    """`sparse/0` with each camera's own lens, the points, and the pictures as they are; motion in `motion/`."""
+    scene = export.scene
+    still = copied(export, static_of(export, "colmap", left_out=False), "images")
+    model = _model(still, export.folder / "images", scene.points, shared=True)
+    _write(export.folder, model, *own_rigs(model), still)
+    if not scene.dynamic:
+        return
+    moving = copied(export, scene.dynamic, f"{MOTION}/images")
+    model = _model(moving, export.folder / MOTION / "images", None, shared=False)
+    groups = simultaneous([(f.camera_name, f.time_s or 0.0) for f in moving])
+    rigs, frames = common_rig(model, [[n + 1 for n in group] for group in groups])
+    _write(export.folder / MOTION, model, rigs, frames, moving)
+    frame_of = {image: number for number, frame in frames.items() for image in frame.images}
+    rows = [
+        f"{model.images[n + 1].name},{frame_of[n + 1]},{f.camera_name},{f.time_s:.6f},{f.split}\n"
+        for n, f in enumerate(moving)
+    ]
+    (export.folder / MOTION / TIMES).write_text("image,frame,camera,time_s,split\n" + "".join(rows))
+    how = (
+        f"with its {len(model.cameras)} cameras as a rig, a frame for pictures taken at about the same time"
+        if len(rigs) == 1
+        else "a rig of one for each camera, because cameras move or change"
+    )
+    export.notes.append(
+        f"the {len(moving)} pictures in motion are a model of their own, {MOTION}/sparse/0, in the same world, {how}; "
+        f"COLMAP has no times: they are in {MOTION}/{TIMES}"
+    )
+
+
+def _model(frames: tuple[PosedFrame, ...], base: Path, points: SparsePoints | None, *, shared: bool) -> Model:
+    """A model of written pictures; cameras of the same lens are one where they may be `shared`."""
+    cameras: dict[tuple[str, ModelCamera], int] = {}
     images: dict[int, ModelImage] = {}
     for n, frame in enumerate(frames):
         camera = frame.camera
-        camera_id = cameras.setdefault(model_camera(camera), len(cameras) + 1)
+        key = ("" if shared else frame.camera_name, model_camera(camera))
+        camera_id = cameras.setdefault(key, len(cameras) + 1)
         ids, keypoints = np.zeros(0, np.int64), np.zeros((0, 2))
         if points is not None:
             seen = points.obs_point[points.obs_frame == n]
@@ -83,14 +123,24 @@ def write_colmap(export: Export) -> None:
         images[n + 1] = ModelImage(name, camera_id, rotation, camera.cam_from_world[:, 3], keypoints, ids)
     xyz = points.xyz if points is not None else np.zeros((0, 3))
     none = np.zeros(0, np.int64)
-    model = Model(
-        {number: camera for camera, number in cameras.items()},
+    return Model(
+        {number: camera for (_, camera), number in cameras.items()},
         images,
         {n + 1: ModelPoint(p, UNKNOWN_ERROR_PX, none) for n, p in enumerate(xyz)},
     )
-    place = export.folder / "sparse" / "0"
+
+
+def _write(
+    folder: Path,
+    model: Model,
+    rigs: dict[int, ModelRig],
+    frames: dict[int, ModelFrame],
+    written: tuple[PosedFrame, ...],
+) -> None:
+    place = folder / "sparse" / "0"
     write_model(place, model)
-    test = [images[n + 1].name for n, frame in enumerate(frames) if frame.split == "test"]
+    write_rigs(place, rigs, frames)
+    test = [model.images[n + 1].name for n, frame in enumerate(written) if frame.split == "test"]
     (place / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
 
 
@@ -138,23 +188,6 @@ def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) 
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)
 
 
-def pose(image: ModelImage, where: str) -> np.ndarray:
-    """cam_from_world [3, 4] of a registered picture.
-
-    Raises:
-        CaptureError: Not finite, or not a rotation.
-    """
-    length = np.linalg.norm(image.quat_wxyz)
-    if not (0.5 < length < np.inf and np.isfinite(image.translation).all()):
-        values = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
-        raise CaptureError(f"{where}: the pose is not one ({values}); remove the image from the model")
-    w, x, y, z = image.quat_wxyz / length
-    v = np.array([x, y, z])
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    R = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
-    return np.column_stack([R, image.translation])
-
-
 def _points(model: Model, order: list[int]) -> SparsePoints | None:
     """Good points, and which pictures show them."""
     place = {number: n for n, number in enumerate(order)}
@@ -182,18 +215,3 @@ def model_camera(camera: Camera) -> ModelCamera:
     elif any((k1, k2, p1, p2)):
         model, params = "OPENCV", [*params, k1, k2, p1, p2]
     return ModelCamera(model, camera.width, camera.height, tuple(params))
-
-
-def quat_wxyz(R: np.ndarray) -> np.ndarray:
-    """Unit quaternion [4] of a rotation, w >= 0: the eigenvector of Bar-Itzhack's matrix (JGCD 23(6), 2000)."""
-    (a, b, c), (d, e, f), (g, h, i) = R
-    K = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(K)[1][:, -1]
-    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)

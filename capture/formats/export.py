@@ -43,6 +43,7 @@ class Export:
         find_flow: Backward flow of a frame at any size of its picture, or None.
         progress: To be called with (fraction done, short text).
         notes: What people should know of this data set; added to its README.txt.
+        written: The camera of each picture as it is meant, by the picture's path.
     """
 
     scene: Scene
@@ -50,25 +51,30 @@ class Export:
     find_flow: FindFlow
     progress: Progress
     notes: list[str] = field(default_factory=list)
+    written: dict[Path, Camera] = field(default_factory=dict)
 
 
 def write_export(
     scene: Scene,
     dataset_format: str,
     write: Callable[[Export], None],
+    check: Callable[[Export], None],
     folder: Path,
     find_flow: FindFlow = lambda frame: None,
     progress: Progress = no_progress,
 ) -> list[str]:
     """Write a data set and its README.txt; returns what people should know of it.
 
+    Args:
+        check: Reads back what was written; nothing is left where it raises.
     Raises:
         InputError: The folder holds something else.
-        CaptureError: The format cannot hold this scene, or a picture is missing.
+        CaptureError: The format cannot hold this scene, a picture is missing, or `check` found a difference.
     """
     with new_folder(folder, dataset_format) as new:
         export = Export(scene, new, find_flow, progress)
         write(export)
+        check(export)
         (new / README).write_text(readme(scene, dataset_format, export.notes))
     return export.notes
 
@@ -127,6 +133,7 @@ def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[P
         else:
             write_png(path, read_matted(frame, background))
         out.append(replace(frame, path=path, flow=None, look=None, matte=None))
+        export.written[path.resolve()] = frame.camera
         export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
     return tuple(out)
 
@@ -138,8 +145,8 @@ def stems(frames: tuple[PosedFrame, ...]) -> list[str]:
     return [f"{safe_name(f.camera_name)}/{f.index if unique else n:06d}" for n, f in enumerate(frames)]
 
 
-def static_of(export: Export, what: str) -> tuple[PosedFrame, ...]:
-    """The pictures at rest, for formats that hold nothing else.
+def static_of(export: Export, what: str, left_out: bool = True) -> tuple[PosedFrame, ...]:
+    """The pictures at rest, for formats that hold nothing else (`left_out`: those in motion, which is said).
 
     Raises:
         CaptureError: There are none.
@@ -147,10 +154,10 @@ def static_of(export: Export, what: str) -> tuple[PosedFrame, ...]:
     scene = export.scene
     if not scene.static:
         raise CaptureError(f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio")
-    if scene.dynamic:
+    if scene.dynamic and left_out:
         export.notes.append(
-            f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio and devrf "
-            "hold them)"
+            f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio, colmap and "
+            "devrf hold them)"
         )
     return scene.static
 
@@ -195,6 +202,7 @@ class Pinholes:
             )
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])
+        self.export.written[path.resolve()] = self.camera(frame)
         return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None, matte=None)
 
     def flow(self, frame: PosedFrame) -> Flow | None:

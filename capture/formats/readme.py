@@ -24,7 +24,8 @@ FILES = {
     "(transforms_val.json is the same as test) and pictures as RGBA.",
     "llff": "poses_bounds.npy, images/, test.txt (names of the test pictures).",
     "colmap": "sparse/0 (binary), images/, sparse/0/test.txt (names of the test pictures). Keypoints are where the "
-    "points project, points are grey, errors are unknown (-1).",
+    "points project, points are grey, errors are unknown (-1). motion/ is the same for the pictures in motion (without "
+    "points), with the fixed cameras as a rig (rigs.bin, frames.bin) and the times of the pictures in times.csv.",
 }
 
 
@@ -37,7 +38,7 @@ def readme(scene: Scene, dataset_format: str, notes: list[str]) -> str:
         f"Axes: {AXES[dataset_format]}",
         f"Scale: positions are in {unit}. The world's axes are those of the calibration; none is up by rule.",
     ]
-    if scene.dynamic and dataset_format in ("nerfstudio", "devrf"):
+    if scene.dynamic and dataset_format in ("nerfstudio", "devrf", "colmap"):
         paragraphs.append(
             f"Time: time 0 is {scene.t0_s:.6f} s and time 1 is {scene.t1_s:.6f} s on the first camera's clock. Every "
             "picture has its own exact time; cameras need not be triggered together."

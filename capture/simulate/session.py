@@ -95,7 +95,7 @@ def simulate_session(
     thing = make_object(scene, seeds[1], options)
     still = [*around.still, *thing.stand]
     if options.board:
-        still += _standing_board(seeds[2], options)
+        still += standing_board(seeds[2], options)
     fixed = fixed_cameras(seeds[3], cameras, size, options)
     sweep = sweep_cameras(seeds[4], size, options)
     renderer = Renderer(still, options.spp, Finish(options.gloss, options.clear))
@@ -261,7 +261,7 @@ def _seed(rng: np.random.Generator) -> int:
     return int(rng.integers(2**31))
 
 
-def _standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:
+def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:
     """The board in the room during everything, and a textured back so that it does not glow through."""
     pose = board_pose(options)
     front = board_corners(options.board_squares, options.board_square_m, pose)

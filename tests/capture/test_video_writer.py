@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.video_writer import write_video
+from devrf.capture.video_writer import video_beside, write_video
 
 
 def _flat(colour, height=48, width=64):
@@ -62,3 +62,27 @@ def test_changing_size_is_an_error(tmp_path):
 def test_folder_that_is_missing_is_named(tmp_path):
     with pytest.raises(CaptureError, match="nowhere"):
         write_video(tmp_path / "nowhere" / "film.mp4", [_flat((0, 0, 0))], fps=10.0)
+
+
+def test_a_film_is_written_beside_other_work(tmp_path):
+    path = tmp_path / "film.mp4"
+    with video_beside(path, 10.0) as put:
+        for n in range(12):  # more than may wait
+            put(_flat((20 * n, 90, 90)))
+    assert len(_read(path)[1]) == 12
+
+
+def test_an_error_on_either_side_leaves_no_film(tmp_path):
+    path = tmp_path / "film.mp4"
+    with pytest.raises(KeyboardInterrupt), video_beside(path, 10.0) as put:
+        put(_flat((1, 2, 3)))
+        raise KeyboardInterrupt
+    assert not path.exists()
+    with pytest.raises(CaptureError, match="picture 1 is 32x48, the first one 64x48"):
+        with video_beside(path, 10.0) as put:
+            put(_flat((1, 2, 3)))
+            for _ in range(20):
+                put(_flat((1, 2, 3), width=32))
+    with pytest.raises(CaptureError, match="no pictures"), video_beside(path, 10.0):
+        pass
+    assert not path.exists()
