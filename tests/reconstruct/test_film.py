@@ -1,10 +1,16 @@
 """The film's camera path stays where cameras looked from, looks at the scene and loops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.film import film_frames, focus, orbit
+from devrf.reconstruct.film.between import between, through
+from devrf.reconstruct.film.layers import to_8_bits
+from devrf.reconstruct.film.paths import PATHS, orbit
+from devrf.reconstruct.film.span import film_lens, focus
 
 AABB = np.array([[-1.0, -1, -0.8], [1, 1, 0.8]])
 K = np.array([[300.0, 0, 160], [0, 310, 120], [0, 0, 1]])
@@ -24,6 +30,10 @@ def ring(degrees, radius=3.0, height=1.0, target=(0.1, -0.1, 0.2)) -> list[Camer
     return cameras
 
 
+def orbit_of(cameras: list[Camera], count: int, most: int = 80_000) -> list[Camera]:
+    return orbit(cameras, AABB, count, film_lens(cameras, most))
+
+
 def azimuths(path: list[Camera]) -> np.ndarray:
     centres = np.array([c.centre for c in path])
     return np.degrees(np.arctan2(centres[:, 1], centres[:, 0]))
@@ -36,7 +46,7 @@ def test_focus_is_where_the_axes_meet():
 
 
 def test_swing_stays_within_the_cameras():
-    path = orbit(ring([-60, -20, 25, 65]), AABB, 48, 80_000)
+    path = orbit_of(ring([-60, -20, 25, 65]), 48)
     angle = azimuths(path)
     assert -60 <= angle.min() < -45 and 50 < angle.max() <= 65
     radius = np.array([np.linalg.norm(c.centre[:2]) for c in path])
@@ -45,7 +55,7 @@ def test_swing_stays_within_the_cameras():
 
 
 def test_full_turn_where_cameras_are_all_around():
-    path = orbit(ring(np.arange(0, 360, 15)), AABB, 60, 80_000)
+    path = orbit_of(ring(np.arange(0, 360, 15)), 60)
     steps = np.diff(np.unwrap(np.radians(azimuths([*path, path[0]]))))
     assert steps.sum() == pytest.approx(2 * np.pi)
     assert np.abs(steps).max() < 1.3 * np.abs(steps).mean()
@@ -54,7 +64,7 @@ def test_full_turn_where_cameras_are_all_around():
 @pytest.mark.parametrize("degrees", [[-60, -20, 25, 65], list(range(0, 360, 20)), [170, -170], [40]])
 def test_path_is_smooth_and_closed_and_looks_at_the_scene(degrees):
     cameras = ring(degrees)
-    path = orbit(cameras, AABB, 48, 80_000)
+    path = orbit_of(cameras, 48)
     centres = np.array([c.centre for c in [*path, path[0]]])
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     assert steps.max() <= 0.6  # a full turn of radius 3 in 48 steps is 0.39 each
@@ -66,30 +76,106 @@ def test_path_is_smooth_and_closed_and_looks_at_the_scene(degrees):
 
 
 def test_gap_across_the_back_is_left_out():
-    angle = azimuths(orbit(ring([150, 180, -150]), AABB, 48, 80_000))
+    angle = azimuths(orbit_of(ring([150, 180, -150]), 48))
     assert (np.abs(angle) >= 149).all()
 
 
 def test_heights_follow_the_cameras_nearby():
     low, high = ring([-50, -40, -30], height=0.2), ring([30, 40, 50], height=2.0)
-    path = orbit([*low, *high], AABB, 48, 80_000)
+    path = orbit_of([*low, *high], 48)
     heights = np.array([c.centre[2] for c in path])
     assert 0.1 < heights.min() < 0.6 and 1.6 < heights.max() < 2.1
 
 
 @pytest.mark.parametrize("most", [80_000, 20_001])
 def test_size_is_even_and_within_the_limit(most):
-    path = orbit(ring([0, 40]), AABB, 4, most)
+    path = orbit_of(ring([0, 40]), 4, most)
     w, h = path[0].width, path[0].height
     assert w % 2 == 0 and h % 2 == 0 and 0.9 * min(most, 320 * 240) <= w * h <= most
     assert path[0].K[0, 0] / w == pytest.approx(300 / 320, rel=0.02)
     assert not path[0].distortion.any()
 
 
-def test_frames_are_clipped_and_rounded():
-    def render(camera: Camera, time: float | None) -> np.ndarray:
-        return np.full((camera.height, camera.width, 3), -0.2 if time is None else time, np.float32)
+def test_pictures_are_clipped_and_rounded():
+    values = np.array([[[-0.2, 0.5, 1.7]]], np.float32)
+    assert to_8_bits(values).tolist() == [[[0, 128, 255]]]
 
-    path = orbit(ring([0, 40]), AABB, 3, 20_000)
-    frames = list(film_frames(render, path, [None, 0.5, 1.7]))
-    assert [int(f[0, 0, 0]) for f in frames] == [0, 128, 255]
+
+@pytest.mark.parametrize("name", ["spiral", "dolly", "vertigo"])
+def test_other_paths_are_smooth_and_closed_and_look_at_the_target(name):
+    cameras = ring([-60, -20, 25, 65])
+    path = PATHS[name](cameras, AABB, 60, film_lens(cameras, 80_000))
+    centres = np.array([c.centre for c in [*path, path[0]]])
+    assert np.linalg.norm(np.diff(centres, axis=0), axis=1).max() < 0.3
+    target = focus(cameras, AABB)
+    for camera in path:
+        np.testing.assert_allclose(camera.project(target), [camera.width / 2, camera.height / 2], atol=1e-6)
+    angle = azimuths(path)
+    assert np.abs(angle - 2.5).max() < 15  # about the middle of the span
+
+
+def test_vertigo_keeps_the_size_of_what_it_looks_at():
+    cameras = ring([-60, 60])
+    lens = film_lens(cameras, size=(200, 100))
+    path = PATHS["vertigo"](cameras, AABB, 20, lens)
+    distance = np.array([np.linalg.norm(c.centre - focus(cameras, AABB)) for c in path])
+    assert np.ptp(distance) > 0.3 * distance.mean()
+    np.testing.assert_allclose([c.K[0, 0] for c in path] / distance, path[0].K[0, 0] / distance[0])
+    np.testing.assert_allclose([c.K[:2, 2] for c in path], [[100, 50]] * 20)
+
+
+def tilted(camera: Camera, degrees: float) -> Camera:
+    """The camera rolled about its axis."""
+    a = np.radians(degrees)
+    R = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return replace(camera, cam_from_world=R @ camera.cam_from_world)
+
+
+def test_between_meets_every_view_and_keeps_its_distance():
+    """Opposite cameras: a chord would lead through the subject."""
+    views = [
+        *ring([0], radius=3.0),
+        *[tilted(c, 5) for c in ring([90])],
+        *ring([179], radius=4.0, height=2.0),
+    ]
+    path = between(views, AABB, 401, film_lens(views, 5000), closed=False)
+    for view in views:
+        away = [np.abs(camera.cam_from_world - view.cam_from_world).max() for camera in path]
+        assert min(away) < 0.02
+    for end, view in ((path[0], views[0]), (path[-1], views[-1])):
+        np.testing.assert_allclose(end.cam_from_world, view.cam_from_world, atol=1e-9)
+    distance = np.array([np.linalg.norm(c.centre - focus(views, AABB)) for c in path])
+    ends = [np.linalg.norm(v.centre - focus(views, AABB)) for v in views]
+    assert min(ends) - 1e-6 <= distance.min() and distance.max() <= max(ends) + 1e-6
+    turns = [
+        Rotation.from_matrix(a @ b.T) for a, b in zip(rotations(path[1:]), rotations(path), strict=False)
+    ]
+    assert max(np.degrees(turn.magnitude()) for turn in turns) < 2.0
+
+
+def test_between_closes_where_cameras_are_all_around():
+    views = [tilted(camera, 4 * n) for n, camera in enumerate(ring([0, 90, 180, 270]))]
+    path = between(views, AABB, 80, film_lens(views, 5000), closed=True)
+    for n, view in enumerate(views):
+        np.testing.assert_allclose(path[20 * n].cam_from_world, view.cam_from_world, atol=0.15)
+    loop = np.array([c.centre for c in [*path, path[0]]])
+    steps = np.linalg.norm(np.diff(loop, axis=0), axis=1)
+    assert steps.max() < 1.5 * steps.mean() and np.abs(np.linalg.norm(loop[:, :2], axis=1) - 3).max() < 0.2
+
+
+def test_key_frames_are_met_as_they_are():
+    views = [
+        replace(c, K=c.K * [[f, 1, 1], [1, f, 1], [1, 1, 1]])
+        for c, f in zip(ring([0, 40, 50]), (1, 2, 1.5), strict=True)
+    ]
+    knots = np.array([0.0, 1.0, 2.0])
+    path = through(views, knots, np.array([0.0, 0.5, 1.0, 2.0]))
+    for camera, view in zip((path[0], path[2], path[3]), views, strict=True):
+        np.testing.assert_allclose(camera.cam_from_world, view.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(camera.K, view.K)
+    assert views[0].K[0, 0] < path[1].K[0, 0] < views[1].K[0, 0]
+    assert through(views[:1], knots[:1], np.zeros(3)) == [views[0]] * 3
+
+
+def rotations(path):
+    return [camera.cam_from_world[:, :3] for camera in path]

@@ -1,0 +1,137 @@
+"""What a picture of a film holds beside colour: depth, motion, and what of it can be shown.
+
+Depth is along the camera's axis, of what is seen in the box; surroundings have none. Motion is *backward*, as
+everywhere in this program: from a pixel to where what it shows was seen in the picture before it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
+
+from devrf.capture.camera import Camera
+from devrf.reconstruct.error_causes import Layers
+from devrf.reconstruct.error_map import inferno
+from devrf.reconstruct.evidence import SOLID
+from devrf.reconstruct.model import DynamicModel
+
+MILLIMETRE = 0.001
+MOST_STEPS = 65_000  # of a 16-bit depth picture; 0 is nothing
+
+
+@dataclass(frozen=True)
+class DepthScale:
+    """How depth is shown in all pictures of a film.
+
+    Attributes:
+        near, far: Depths of the brightest and the darkest colour, world units.
+        unit: World units of one step of a 16-bit picture.
+        world_per_box: World units of a unit of the box frame.
+    """
+
+    near: float
+    far: float
+    unit: float
+    world_per_box: float
+
+    @staticmethod
+    def of(
+        path: Sequence[Camera],
+        aabb: Float[np.ndarray, "2 3"],
+        near: float,
+        world_per_box: float,
+        metric: bool,
+    ) -> "DepthScale":
+        """From where a path's cameras have the box; `near` is where rays begin, in the box frame."""
+        corners = np.stack(np.meshgrid(*aabb.T, indexing="ij"), axis=-1).reshape(-1, 3)
+        depths = np.array([corners @ c.cam_from_world[2, :3] + c.cam_from_world[2, 3] for c in path])
+        far = max(float(depths.max()), 2 * near)
+        least = min(max(float(depths.min()), near), 0.9 * far)
+        fits = MILLIMETRE if metric else 0.0
+        unit = max(fits, far * world_per_box / MOST_STEPS)
+        return DepthScale(least * world_per_box, far * world_per_box, unit, world_per_box)
+
+
+def to_8_bits(picture: Float32[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width 3"]:
+    """A picture in [0, 1] as bytes."""
+    return np.clip(np.round(picture * 255), 0, 255).astype(np.uint8)
+
+
+def planar_depth(camera: Camera, layers: Layers, scale: DepthScale) -> Float32[np.ndarray, "h w"]:
+    """Depth along the camera's axis, world units; 0 where nothing solid is seen in the box."""
+    surface, solid = _surface(camera, layers)
+    axis = camera.cam_from_world[2]
+    depth = (surface @ axis[:3] + axis[3]) * scale.world_per_box
+    return np.where(solid, np.maximum(depth, scale.unit), 0).astype(np.float32)
+
+
+def depth_steps(depth: Float32[np.ndarray, "h w"], scale: DepthScale) -> UInt16[np.ndarray, "h w"]:
+    """Depth in steps of `scale.unit`."""
+    return np.clip(np.round(depth / scale.unit), 0, 65_535).astype(np.uint16)
+
+
+def depth_colours(depth: Float32[np.ndarray, "h w"], scale: DepthScale) -> UInt8[np.ndarray, "h w 3"]:
+    """Depth in colours, near is bright, even in 1 / depth; black where there is none."""
+    inverse = 1 / np.maximum(depth, scale.unit)
+    share = (inverse - 1 / scale.far) / (1 / scale.near - 1 / scale.far)
+    colours = inferno(0.15 + 0.85 * np.clip(share, 0, 1))  # what is far is not black yet
+    return np.round(255 * np.where(depth[..., None] > 0, colours, 0)).astype(np.uint8)
+
+
+def backward_flow(
+    model: DynamicModel,
+    layers: Layers,
+    camera: Camera,
+    time: float | None,
+    before: Camera,
+    time_before: float | None,
+) -> tuple[Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
+    """Motion of what a picture shows since another one: u right, v down, pixels; and where it is known.
+
+    Args:
+        model: As it was rendered.
+        layers: Of the picture.
+        camera, time: Of the picture; cameras in the box frame.
+        before, time_before: Of the one before.
+    """
+    height, width = layers[2].shape
+    now = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    surface, solid = _surface(camera, layers)
+    flow = np.zeros((height, width, 2), np.float32)
+    if camera.cam_from_world.tobytes() == before.cam_from_world.tobytes() and camera.lens == before.lens:
+        known = np.ones_like(solid)  # surroundings stand still before a camera that does
+    else:
+        known = solid.copy()
+    there = before.project(_moved(model, surface[solid], time, time_before))
+    flow[solid] = there - now[solid]
+    lost = ~np.isfinite(flow).all(-1)
+    flow[lost], known[lost] = 0, False
+    return flow, known
+
+
+def _surface(camera: Camera, layers: Layers) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """Where what each pixel shows is, and whether it shows anything solid."""
+    _, depth, opacity = layers
+    height, width = opacity.shape
+    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    distance = depth / np.maximum(opacity, SOLID)
+    return camera.centre + distance[..., None] * camera.directions(pixels), opacity > SOLID
+
+
+@torch.no_grad()
+def _moved(
+    model: DynamicModel, points: Float[np.ndarray, "n 3"], time: float | None, then: float | None
+) -> Float[np.ndarray, "n 3"]:
+    """Where points seen at a time are at another one."""
+    if model.motion is None or time is None or then is None or time == then or not len(points):
+        return points
+    ndc, device = model.rest.canonical.ndc, model.rest.canonical.density.device
+    x = torch.from_numpy(points.astype(np.float32)).to(device)
+    x = x if ndc is None else ndc.from_world(x)
+    motion, tau = model.motion.at(time, device)
+    x0 = motion.to_rest(x, tau.expand(len(x)).contiguous())
+    motion, tau = model.motion.at(then, device)
+    x = motion.from_rest(x0, tau.expand(len(x)).contiguous())
+    return (x if ndc is None else ndc.to_world(x)).cpu().numpy().astype(np.float64)

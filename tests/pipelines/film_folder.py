@@ -1,0 +1,110 @@
+"""A finished run whose model is made by hand: a coloured ball before white that moves along a straight line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+from PIL import Image
+
+from devrf.capture.camera import Camera
+from devrf.capture.formats import write_scene
+from devrf.capture.scene import PosedFrame, Scene, Split
+from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.model_io import FILE, save_motion, save_rest
+from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.train_canonical import RestModel
+
+AABB = np.array([[-1.0, -1, -1], [1, 1, 1]])
+RADIUS = 0.4
+TRAVEL = np.array([0.3, 0.0, 0.2])  # of the ball from time 0 to time 1, box units
+WORLD_PER_BOX = 0.5  # metres
+WIDTH, HEIGHT, FOCAL = 48, 36, 50.0
+
+
+def ball_model() -> DynamicModel:
+    """The ball as a trained model would hold it."""
+    aabb = torch.tensor(AABB, dtype=torch.float32)
+    canonical = Canonical.new(
+        aabb, 24, 24, channels=3, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-3,
+        weight_threshold=1e-3, device="cpu", seed=0,
+    )  # fmt: skip
+    inside = vertices(aabb, canonical.shape).norm(dim=-1) < RADIUS
+    canonical.density[..., 0] = torch.where(inside, 30.0, -30.0)
+    canonical.features += vertices(aabb, canonical.shape)
+    canonical.rebuild_occupancy()
+    canonical.net.requires_grad_(False)
+    motion = MotionField.still(aabb, 3, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    for key in range(3):
+        motion.forward[key] = torch.tensor(TRAVEL * key / 2)
+        motion.backward[key] = -motion.forward[key]
+    return DynamicModel(RestModel(canonical, None, "white", 0.3, 9.0, {}), motion)
+
+
+def ring_camera(angle: float, height: float = 0.6, distance: float = 3.0) -> Camera:
+    """A camera that looks at the origin; +z is up, lengths are box units."""
+    eye = distance * np.array([np.cos(angle), np.sin(angle), height]) / np.hypot(1, height)
+    z = -eye / np.linalg.norm(eye)
+    x = np.cross(z, [0, 0, 1.0]) / np.linalg.norm(np.cross(z, [0, 0, 1.0]))
+    R = np.stack([x, np.cross(z, x), z])
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    return Camera(WIDTH, HEIGHT, K, np.column_stack([R, -R @ eye]))
+
+
+def ball_scene(folder: Path) -> Scene:
+    """Three fixed cameras, a witness, and a sweep of ten pictures; the world is half as large as the box."""
+    world_from_box = np.diag([WORLD_PER_BOX] * 3 + [1.0])
+    rng = np.random.default_rng(0)
+
+    def frame(name: str, n: int, angle: float, time: float | None, split: Split) -> PosedFrame:
+        path = folder / f"{name}_{n}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)).save(path)
+        camera = ring_camera(angle).moved(world_from_box)
+        return PosedFrame(path, camera, name, n, None if time is None else 1 + 2 * time, time, split)
+
+    angles = {"cam0": -0.6, "cam1": 0.0, "cam2": 0.6, "witness": 0.3}
+    return Scene(
+        static=tuple(frame("static", n, -1 + 0.2 * n, None, "train") for n in range(10)),
+        dynamic=tuple(
+            frame(name, n, angle, n / 4, "test" if name == "witness" else "train")
+            for name, angle in angles.items()
+            for n in range(5)
+        ),
+        box_from_world=np.diag([1 / WORLD_PER_BOX] * 3 + [1.0]),
+        aabb=AABB,
+        near=0.3,
+        far=9.0,
+        kind="inward",
+        background="white",
+        t0_s=1.0,
+        t1_s=3.0,
+        rest_time=0.0,
+        image_scale=1.0,
+        metric=True,
+    )
+
+
+def write_ball_run(folder: Path) -> Path:
+    """Write scene.yaml and `run/` with the stages that a film reads; returns the former."""
+    run, model = folder / "run", ball_model()
+    write_scene(run / "scene", ball_scene(folder / "pictures"))
+    for name in ("canonical", "deformation"):
+        (run / name).mkdir()
+    save_rest(run / "canonical" / FILE, model.rest)
+    assert model.motion is not None
+    save_motion(run / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
+    for name in ("scene", "canonical", "deformation"):
+        stamp = {"id": f"id-{name}", "content": f"content-{name}", "identity": {}, "files": {}}
+        (run / name / "stamp.json").write_text(json.dumps(stamp))
+    value = {
+        "name": "ball",
+        "output": "run",
+        "preset": "tiny",
+        "dataset": {"format": "devrf", "path": "data"},
+    }
+    (folder / "scene.yaml").write_text(yaml.safe_dump(value))
+    return folder / "scene.yaml"
