@@ -4,6 +4,7 @@
 #
 #   benchmarks/gpu.sh SCENE [options of `devrf-pipeline bench`, such as --device cpu --set reconstruct.rays=256]
 #
+# RUN=FOLDER: a finished run, on which the viewer is measured too (needs viser).
 # SCENE is a scene.yaml (or its folder) that names a data set. Needs torch, numpy, scipy, pydantic, pyyaml, typer, rich,
 # jaxtyping, safetensors, Pillow and Warp; no OpenCV, PyAV or pycolmap where the data set brings its flow.
 set -euo pipefail
@@ -24,4 +25,5 @@ bench reference --minutes 0 --json "$results/reference-$name.json" "$@"
 bench speed --preset reference --json "$results/speed-$name.json" "$@" # takes the training before for `reference`
 left=$((SECONDS < 60 * MINUTES ? 60 * MINUTES - SECONDS : 0))
 bench reference --minutes $((left / 60)) --json "$results/reference-$name.json" "$@"
+[ -z "${RUN:-}" ] || "$python" -m benchmarks.viewer "$RUN" --device cuda --json "$results/viewer-$name.json"
 "$python" benchmarks/merge.py "$results"

@@ -1,0 +1,111 @@
+"""`devrf-pipeline view`: walk through a scene in a browser, also while it is being trained."""
+
+import errno
+import os
+import socket
+import threading
+from ipaddress import ip_address
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.console import Talk
+from devrf.pipelines.device import resolve_device
+from devrf.pipelines.runner.lock import is_held
+from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.signals import stopped_by_signals
+
+INSTALL = "python -m pip install -e '.[viewer]'"
+KINDNESS = 10  # niceness beside a run
+PORTS = 20  # after the one that is taken, in which another is looked for
+LAST_PORT = 65535
+
+
+def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
+    """Serve the viewer until the user stops it.
+
+    Args:
+        talk: Where it speaks.
+        job: The run to be looked at; nothing of it runs.
+        device: auto, cpu or cuda; auto leaves the GPU to a run that is at work.
+        host, port: Where pages are served.
+    Raises:
+        InputError: The run folder, the library, the port or the device is not there.
+    """
+    if not job.run_dir.is_dir():
+        raise InputError(
+            f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run), then or "
+            "meanwhile view it"
+        )
+    try:
+        import viser  # noqa: F401 (whether it is there)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"view needs the extra `viewer` ({error.name} is not installed): {INSTALL}"
+        ) from None
+    _check_free(host, port)
+    working = is_held(job.run_dir)
+    if working:
+        os.nice(KINDNESS)
+        if device == "auto":
+            device = "cpu"
+            talk.say("a run is at work here: the viewer takes the CPU and stands back for it")
+    device = resolve_device(device, job.config.budget.gpu_memory_gb)
+    if not _is_loopback(host):
+        talk.say(
+            f"warning: --host {host} lets everyone in this network see the scene and its pictures; nobody is asked "
+            "for a password",
+            style="yellow",
+        )
+    from devrf.pipelines.viewer.site import Site, settle
+
+    settle(device)
+    with stopped_by_signals():
+        try:
+            site = Site(job.config, job.run_dir, device, host, port)
+        except OSError as error:
+            raise DevrfError(f"--port {port}: cannot be served ({error.strerror or error})") from None
+        try:
+            shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+            talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
+            threading.Event().wait()
+        finally:
+            site.close()
+
+
+def _check_free(host: str, port: int) -> None:
+    """Refuse an address that is not this machine's, and a port that is taken; name one that is free."""
+    try:
+        family, _, _, _, _ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError(
+            f"--host {host}: not known ({error.strerror or error}); expected an address of this machine, such as "
+            "127.0.0.1"
+        ) from None
+    reason = _why_not(family, host, port)
+    if reason is None:
+        return
+    if reason.errno == errno.EADDRNOTAVAIL:
+        raise InputError(
+            f"--host {host}: no address of this machine; expected one, such as 127.0.0.1, or 0.0.0.0 for all of them"
+        )
+    after = range(port + 1, min(port + PORTS, LAST_PORT) + 1)
+    free = next((other for other in after if _why_not(family, host, other) is None), None)
+    what = "is in use" if reason.errno == errno.EADDRINUSE else f"cannot be used ({reason.strerror})"
+    remedy = f"try --port {free}" if free is not None else "choose another with --port"
+    raise InputError(f"--port {port}: {what}; {remedy}")
+
+
+def _why_not(family: int, host: str, port: int) -> OSError | None:
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            return error
+    return None
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,148 @@
+"""What stands in the scene beside the rendered picture: cameras with their pictures, sweep path, points, box, arrows.
+
+Everything is in the box frame, and each visitor's own.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+
+from devrf.capture.camera import Camera
+from devrf.capture.formats.colmap import quat_wxyz
+from devrf.capture.scene import PosedFrame
+from devrf.pipelines.report.run import evenly
+from devrf.pipelines.viewer.source import Loaded
+from devrf.pipelines.viewer.thumbnails import Thumbnails
+
+GROUPS = ("moving cameras", "test cameras", "sweep cameras", "sweep path", "points", "box")
+FRUSTUM_FIXED, FRUSTUM_SWEEP = 0.07, 0.03  # of the distance from which cameras look at the box
+MOST_OF_SWEEP = 60  # frusta; more of them hide each other
+COLOURS = {
+    "moving cameras": (234, 120, 30),
+    "test cameras": (22, 160, 96),
+    "sweep cameras": (70, 120, 220),
+    "held out": (150, 90, 200),
+    "box": (235, 235, 235),
+    "arrows": (230, 60, 120),
+}
+POINT = 0.003  # size over the distance from which cameras look at the box
+LINE_PX = 1.5
+
+
+class Furniture:
+    """Things in space that one visitor sees.
+
+    Args:
+        client: The visitor.
+        loaded: What is shown; with a scene.
+        thumbnails: Where pictures come from.
+        go_to: Called with a camera that was clicked.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        loaded: Loaded,
+        thumbnails: Thumbnails,
+        go_to: Callable[[Camera], None],
+    ) -> None:
+        assert loaded.scene is not None
+        self._space, self._thumbnails, self._go_to = client.scene, thumbnails, go_to
+        self._scene = scene = loaded.scene
+        self._groups = {
+            name: self._space.add_frame(f"/{name}", show_axes=False, visible=False) for name in GROUPS
+        }
+        centres = np.array([f.camera.centre for f in scene.frames])
+        self._radius = float(np.median(np.linalg.norm(centres - scene.aabb.mean(axis=0), axis=1)))
+        self._clips: list[tuple[Any, list[PosedFrame]]] = []
+        self._shown: dict[str, Path] = {}  # pictures of moving cameras, by name
+        self._wanted: float | None = None
+        self._add_sweep()
+        self._add_moving()
+        self._add_points(loaded)
+        self._add_box()
+
+    def show(self, name: str, visible: bool) -> None:
+        """Show or hide a group."""
+        self._groups[name].visible = visible
+
+    def at(self, time: float | None) -> None:
+        """Let moving cameras show their pictures nearest to a time in [0, 1]; None: their first."""
+        waits, self._wanted = self._wanted is not None, time or 0.0
+        if not waits and self._clips:
+            self._thumbnails.soon(self._new_pictures)
+
+    def arrows(self, ends: np.ndarray) -> None:
+        """Show these arrows [n, 2, 3] instead of those before."""
+        self._space.remove_by_name("/arrows")
+        if len(ends):
+            thick = 0.003 * self._radius
+            self._space.add_arrows(
+                "/arrows", ends.astype(np.float32), COLOURS["arrows"],
+                shaft_radius=thick, head_radius=2.5 * thick, head_length=5 * thick,
+            )  # fmt: skip
+
+    def _add_sweep(self) -> None:
+        frames = self._scene.static
+        for n, frame in enumerate(evenly(frames, MOST_OF_SWEEP)):
+            colour = COLOURS["held out" if frame.split == "test" else "sweep cameras"]
+            self._frustum(f"/sweep cameras/{n}", frame, FRUSTUM_SWEEP, colour)
+        way = np.array([f.camera.centre for f in frames])
+        if len(way) > 1:
+            self._space.add_line_segments(
+                "/sweep path/line", np.stack([way[:-1], way[1:]], axis=1).astype(np.float32),
+                COLOURS["sweep cameras"], thickness=LINE_PX, thickness_units="screen",
+            )  # fmt: skip
+
+    def _add_moving(self) -> None:
+        by_camera: dict[tuple[str, str], list[PosedFrame]] = {}
+        for frame in self._scene.dynamic:
+            by_camera.setdefault((frame.camera_name, frame.split), []).append(frame)
+        for n, ((name, split), frames) in enumerate(by_camera.items()):
+            group = "test cameras" if split == "test" else "moving cameras"
+            frames.sort(key=lambda f: f.time or 0.0)
+            handle = self._frustum(f"/{group}/{n}", frames[0], FRUSTUM_FIXED, COLOURS[group])
+            self._space.add_label(f"/{group}/{n}/name", name, position=(0.0, -0.06 * self._radius, 0.0))
+            self._clips.append((handle, frames))
+
+    def _frustum(self, name: str, frame: PosedFrame, share: float, colour: tuple[int, int, int]) -> Any:
+        camera = frame.camera
+        fov = 2 * np.arctan(camera.height / 2 / camera.K[1, 1])
+        handle = self._space.add_camera_frustum(
+            name, float(fov), camera.width / camera.height, scale=share * self._radius, color=colour,
+            thickness=LINE_PX, thickness_units="screen", wxyz=quat_wxyz(camera.cam_from_world[:, :3].T),
+            position=camera.centre, cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+        handle.on_click(lambda event: self._go_to(camera))
+
+        def picture() -> None:
+            handle.image = self._thumbnails.of(frame, self._scene.background)
+
+        self._thumbnails.soon(picture)
+        return handle
+
+    def _new_pictures(self) -> None:
+        """In the thread of pictures: those of the time that is wanted by now."""
+        time, self._wanted = self._wanted or 0.0, None
+        for handle, frames in self._clips:
+            nearest = min(frames, key=lambda f: abs((f.time or 0.0) - time))
+            if self._shown.get(handle.name) != nearest.path:
+                self._shown[handle.name] = nearest.path
+                handle.image = self._thumbnails.of(nearest, self._scene.background)
+
+    def _add_points(self, loaded: Loaded) -> None:
+        if len(loaded.points):
+            self._space.add_point_cloud(
+                "/points/sweep", loaded.points, loaded.colours, point_size=POINT * self._radius,
+                precision="float32", point_shape="circle",
+            )  # fmt: skip
+
+    def _add_box(self) -> None:
+        corners = np.stack(np.meshgrid(*self._scene.aabb.T, indexing="ij"), axis=-1).astype(np.float32)
+        ends = [np.moveaxis(corners, axis, 0).reshape(2, 4, 3).swapaxes(0, 1) for axis in range(3)]
+        self._space.add_line_segments(
+            "/box/edges", np.concatenate(ends), COLOURS["box"], thickness=LINE_PX, thickness_units="screen"
+        )

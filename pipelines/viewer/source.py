@@ -1,0 +1,179 @@
+"""What a run folder has to show, the newest of it: finished models, or those that are being trained.
+
+Only reads, and takes no lock: a run beside it is not disturbed. Stages' folders and checkpoints appear whole or not at
+all; what is replaced while it is read cannot be read, and is looked for again.
+"""
+
+import json
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from devrf.capture.errors import DevrfError
+from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.scene import Scene
+from devrf.pipelines.logs import EVENTS_FILE
+from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.report.space import sweep_points
+from devrf.pipelines.runner.lock import is_held
+from devrf.pipelines.stages import stage_names
+from devrf.pipelines.stamps.stamp import read_stamp, stamp_content, stamp_id
+from devrf.pipelines.training_checkpoint import checkpoint_path
+
+if TYPE_CHECKING:  # they need torch
+    from devrf.reconstruct.model import DynamicModel
+
+GREY = 150  # points of unknown colour
+TAIL_BYTES = 4096  # of events.jsonl: its last lines
+
+
+@dataclass(frozen=True)
+class Found:
+    """Versions of what is there; None: not there.
+
+    Attributes:
+        scene: Cameras, pictures and points.
+        rest, motion: Finished models that belong together.
+        rest_training, motion_training: Checkpoints of trainings that replace them.
+    """
+
+    scene: str | None = None
+    rest: str | None = None
+    motion: str | None = None
+    rest_training: int | None = None
+    motion_training: int | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether what is shown is a finished model."""
+        return self.rest is not None and self.rest_training is None and self.motion_training is None
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What is shown.
+
+    Attributes:
+        found: What it was read from.
+        scene: In the box frame, its clocks as the motion was trained with; None where there is none yet.
+        model: None where there is none yet.
+        points, colours: Of the sweep, box frame and [0, 255].
+    """
+
+    found: Found = Found()
+    scene: Scene | None = None
+    model: "DynamicModel | None" = None
+    points: Float32[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    colours: UInt8[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+
+
+def look(run_dir: Path) -> Found:
+    """What is there now. Beside a finished model only the training of a run at work counts."""
+    scene, rest, motion = (stamp_id(run_dir / stage) for stage in ("scene", "canonical", "deformation"))
+    if motion is not None and not _made_of(run_dir / "deformation", run_dir / "canonical"):
+        motion = None
+    working = is_held(run_dir)
+    at_rest, in_motion = (
+        _written(checkpoint_path(run_dir, stage)) if working or made is None else None
+        for stage, made in (("canonical", rest), ("deformation", motion))
+    )
+    return Found(
+        scene,
+        rest,
+        motion if at_rest is None else None,
+        at_rest,
+        in_motion if rest is not None and at_rest is None else None,
+    )
+
+
+def load(run_dir: Path, found: Found, device: str, before: Loaded) -> Loaded:
+    """Read what was found; what cannot be read now stays as it was before.
+
+    Raises:
+        DevrfError: A file is damaged, or was replaced meanwhile.
+    """
+    scene = None
+    if found.scene is not None:
+        try:
+            scene = read_scene(run_dir / "scene")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DevrfError(f"{run_dir / 'scene'}: cannot be read ({error})") from None
+    if scene is None:
+        return before
+    points = _points(run_dir, scene)
+    if found.rest is None and found.rest_training is None:
+        return Loaded(found, scene.in_box_frame(), None, *points)
+    from devrf.reconstruct.as_trained import as_trained
+
+    metrics = _json(run_dir / "deformation" / "metrics.json") if found.finished and found.motion else {}
+    trained = as_trained(scene, metrics).in_box_frame()
+    return Loaded(found, trained, _model(run_dir, found, device), *points)
+
+
+def progress(run_dir: Path) -> dict[str, Any]:
+    """The last event of progress of the run's log; empty where there is none."""
+    try:
+        with (run_dir / EVENTS_FILE).open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
+            lines = file.read().splitlines()
+    except OSError:
+        return {}
+    for line in reversed(lines):
+        try:
+            event = json.loads(line)
+        except ValueError:  # the first is cut off, the last may be
+            continue
+        if isinstance(event, dict):
+            return event if event.get("event") in ("progress", "stage_started") else {}
+    return {}
+
+
+def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
+    from devrf.pipelines.trained_model import load_trained
+    from devrf.reconstruct.model import DynamicModel
+    from devrf.reconstruct.model_io import FILE, load_rest
+    from devrf.reconstruct.unfinished import motion_in_training, rest_in_training
+
+    if found.rest_training is not None:
+        return DynamicModel(rest_in_training(checkpoint_path(run_dir, "canonical"), device))
+    if found.motion_training is not None:
+        rest = load_rest(run_dir / "canonical" / FILE, device)
+        return DynamicModel(rest, motion_in_training(checkpoint_path(run_dir, "deformation"), device))
+    model = load_trained(run_dir, device)
+    return model if found.motion is not None else replace(model, motion=None, in_motion=None)
+
+
+def _points(run_dir: Path, scene: Scene) -> tuple[Float32[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """The sweep's points with their colours; those of a data set are grey."""
+    xyz, colours, _ = sweep_points(RunFolder(run_dir, stage_names(), {}))
+    if not len(xyz) and scene.points is not None:
+        xyz = scene.points.xyz
+        colours = np.full(xyz.shape, GREY)
+    R, t = scene.box_from_world[:3, :3], scene.box_from_world[:3, 3]
+    return (xyz @ R.T + t).astype(np.float32), colours.astype(np.uint8)
+
+
+def _made_of(folder: Path, read: Path) -> bool:
+    """Whether a stage was made of what another one holds now."""
+    identity = (read_stamp(folder) or {}).get("identity", {})
+    return identity.get("reads", {}).get(read.name) == stamp_content(read)
+
+
+def _written(path: Path) -> int | None:
+    """When a file was written, ns."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return None
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,188 @@
+# ruff: noqa: F811 (fixtures are arguments)
+"""What a run folder has to show while it fills, and what the viewer says of it."""
+
+import json
+import os
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.pipelines.viewer_run import ViewerRun
+from tests.reconstruct.conftest import Ball, ball, rest  # noqa: F401 (fixtures)
+from tests.waiting import wait_for
+
+from devrf.capture.errors import DevrfError
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.runner.lock import LEASE_S, Lock, is_held
+from devrf.pipelines.viewer.site import Site
+from devrf.pipelines.viewer.source import Found, Loaded, load, look, progress
+from devrf.pipelines.viewer.standing import facts, standing
+from devrf.reconstruct.model import render_view
+from devrf.reconstruct.motion_arrows import motion_arrows, next_key
+from devrf.reconstruct.train_canonical import RestModel
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> ViewerRun:
+    return ViewerRun(tmp_path)
+
+
+def told(run: ViewerRun, loaded: Loaded) -> str:
+    return standing(load_scene(run.scene_yaml, check_files=False), run.run_dir, loaded)
+
+
+def test_what_is_shown_follows_the_run(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
+    def now() -> Loaded:
+        return load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+
+    assert look(run.run_dir) == Found() and now().scene is None
+    assert "nothing to show yet" in told(run, now()) and "no run at work" in told(run, now())
+    run.scene(ball.scene)
+    loaded = now()
+    assert loaded.scene is not None and loaded.model is None
+    assert "cameras and points, no model yet" in told(run, loaded)
+    run.rest_in_training(rest)
+    loaded = now()
+    assert loaded.model is not None and loaded.model.motion is None and not loaded.found.finished
+    assert "interrupted" in told(run, loaded)
+    camera = ball.scene.static[0].camera
+    expected = render_view(loaded.model, camera, None)
+    run.rest(rest)
+    loaded = now()
+    assert loaded.found.finished and loaded.model is not None
+    assert np.abs(render_view(loaded.model, camera, None) - expected).max() < 0.05  # packed in bytes
+    run.motion(rest)
+    loaded = now()
+    assert loaded.model is not None and loaded.model.motion is not None
+    assert "finished model" in told(run, loaded)
+    assert "5 times" in facts(run.run_dir, loaded) and "MB" in facts(run.run_dir, loaded)
+
+
+def test_a_training_shows_only_while_a_run_is_at_work(
+    run: ViewerRun,
+    ball: Ball,
+    rest: RestModel,
+) -> None:
+    run.scene(ball.scene)
+    run.rest(rest)
+    run.motion(rest)
+    run.rest_in_training(rest)
+    assert look(run.run_dir).finished and look(run.run_dir).motion is not None  # one that was given up
+    lock = Lock(run.run_dir)
+    lock.take()
+    try:
+        found = look(run.run_dir)
+        assert found.rest_training is not None and found.motion is None and not found.finished
+        events = [
+            {"event": "stage_started", "stage": "canonical"},
+            {"event": "progress", "stage": "canonical", "fraction": 0.25, "text": "PSNR <20> dB"},
+        ]
+        lines = "".join(json.dumps(event) + "\n" for event in events)
+        (run.run_dir / "events.jsonl").write_text("x" * 5000 + "\n" + lines + '{"half')
+        said = told(run, load(run.run_dir, found, "cpu", Loaded()))
+        assert (
+            "run at work" in said
+            and "canonical 25 %: PSNR &lt;20&gt; dB" in said
+            and "<b>in training" in said
+        )
+    finally:
+        lock.release()
+    assert look(run.run_dir).finished
+    (run.run_dir / "events.jsonl").write_text('{"event": "run_finished"}\n')
+    assert progress(run.run_dir) == {}
+
+
+def test_a_motion_of_another_scene_at_rest_is_not_shown(
+    run: ViewerRun,
+    ball: Ball,
+    rest: RestModel,
+) -> None:
+    run.scene(ball.scene)
+    run.rest(rest)
+    run.motion(rest, made_of="something else")
+    assert look(run.run_dir).motion is None
+    model = load(run.run_dir, look(run.run_dir), "cpu", Loaded()).model
+    assert model is not None and model.motion is None
+
+
+def test_what_is_damaged_is_named(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
+    run.scene(ball.scene)
+    run.rest(rest)
+    (run.run_dir / "canonical/model.safetensors").write_bytes(b"half")
+    with pytest.raises(DevrfError, match="model.safetensors: cannot be read"):
+        load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+    (run.run_dir / "scene/scene.json").write_text("{")
+    with pytest.raises(DevrfError, match="scene"):
+        load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+
+
+def test_what_is_not_well_is_said(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
+    run.scene(ball.scene)
+    run.rest(rest)
+    loaded = load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+    said = told(run, loaded)
+    assert "not finished" in said and "deformation, evaluate" in said and "ball &lt;b&gt;" in said
+    assert "healthy" not in said
+    run.health("scene", "warn", "rays <i> that miss")
+    assert "doubtful" in told(run, loaded) and "rays &lt;i&gt; that miss" in told(run, loaded)
+    run.health("canonical", "fail", "PSNR")
+    said = told(run, loaded)
+    assert "unhealthy" in said and "1 check refused" in said and "Film it again." in said
+    assert said.index("<b>canonical</b>") < said.index("<b>scene</b>")
+    (run.run_dir / ".failed-deformation.json").write_text('{"message": "no room", "code": 1}')
+    assert "deformation failed" in told(run, loaded) and "no room" in told(run, loaded)
+
+
+def test_a_lock_is_looked_at_and_not_taken(tmp_path: Path) -> None:
+    assert not is_held(tmp_path)
+    lock = Lock(tmp_path)
+    lock.take()
+    assert is_held(tmp_path)
+    lock.check()
+    lock.release()
+    assert not is_held(tmp_path)
+    dead = {"pid": 1, "host": "another", "boot": "b", "pids": "p", "started": "1", "since": "then"}
+    (tmp_path / ".lock").write_text(json.dumps(dead))
+    assert is_held(tmp_path)  # of another machine, touched just now
+    old = time.time() - LEASE_S - 1
+    os.utime(tmp_path / ".lock", (old, old))
+    assert not is_held(tmp_path)
+
+
+def test_arrows_follow_the_motion(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
+    run.scene(ball.scene)
+    run.rest(rest)
+    run.motion(rest)
+    model = load(run.run_dir, look(run.run_dir), "cpu", Loaded()).model
+    assert model is not None
+    arrows = motion_arrows(model, None, 0.6, 200)
+    assert len(arrows) == 200
+    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 0.6 * ball.travel * np.ones((200, 1)), atol=5e-3)
+    assert (np.linalg.norm(arrows[:, 0], axis=1) < ball.radius + 0.15).all()
+    assert next_key(model, 0.3) == pytest.approx(0.5) and next_key(model, 1.0) == 1.0
+    assert not len(motion_arrows(model, 0.4, 0.4, 200))
+
+
+def test_a_damaged_model_is_shown_as_such_until_it_is_replaced(
+    run: ViewerRun, ball: Ball, rest: RestModel
+) -> None:
+    run.scene(ball.scene)
+    run.rest(rest)
+    (run.run_dir / "canonical/model.safetensors").write_bytes(b"half")
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    site = Site(load_scene(run.scene_yaml, check_files=False), run.run_dir, "cpu", "127.0.0.1", port)
+    try:
+        assert site.loaded.scene is not None and site.loaded.model is None
+        assert "not readable" in site._standing() and "model.safetensors" in site._standing()
+        run.rest_in_training(rest)
+        lock = Lock(run.run_dir)
+        lock.take()
+        wait_for(lambda: site.loaded.model is not None)
+        said = site._standing()
+        lock.release()
+        assert "not readable" not in said and "in training" in said
+    finally:
+        site.close()
