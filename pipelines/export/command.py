@@ -1,0 +1,88 @@
+"""`devrf-pipeline export`: what has to be right before anything is written, and what is said in the end."""
+
+import difflib
+import importlib.util
+from pathlib import Path
+
+from devrf.capture.errors import InputError
+from devrf.capture.formats.export import check_target
+from devrf.pipelines.console import Talk
+from devrf.pipelines.export.formats import FORMATS
+from devrf.pipelines.export.request import Format, Options, Request
+from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.runner.plan import read_health
+from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stamps.stamp import STAMP
+
+INSTALL = "python -m pip install 'devrf[export]'; in a clone: python -m pip install -e '.[export]'"
+
+
+def export(
+    talk: Talk, run_dir: Path, name: str, out: Path | None, options: Options | None = None, title: str = ""
+) -> Path:
+    """Write what a run has made in another program's files, and say where it is.
+
+    Args:
+        talk: Where to speak.
+        run_dir: The run folder.
+        name: One of `FORMATS`.
+        out: Folder to write; None: `export/<format>` in the run folder.
+        options: What some formats take.
+        title: Name of the scene.
+    Raises:
+        InputError: An unknown format, an option it does not take, a library that is missing, a folder in use, nothing
+            to export yet, or a link in the run folder.
+        DevrfError: The format cannot hold this scene, a picture is missing, or nothing can be written.
+    """
+    chosen, options = _known(name), options or Options()
+    if out is None:
+        check_run_folder(run_dir, ())
+    folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
+    _check(run_dir, name, chosen, options)
+    check_target(folder, name)
+    notes = _unhealthy(run_dir, chosen.stage)
+    request = Request(talk, run_dir, name, folder, options, title or run_dir.name, notes)
+    chosen.write(request)
+    for text in request.notes:
+        talk.say(f"  note: {text}")
+    talk.say(f"  {chosen.what} ({name}): {folder}")
+    return folder
+
+
+def _known(name: str) -> Format:
+    if name in FORMATS:
+        return FORMATS[name]
+    near = difflib.get_close_matches(name, FORMATS, n=1)
+    hint = f", did you mean {near[0]}?" if near else ""
+    raise InputError(f"--format {name}: expected {', '.join(FORMATS)}{hint}")
+
+
+def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
+    """Raises InputError where the format takes no such option, lacks a library, or the run is not that far."""
+    for option in options.given():
+        if option not in chosen.options:
+            takers = [n for n, other in FORMATS.items() if option in other.options]
+            raise InputError(
+                f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
+            )
+    missing = [module for module in chosen.modules if importlib.util.find_spec(module) is None]
+    if missing:
+        raise InputError(
+            f"--format {name}: needs {', '.join(missing)}, which is not installed; install the extra `export` "
+            f"({INSTALL})"
+        )
+    if not (run_dir / chosen.stage / STAMP).is_file():
+        what = "the model" if chosen.stage in ("canonical", "deformation") else f"the {chosen.stage}"
+        raise InputError(f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first")
+
+
+def _unhealthy(run_dir: Path, stage: str) -> list[str]:
+    """What the run's own checks refused, up to the stage that is exported, in words."""
+    names = [each.name for each in STAGES]
+    last = "deformation" if stage == "canonical" else stage  # the model moves where that stage has run
+    rows = [(n, row) for n in names[: names.index(last) + 1] for row in read_health(run_dir / n)]
+    return [
+        f"the run is not healthy: {name}: {row.check}; {row.remedy}"
+        for name, row in rows
+        if row.verdict == "fail"
+    ]

@@ -1,0 +1,133 @@
+"""Export of the player: one HTML page that carries the scene in motion (docs/player.md)."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from devrf.capture.camera import Camera
+from devrf.capture.errors import InputError
+from devrf.capture.formats.round_trip import RoundTrip, of_cameras
+from devrf.pipelines.export import splats as shared
+from devrf.pipelines.export.request import Request
+from devrf.pipelines.export.trained import Trained
+from devrf.pipelines.player.page import page_size, player_page
+from devrf.reconstruct.film.paths import orbit
+from devrf.reconstruct.film.span import Span, film_cameras, film_lens, fixed_cameras
+
+if TYPE_CHECKING:  # it needs torch
+    from devrf.reconstruct.splats.make import Splats
+
+TIMES = "keys"
+PAGE = "player.html"
+MOST_BYTES = 25_000_000
+ABOUT = 20_000  # bytes of views and words, at most
+START = "start"
+MOST_OF_SWEEP = 4  # views of a scene that has no fixed cameras
+LAST = 0.02  # of the progress: packing and writing
+
+
+def write(request: Request) -> None:
+    """Write `player.html`."""
+    count = shared.asked(request)
+    trained = Trained(request, TIMES)
+    _check_size(count, len(trained.moments))
+    from devrf.reconstruct.splats.packed import pack
+
+    with request.new_folder() as new, request.talk.progress("export player") as progress:
+        made = shared.made(trained, count, lambda done, text: progress((1 - LAST) * done, text))
+        packed = pack(made.gaussians, made.ways)
+        views = _views(trained)
+        about = {**_about(trained, made), "splats": packed.about, "views": [_told(*view) for view in views]}
+        path = new / PAGE
+        page = player_page(request.title, _subtitle(trained), about, packed.data)
+        path.write_text(page, encoding="utf-8")
+        progress(1.0, f"{path.stat().st_size / 1e6:.1f} MB written")
+        again = [(camera, _camera(view)) for (_, camera, _), view in zip(views, about["views"], strict=True)]
+        trained.describe(
+            new,
+            files=f"{PAGE}: one page that needs nothing else; open it in a browser, or send it to anyone.",
+            axes="the box frame of the model, `world_from_box` in export.json leads to the world of the calibration.",
+            facts={"splats": packed.about, "bytes": path.stat().st_size},
+            checks=[("the views in the page", _checked(trained, again))],
+        )
+
+
+def _check_size(count: int, keys: int) -> None:
+    """Raises InputError where the page could be larger than `MOST_BYTES`."""
+    from devrf.reconstruct.splats.packed import size_at_most
+
+    def size(n: int) -> int:
+        return page_size(size_at_most(n, n, keys), ABOUT)
+
+    if size(count) > MOST_BYTES:
+        most = int(count * (MOST_BYTES - size(0)) / (size(count) - size(0)) / 1000) * 1000
+        raise InputError(
+            f"--splats {count}: at {keys} times the page could have {size(count) / 1e6:.0f} MB, more than "
+            f"{MOST_BYTES / 1e6:.0f}; expected at most {most}, or fewer times (--times)"
+        )
+
+
+def _about(trained: Trained, made: "Splats") -> dict[str, Any]:
+    """What the page is told beside splats and views."""
+    seconds = [moment.time_s or 0.0 for moment in trained.moments]
+    return {
+        "up": _span(trained).up.tolist(),
+        "behind": made.behind.tolist(),
+        "metres": trained.scale if trained.scene.metric else None,
+        "times": seconds,
+    }
+
+
+def _subtitle(trained: Trained) -> str:
+    moments, scene = trained.moments, trained.scene
+    length = "" if len(moments) < 2 else f"{(moments[-1].time_s or 0) - (moments[0].time_s or 0):.1f} s, "
+    unit = "metres" if scene.metric else "arbitrary scale"
+    return f"{length}{unit}; made by devrf"
+
+
+def _span(trained: Trained) -> Span:
+    return Span.of(film_cameras(trained.boxed), trained.boxed.aabb)
+
+
+def _views(trained: Trained) -> list[tuple[str, Camera, np.ndarray]]:
+    """Names, cameras and what they look at: within the cameras' span first, then the cameras."""
+    scene, target = trained.boxed, _span(trained).target
+    cameras = film_cameras(scene)
+    path = orbit(cameras, scene.aabb, 4, film_lens(cameras))
+    fixed = fixed_cameras(scene)
+    if not fixed:
+        at = np.linspace(0, len(cameras) - 1, min(MOST_OF_SWEEP, len(cameras))).astype(int)
+        fixed = {f"sweep {n + 1}": cameras[k] for n, k in enumerate(at.tolist())}
+    named = [(START, path[1]), *fixed.items()]
+    return [(name, camera, target) for name, camera in named]
+
+
+def _told(name: str, camera: Camera, target: np.ndarray) -> dict[str, Any]:
+    """A view as the page takes it."""
+    K = camera.K
+    return {
+        "name": name,
+        "turn": camera.cam_from_world[:, :3].ravel().tolist(),
+        "eye": camera.centre.tolist(),
+        "target": target.tolist(),
+        "lens": {
+            "focal": [K[0, 0], K[1, 1]],
+            "centre": [K[0, 2], K[1, 2]],
+            "size": [camera.width, camera.height],
+        },
+    }
+
+
+def _camera(view: dict[str, Any]) -> Camera:
+    """The camera that a view says."""
+    (fx, fy), (cx, cy), (width, height) = (view["lens"][part] for part in ("focal", "centre", "size"))
+    R, eye = np.array(view["turn"]).reshape(3, 3), np.array(view["eye"])
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return Camera(width, height, K, np.column_stack([R, -R @ eye]))
+
+
+def _checked(trained: Trained, pairs: list[tuple[Camera, Camera]]) -> RoundTrip:
+    """The page's cameras against the scene's, without lens distortion, in the box frame."""
+    from devrf.reconstruct.splats.gaussians import pinhole
+
+    return of_cameras(trained.boxed, [(pinhole(meant), again) for meant, again in pairs], PAGE)

@@ -1,0 +1,94 @@
+"""What a writer of exports is given, and what it says of itself in the table of formats."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.formats.export import new_folder
+from devrf.pipelines.console import Talk
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `export` that only some formats take; None where they were not given.
+
+    Attributes:
+        times: Which times, as in `times.chosen`.
+        level: Opacity of the surface of meshes.
+        splats: How many Gaussians.
+        device: auto, cpu or cuda.
+    """
+
+    times: str | None = None
+    level: float | None = None
+    splats: int | None = None
+    device: str | None = None
+
+    def given(self) -> list[str]:
+        """Names of those that were given."""
+        return [name for name, value in vars(self).items() if value is not None]
+
+
+@dataclass
+class Request:
+    """One export.
+
+    Attributes:
+        talk: Where to speak.
+        run_dir: The run folder.
+        name: Of the format.
+        folder: Where the export is to be.
+        options: What was asked for.
+        title: Name of the scene.
+        notes: What people should know of this export; printed, and to be written beside the files.
+    """
+
+    talk: Talk
+    run_dir: Path
+    name: str
+    folder: Path
+    options: Options = field(default_factory=Options)
+    title: str = ""
+    notes: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def new_folder(self) -> Iterator[Path]:
+        """An empty folder to write into, which gets its name when it is whole.
+
+        Raises:
+            CaptureError: The disk is full or may not be written; nothing is left.
+        """
+        with self.disk_told(), new_folder(self.folder, self.name) as new:
+            yield new
+
+    @contextmanager
+    def disk_told(self) -> Iterator[None]:
+        """A disk that is full or may not be written, in words."""
+        try:
+            yield
+        except OSError as error:
+            raise CaptureError(
+                f"{self.folder}: cannot be written ({error.strerror or error}); nothing is left there; free space "
+                "or name another folder with --out"
+            ) from None
+
+
+@dataclass(frozen=True)
+class Format:
+    """One thing that can be exported.
+
+    Attributes:
+        write: Writes it.
+        what: For people: what it is, in a few words.
+        stage: What has to be finished.
+        options: Which of `Options` it takes.
+        modules: Libraries of the extra `export` that it imports.
+    """
+
+    write: Callable[[Request], None]
+    what: str
+    stage: str
+    options: tuple[str, ...] = ()
+    modules: tuple[str, ...] = ()

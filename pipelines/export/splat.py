@@ -1,0 +1,68 @@
+"""Exports of 3D Gaussians, a PLY file per time."""
+
+from typing import Any
+
+from devrf.capture.formats.ply import read_positions
+from devrf.capture.formats.round_trip import RoundTrip, of_points
+from devrf.capture.formats.splat_ply import write_splat_ply
+from devrf.pipelines.export import splats as shared
+from devrf.pipelines.export.request import Request
+from devrf.pipelines.export.trained import AXES, Trained, bounds_of
+
+TIMES = "10"
+LAST = 0.05  # of the progress: writing
+
+
+def write(request: Request) -> None:
+    """Write `splat_0000.ply` and so on, one per time; the same Gaussians in the same order."""
+    count = shared.asked(request)
+    trained = Trained(request, TIMES)
+    import torch
+
+    from devrf.reconstruct.splats.gaussians import transformed
+
+    matrix = torch.from_numpy(trained.world_from_box).float()
+    entries: list[dict[str, Any]] = []
+    checks: list[tuple[str, RoundTrip]] = []
+    with request.new_folder() as new, request.talk.progress("export splat") as progress:
+        made = shared.made(trained, count, lambda done, text: progress((1 - LAST) * done, text))
+        for n, moment in enumerate(trained.moments):
+            boxed = made.at(n).to("cpu")
+            world, path = transformed(boxed, matrix), new / f"splat_{n:04d}.ply"
+            comments = [
+                "devrf splats in the world of the calibration",
+                f"unit: {trained.unit}",
+                moment.said(),
+            ]
+            write_splat_ply(
+                path,
+                world.places.numpy(),
+                world.colours.numpy(),
+                world.logits.numpy(),
+                world.log_scales.numpy(),
+                world.quats.numpy(),
+                comments,
+            )
+            again, meant = read_positions(path), boxed.places.double().numpy()
+            # surroundings may lie beside a camera's plane, where pixels are no measure
+            inside = ((meant >= trained.scene.aabb[0]) & (meant <= trained.scene.aabb[1])).all(1)
+            check = of_points(trained.scene, meant[inside], again[inside], path.name)
+            checks.append((f"the positions in {path.name}", check))
+            entries.append(
+                {"file": path.name, "time": moment.time, "time_s": moment.time_s, **bounds_of(again)}
+            )
+            progress(1 - LAST + LAST * (n + 1) / len(trained.moments), f"{n + 1} files written")
+        trained.describe(
+            new,
+            files="splat_0000.ply and so on: 3D Gaussians as 3D Gaussian splatting writes them, one file per time, in "
+            "order (times in export.json). The same Gaussians in the same order in all files; only positions differ. "
+            "Colours do not depend on the direction (SH degree 0).",
+            axes=AXES,
+            facts={
+                "files": entries,
+                "splats": len(made.gaussians),
+                "moving": made.moving,
+                "behind": made.behind.tolist(),
+            },
+            checks=checks,
+        )

@@ -1,0 +1,53 @@
+"""Which times of a moving scene are exported: `--times`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from devrf.capture.errors import InputError
+from devrf.capture.scene import Scene
+from devrf.reconstruct.film.times import parse_time
+
+MOST = 10_000  # files in one folder
+KEYS = "keys"
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time that is exported.
+
+    Attributes:
+        time: In [0, 1]; None: the scene at rest.
+        time_s: Seconds on the first camera's clock; None: the scene at rest.
+    """
+
+    time: float | None
+    time_s: float | None
+
+    def said(self) -> str:
+        """In words."""
+        return "at rest" if self.time_s is None else f"at {self.time_s:.4f} s"
+
+
+REST = Moment(None, None)
+
+
+def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
+    """The times that an option names, in order.
+
+    Args:
+        text: A number of times, spread evenly; `keys`; or times as `render --time` takes them, with commas.
+        scene: Whose time runs from `t0_s` to `t1_s`.
+        keys: The model's key times in [0, 1].
+    Raises:
+        InputError: Not understood, or outside the clip.
+    """
+    if text == KEYS:
+        times = keys
+    elif text.strip().isdecimal():
+        if not 1 <= int(text) <= MOST:
+            raise InputError(f"--times {text}: expected a number of times from 1 to {MOST}")
+        times = np.linspace(0.0, 1.0, int(text)).tolist()
+    else:
+        times = sorted({parse_time(part, "--times", scene.t0_s, scene.t1_s) for part in text.split(",")})
+    return [Moment(time, scene.t0_s + time * (scene.t1_s - scene.t0_s)) for time in times]

@@ -1,0 +1,1 @@
+"""The player: a scene in motion as one HTML page that needs nothing else."""

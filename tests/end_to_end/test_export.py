@@ -1,0 +1,47 @@
+"""What the example's run leaves, taken elsewhere: the sheet is where it truly was."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from tests.conftest import ExampleRun
+
+from devrf.calibration.truth import read_truth, similarity
+from devrf.capture.formats import gltf, read_scene
+from devrf.pipelines.console import Talk
+from devrf.pipelines.export.command import export
+from devrf.pipelines.export.request import Options
+
+TIME_S = 1.3  # in mid-motion: half of the sheet's points are 0.1 m or more from where they rest
+MEDIAN_M = 0.015  # a voxel and a half; measured 0.008
+
+
+def test_the_sheet_that_moves_is_where_it_was(example_run: ExampleRun, tmp_path: Path) -> None:
+    pytest.importorskip("skimage")
+    options = Options(times=f"{TIME_S}s", device="cpu")
+    folder = export(Talk("quiet"), example_run.run_dir, "glb", tmp_path / "out", options)
+    facts = json.loads((folder / "export.json").read_text())
+    mesh = gltf.read_glb(folder / "scene.glb")
+
+    scene, file = read_scene(example_run.run_dir / "scene"), example_run.scene.parent / "ground_truth.json"
+    truth, thing = read_truth(file), json.loads(file.read_text())["object"]
+    fixed = {f.camera_name: f.camera for f in scene.dynamic}
+    pairs = [(truth.static[f.index], f.camera) for f in scene.static]
+    pairs += [(truth.cameras[name], camera) for name, camera in fixed.items()]
+    true_from_world = similarity(
+        np.array([c.centre for _, c in pairs]), np.array([pose[:3, 3] for pose, _ in pairs])
+    )
+    assert np.cbrt(np.linalg.det(true_from_world[:3, :3])) == pytest.approx(1, abs=0.01)  # metres
+    points, times = np.array(thing["points_m"]), np.array(thing["times_s"])
+    true = np.stack(
+        [np.interp(TIME_S, times, course) for course in points.reshape(len(times), -1).T]
+    ).reshape(-1, 3)
+    for shape, time in ((mesh.vertices, 0.0), (mesh.shapes[0], TIME_S)):
+        there = shape @ true_from_world[:3, :3].T + true_from_world[:3, 3]
+        sheet = points[0] if time == 0.0 else true
+        assert np.median(KDTree(there).query(sheet)[0]) < MEDIAN_M
+    assert np.median(np.linalg.norm(true - points[0], axis=1)) > 5 * MEDIAN_M  # so that it tells
+    assert max(facts["forward_motion"]["median"]) < facts["forward_motion"]["voxel"]
+    assert facts["checked"]["worst_px"] < 0.01

@@ -1,0 +1,278 @@
+"""The model taken elsewhere: a ball that moves, whose place, size and colour are known, opened by other programs."""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+import yaml
+from tests.reconstruct.moving_ball import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball
+
+from devrf.capture.errors import CaptureError, InputError, ReconstructError
+from devrf.capture.formats import gltf, write_scene
+from devrf.capture.formats.ply import write_ply
+from devrf.capture.scene import Scene
+from devrf.pipelines.cli import app
+from devrf.pipelines.console import Talk
+from devrf.pipelines.export import ply
+from devrf.pipelines.export.command import export
+from devrf.pipelines.export.formats import FORMATS
+from devrf.pipelines.export.request import Options
+from devrf.reconstruct.model_io import FILE, save_motion, save_rest
+
+UNIT = 1 / 1.25  # of the world in the box frame, as odd_scene has it
+R = RADIUS * UNIT
+MODEL = ("ply", "mesh", "glb", "zarr", "npz")
+
+
+@pytest.fixture
+def run_dir(odd_scene: Scene, tmp_path: Path) -> Path:
+    """A run as far as `deformation`, made by hand."""
+    run, model = tmp_path / "run", moving_ball()
+    write_scene(run / "scene", replace(odd_scene, background="white"))
+    for stage in ("canonical", "deformation"):
+        (run / stage).mkdir()
+    save_rest(run / "canonical" / FILE, model.rest)
+    assert model.motion is not None
+    save_motion(run / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
+    for stage in ("scene", "canonical", "deformation"):
+        (run / stage / "stamp.json").write_text("{}")
+    return run
+
+
+def exported(run: Path, name: str, **options) -> tuple[Path, dict]:
+    folder = export(Talk("quiet"), run, name, None, Options(**options))
+    return folder, json.loads((folder / "export.json").read_text()) if name in MODEL else {}
+
+
+def centre_at(time_s: float) -> np.ndarray:
+    return np.array([TRAVEL * UNIT * (time_s - 2.0) / 3.0, 0, 0])
+
+
+def test_point_clouds_open_in_plyfile_and_trimesh(run_dir: Path) -> None:
+    plyfile, trimesh = pytest.importorskip("plyfile"), pytest.importorskip("trimesh")
+    folder, facts = exported(run_dir, "ply", times="2s,3.5s")
+    assert [entry["time_s"] for entry in facts["files"]] == [2.0, 3.5] and facts["metric"]
+    for entry in facts["files"]:
+        cloud = trimesh.load(folder / entry["file"])
+        away = cloud.vertices - centre_at(entry["time_s"])
+        assert len(away) > 50
+        assert np.abs(np.linalg.norm(away, axis=1) - R).max() < 0.1 * R
+        np.testing.assert_allclose(cloud.colors[:, :3].mean(0) / 255, COLOUR, atol=0.03)
+        np.testing.assert_allclose([entry["min"], entry["max"]], cloud.bounds, atol=1e-6)
+        data = plyfile.PlyData.read(folder / entry["file"])
+        assert "unit: metres" in data.comments and f"at {entry['time_s']:.4f} s" in data.comments
+        normals = np.stack([data["vertex"][axis] for axis in ("nx", "ny", "nz")], axis=1)
+        assert np.median((normals * away).sum(1) / np.linalg.norm(away, axis=1)) > 0.9
+    readme = " ".join((folder / "README.txt").read_text().split())
+    assert "Axes: the world of the calibration" in readme and "lengths are in metres" in readme
+    assert "checked on writing: " in readme and facts["checked"]["worst_px"] < 0.01
+    up = np.mean([-f for f in np.array([[0.05, 1.0, 0.0]])], axis=0)  # how odd_scene's cameras are held
+    assert np.dot(facts["up"], up) / np.linalg.norm(up) > 0.99
+
+
+def test_meshes_open_in_trimesh(run_dir: Path) -> None:
+    pytest.importorskip("skimage")
+    trimesh = pytest.importorskip("trimesh")
+    folder, facts = exported(run_dir, "mesh", times="2s,5s")
+    for entry in facts["files"]:
+        for file in entry["files"]:
+            mesh = trimesh.load(folder / file, process=False)
+            assert mesh.is_watertight and len(mesh.vertices) == entry["vertices"]
+            assert mesh.volume == pytest.approx(4 / 3 * np.pi * R**3, rel=0.08)
+            np.testing.assert_allclose(mesh.center_mass, centre_at(entry["time_s"]), atol=0.01)
+            colours = np.asarray(mesh.visual.vertex_colors)[:, :3].mean(0) / 255
+            np.testing.assert_allclose(colours, COLOUR, atol=0.05)
+
+
+def test_one_animated_mesh(run_dir: Path) -> None:
+    pytest.importorskip("skimage")
+    trimesh = pytest.importorskip("trimesh")
+    folder, facts = exported(run_dir, "glb")
+    path = folder / "scene.glb"
+    mesh, turn = gltf.read_glb(path), np.array(facts["gltf_from_world"])
+    assert mesh.times_s == pytest.approx([0.0, 1.5, 3.0]) and facts["first_time_s"] == 2.0
+    assert len(mesh.shapes) == KEYS
+    for time_s, shape in zip(facts["key_times_s"], mesh.shapes, strict=True):
+        np.testing.assert_allclose(shape.mean(0), centre_at(time_s) + mesh.vertices.mean(0), atol=2e-3)
+        np.testing.assert_allclose(shape.max(0) - shape.min(0), 2 * R, rtol=0.06)
+    np.testing.assert_allclose(turn @ facts["up"], [0, 1, 0], atol=1e-9)
+    np.testing.assert_allclose(mesh.turn, turn, atol=1e-6)
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    scene = trimesh.load(path)  # shows it at rest, with y up
+    (thing,) = scene.geometry.values()
+    assert thing.is_watertight and thing.volume == pytest.approx(4 / 3 * np.pi * R**3, rel=0.08)
+    np.testing.assert_allclose(scene.bounds, [[-R] * 3, [R] * 3], atol=0.1 * R)
+    np.testing.assert_allclose(mesh.rgb.mean(0), COLOUR, atol=0.05)
+    assert max(facts["forward_motion"]["median"]) < facts["forward_motion"]["voxel"]
+
+
+def test_a_glb_is_as_the_specification_has_it(run_dir: Path) -> None:
+    """What validators look at: chunks of whole words, accessors in their views, bounds, a weight per target and key."""
+    pytest.importorskip("skimage")
+    folder, _ = exported(run_dir, "glb", times="2")
+    data = (folder / "scene.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    value = json.loads(data[20 : 20 + length])
+    assert data[:4] == b"glTF" and int.from_bytes(data[8:12], "little") == len(data) and length % 4 == 0
+    size = {5126: 4, 5123: 2, 5125: 4}
+    for accessor in value["accessors"]:
+        view = value["bufferViews"][accessor["bufferView"]]
+        columns = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        assert accessor["count"] * columns * size[accessor["componentType"]] == view["byteLength"]
+        assert view["byteOffset"] % 4 == 0
+    assert value["buffers"][0]["byteLength"] == len(data) - 28 - length
+    (primitive,) = value["meshes"][0]["primitives"]
+    places = [primitive["attributes"]["POSITION"], *(t["POSITION"] for t in primitive["targets"])]
+    assert all({"min", "max"} <= value["accessors"][n].keys() for n in places)
+    assert len({value["accessors"][n]["count"] for n in places}) == 1
+    (animation,) = value["animations"]
+    (sampler,) = animation["samplers"]
+    keys, weights = (value["accessors"][sampler[part]] for part in ("input", "output"))
+    assert weights["count"] == keys["count"] * len(primitive["targets"]) and keys["min"] == [0.0]
+
+
+@pytest.mark.parametrize("name", ["zarr", "npz"])
+def test_voxel_grids(run_dir: Path, name: str) -> None:
+    if name == "zarr":
+        pytest.importorskip("zarr")
+    folder, facts = exported(run_dir, name, times="3")
+    if name == "zarr":
+        import zarr
+
+        group: Any = zarr.open_group(str(folder / "scene.zarr"), mode="r")
+        said = dict(group.attrs)
+        density, rgb, backward = (group[p] for p in ("moving/density", "moving/rgb", "motion/backward"))
+        density, rgb, backward, rest = density[2], rgb[2], backward[:], group["rest/density"][:]
+    else:
+        with np.load(folder / "moving_0002.npz") as file:
+            said, density, rgb = json.loads(str(file["attributes"])), file["density"], file["rgb"]
+        backward = np.load(folder / "motion.npz")["backward"]
+        rest = np.load(folder / "rest.npz")["density"]
+    assert said == facts["volumes"] and said["moving_times_s"] == [2.0, 3.5, 5.0]
+    assert said["world_units_per_box_unit"] == pytest.approx(UNIT) and said["density_unit"] == "1 / metre"
+    model = moving_ball()
+    assert model.motion is not None
+    np.testing.assert_allclose(backward, model.motion.backward, atol=2e-3)
+    for grid, time_s in ((rest, 2.0), (density, 5.0)):
+        index = np.argwhere(grid * model.rest.canonical.voxel * UNIT > np.log(2))  # half absorbed by a voxel
+        lo, hi = np.array(said["box_min"]), np.array(said["box_max"])
+        world = np.array(said["world_from_box"])
+        place = lo + index / (np.array(grid.shape) - 1) * (hi - lo)
+        away = place @ world[:3, :3].T + world[:3, 3] - centre_at(time_s)
+        assert np.linalg.norm(away, axis=1).max() < 1.05 * R
+        assert len(index) * (model.rest.canonical.voxel * UNIT) ** 3 == pytest.approx(
+            4 / 3 * np.pi * R**3, rel=0.1
+        )
+    np.testing.assert_allclose(rgb[density > 1].mean(0) / 255, COLOUR, atol=0.02)
+    assert (rgb[density == 0] == 0).all()
+
+
+def test_a_scene_in_which_nothing_moves(odd_scene: Scene, run_dir: Path) -> None:
+    pytest.importorskip("skimage")
+    for path in (run_dir / "deformation").iterdir():
+        path.unlink()
+    _, facts = exported(run_dir, "mesh")
+    assert [entry["time_s"] for entry in facts["files"]] == [None]
+    assert any("the motion is not trained yet" in note for note in facts["notes"])
+    shutil.rmtree(run_dir / "scene" / "dynamic")
+    write_scene(run_dir / "scene", replace(odd_scene, background="white", dynamic=(), rest_time=None))
+    folder, facts = exported(run_dir, "glb")
+    assert not facts["notes"][:-1] and gltf.read_glb(folder / "scene.glb").shapes == []
+    with pytest.raises(InputError, match=r"--times 3: the scene has no times to choose from: nothing moves"):
+        exported(run_dir, "ply", times="3")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("ply", {"times": "9s"}, r"--times 9s: outside the clip; expected 0 to 1, or 2.000s to 5.000s"),
+        ("ply", {"times": "soon"}, "--times soon: expected a share of the clip"),
+        ("ply", {"times": "0"}, "--times 0: expected a number of times from 1"),
+        ("ply", {"level": 0.5}, r"--level: not for --format ply; leave it out \(taken by mesh, glb\)"),
+        ("nerfstudio", {"times": "3"}, "--times: not for --format nerfstudio"),
+        ("mesh", {"level": 1.5}, "--level 1.5: expected an opacity between 0 and 1"),
+        ("glb", {"device": "tpu"}, "--device tpu: expected auto, cpu or cuda"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_written(run_dir: Path, name, options, says) -> None:
+    with pytest.raises(InputError, match=says):
+        exported(run_dir, name, **options)
+    assert not (run_dir / "export").exists()
+
+
+def test_an_extra_that_is_missing(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("skimage", "zarr"):
+        monkeypatch.setitem(sys.modules, module, None)
+    for name, module in (("mesh", "skimage"), ("glb", "skimage"), ("zarr", "zarr")):
+        with pytest.raises(InputError, match=rf"needs {module}, .*pip install 'devrf\[export\]'"):
+            exported(run_dir, name)
+    exported(run_dir, "ply", times="1")  # needs nothing
+
+
+def test_a_run_that_is_not_finished_or_not_healthy(run_dir: Path) -> None:
+    row = {"check": "sweep registered", "value": 0.1, "unit": "", "warn": 0.9, "fail": 0.5, "verdict": "fail"}
+    row["remedy"] = "film slower"
+    (run_dir / "scene" / "health.json").write_text(json.dumps({"rows": [row]}))
+    _, facts = exported(run_dir, "ply", times="1")
+    assert facts["notes"][0] == "the run is not healthy: scene: sweep registered; film slower"
+    (run_dir / "canonical" / "stamp.json").unlink()
+    with pytest.raises(InputError, match="the model has not been made yet; run with --until canonical first"):
+        exported(run_dir, "glb")
+
+
+def test_nothing_solid_and_nothing_left(run_dir: Path) -> None:
+    pytest.importorskip("skimage")
+    model = moving_ball()
+    model.rest.canonical.density.clamp_(max=-5.0 - model.rest.canonical.shift)
+    save_rest(run_dir / "canonical" / FILE, model.rest)
+    with pytest.raises(ReconstructError, match="nothing solid found at level 0.5"):
+        exported(run_dir, "mesh", times="1")
+    with pytest.raises(ReconstructError, match="shows no surface at 2.0000 s"):
+        exported(run_dir, "ply", times="1")
+    assert list((run_dir / "export").iterdir()) == []
+
+
+def test_geometry_that_is_read_back_otherwise_is_refused(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def in_feet(path: Path, xyz: np.ndarray, *others) -> None:
+        write_ply(path, xyz * 3.28084, *others)
+
+    monkeypatch.setattr(ply, "write_ply", in_feet)
+    with pytest.raises(CaptureError, match=r"points lie .* px from where they were \(allowed: 0.2 px"):
+        exported(run_dir, "ply", times="1")
+    assert list((run_dir / "export").iterdir()) == []
+
+
+def test_folders_in_use(run_dir: Path, tmp_path: Path) -> None:
+    folder, _ = exported(run_dir, "ply", times="1")
+    (folder / "stray.txt").write_text("old")
+    exported(run_dir, "ply", times="1")
+    assert not (folder / "stray.txt").exists()
+    with pytest.raises(InputError, match="holds an export to ply"):
+        export(Talk("quiet"), run_dir, "npz", folder)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        export(Talk("quiet"), run_dir, "npz", tmp_path / "file" / "out")
+
+
+def test_the_command(devrf: Callable, run_dir: Path) -> None:
+    scene = run_dir.parent / "scene.yaml"
+    data = {"format": "nerfstudio", "path": "data"}
+    scene.write_text(yaml.safe_dump({"name": "ball", "output": "run", "preset": "tiny", "dataset": data}))
+    result = devrf("export", scene, "--format", "npz", "--times", "2", "--device", "cpu")
+    assert result.code == 0, result.said
+    assert "voxel grids (npz)" in result.out and "checked on writing: 200 points" in result.out
+
+
+def test_help_names_every_format() -> None:
+    group: Any = typer.main.get_command(app)
+    told = next(p.help for p in group.commands["export"].params if "--format" in p.opts)
+    assert not [name for name in FORMATS if name not in told]

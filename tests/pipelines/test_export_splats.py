@@ -1,0 +1,79 @@
+"""Exports of splats and of the player through the command line, and refused where they are wrong."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.pipelines.trained_run import SCALE, write_trained
+from tests.reconstruct.moving_ball import RADIUS, TRAVEL
+
+from devrf.capture.errors import InputError
+from devrf.pipelines.console import Talk
+from devrf.pipelines.export.command import export
+from devrf.pipelines.export.request import Options
+
+
+@pytest.fixture(scope="module")
+def scene_yaml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_trained(tmp_path_factory.mktemp("ball"))
+
+
+def test_a_sequence_of_splats(devrf: Callable, scene_yaml: Path, tmp_path: Path) -> None:
+    plyfile = pytest.importorskip("plyfile")
+    out = tmp_path / "splats"
+    result = devrf(
+        "export", scene_yaml, "--format", "splat", "--times", "0s,1s", "--splats", 800, "--out", out
+    )
+    assert result.code == 0, result.said
+    files = sorted(path.name for path in out.iterdir())
+    assert files == [".devrf-export", "README.txt", "export.json", "splat_0000.ply", "splat_0001.ply"]
+    first, last = (plyfile.PlyData.read(str(out / f"splat_000{n}.ply"))["vertex"] for n in (0, 1))
+    before, after = (np.stack([vertex[axis] for axis in "xyz"], axis=1) for vertex in (first, last))
+    radius = np.linalg.norm(before, axis=1) * SCALE  # metres in the file, the model's box is twice as large
+    assert 400 < len(radius) <= 800 and np.median(np.abs(radius - RADIUS)) < 0.03
+    np.testing.assert_allclose(after - before, np.tile([TRAVEL / SCALE, 0, 0], (len(radius), 1)), atol=2e-3)
+    np.testing.assert_array_equal(first["f_dc_0"], last["f_dc_0"])
+    assert 0.001 < np.median(np.exp(first["scale_2"])) < 0.1
+    facts = json.loads((out / "export.json").read_text())
+    assert facts["unit"] == "metre" and facts["files"][1]["time_s"] == 1.0
+    assert facts["checked"]["worst_px"] < 0.2 and "metres" in (out / "README.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (Options(splats=3), "--splats 3: expected 500 to 2000000; 30000 if it is left out"),
+        (Options(splats=1_500_000), r"the page could have .* MB, more than 25; expected at most \d+000"),
+        (Options(times="3s"), "outside the clip"),
+        (Options(level=0.5), "--level: not for --format player"),
+    ],
+)
+def test_a_player_that_cannot_be(scene_yaml: Path, options: Options, expected: str) -> None:
+    run = scene_yaml.parent / "run"
+    with pytest.raises(InputError, match=expected):
+        export(Talk("quiet"), run, "player", None, options)
+    assert not (run / "export").exists()
+
+
+def test_a_file_in_the_way(scene_yaml: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="cannot be written"):
+        export(Talk("quiet"), scene_yaml.parent / "run", "player", tmp_path / "file" / "player")
+
+
+def test_a_run_without_a_model(tmp_path: Path) -> None:
+    write_trained(tmp_path)
+    (tmp_path / "run" / "canonical" / "stamp.json").unlink()
+    with pytest.raises(InputError, match="the model has not been made yet; run with --until canonical"):
+        export(Talk("quiet"), tmp_path / "run", "splat", None)
+
+
+def test_a_motion_that_is_not_trained_yet_is_told(tmp_path: Path) -> None:
+    scene = write_trained(tmp_path)
+    shutil.rmtree(tmp_path / "run" / "deformation")
+    folder = export(Talk("quiet"), scene.parent / "run", "splat", None, Options(splats=500))
+    assert "the motion is not trained yet" in (folder / "README.txt").read_text()
+    assert json.loads((folder / "export.json").read_text())["moving"] == 0

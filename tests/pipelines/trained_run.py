@@ -1,0 +1,66 @@
+"""A run folder with a scene and a trained model, written without a run: what exports of the model read."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from tests.reconstruct.conftest import around, look_at
+from tests.reconstruct.moving_ball import AABB, moving_ball
+
+from devrf.capture.formats import write_scene
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.stamps.stamp import STAMP
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.model_io import FILE, save_motion, save_rest
+
+SCALE = 2.0  # box units in a metre
+
+
+def write_trained(folder: Path, *, moves: bool = True) -> Path:
+    """Write `scene.yaml` and a finished run of the moving ball (or of one at rest) into a folder.
+
+    Returns:
+        scene.yaml.
+    """
+    run, model = folder / "run", moving_ball()
+    picture = run / "grey.png"
+    picture.parent.mkdir(parents=True)
+
+    def frame(name: str, n: int, eye: np.ndarray, time: float | None) -> PosedFrame:
+        camera = look_at(eye).scaled(2.0)
+        cv2.imwrite(str(picture), np.full((camera.height, camera.width, 3), 128, np.uint8))
+        return PosedFrame(
+            picture, camera.moved(np.diag([1 / SCALE] * 3 + [1.0])), name, n, time, time, "train"
+        )
+
+    sweep = [frame("static", n, eye, None) for n, eye in enumerate(around(8, 0.0, 0.4))]
+    fixed = [frame(f"cam{c}", n, eye, n / 2) for c, eye in enumerate(around(3, 0.5, 0.3)) for n in range(3)]
+    scene = Scene(
+        tuple(sweep), tuple(fixed) if moves else (), np.diag([SCALE] * 3 + [1.0]), AABB.double().numpy(), 0.3, 9.0,
+        "inward", "white", 0.0, 1.0, 0.0, 1.0, metric=True,
+    )  # fmt: skip
+    write_scene(run / "scene", scene)
+    (run / "canonical").mkdir()
+    save_rest(run / "canonical" / FILE, model.rest)
+    if moves:
+        assert model.motion is not None
+        (run / "deformation").mkdir()
+        save_motion(run / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
+    for stage in run.iterdir():
+        if stage.is_dir():
+            (stage / STAMP).write_text("{}")
+    value = {
+        "name": "ball <1>",
+        "output": "run",
+        "preset": "tiny",
+        "dataset": {"format": "nerfstudio", "path": "data"},
+    }
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(value))
+    return path
+
+
+def boxed_model() -> DynamicModel:
+    """The model of `write_trained`, for cameras in its box frame."""
+    return moving_ball()
