@@ -19,10 +19,14 @@ def error_map(
     rendered: Float[np.ndarray, "height width 3"], true: Float[np.ndarray, "height width 3"]
 ) -> Float32[np.ndarray, "height width 3"]:
     """The largest difference over channels, from black over red to yellow, RGB in [0, 1]."""
-    size = np.clip(ERROR_GAIN * np.abs(rendered - true).max(axis=-1), 0, 1)
+    return inferno(ERROR_GAIN * np.abs(rendered - true).max(axis=-1))
+
+
+def inferno(share: Float[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width 3"]:
+    """Shares as colours, 0 black, over red to yellow, 1 and more the brightest; RGB in [0, 1]."""
     table = np.frombuffer(bytes.fromhex(INFERNO), np.uint8).reshape(-1, 3) / 255
     at = np.linspace(0, 1, len(table))
-    return np.stack([np.interp(size, at, channel) for channel in table.T], axis=-1).astype(np.float32)
+    return np.stack([np.interp(share, at, channel) for channel in table.T], axis=-1).astype(np.float32)
 
 
 def confidence_picture(expected: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:

@@ -30,7 +30,7 @@ class Gain:
             measures: How many are asked of which any may decide; each has its share of the doubt (Bonferroni), so that
                 with CONFIDENCE none is wrong.
         """
-        half = _half(self.by_pair, 1 - (1 - CONFIDENCE) / measures)
+        half = half_of_interval(self.by_pair, 1 - (1 - CONFIDENCE) / measures)
         return 0 if half is None or abs(self.mean) <= half else (1 if self.mean > 0 else -1)
 
     @property
@@ -52,10 +52,11 @@ def paired_gain(with_it: Sequence[float], without: Sequence[float]) -> Gain:
         raise ValueError(f"{len(with_it)} and {len(without)} values do not pair up")
     apart = np.subtract(with_it, without)
     by_pair = tuple(float(a) for a in apart)
-    return Gain(float(apart.mean()), _half(by_pair, CONFIDENCE), by_pair)
+    return Gain(float(apart.mean()), half_of_interval(by_pair, CONFIDENCE), by_pair)
 
 
-def _half(by_pair: Sequence[float], confidence: float) -> float | None:
+def half_of_interval(by_pair: Sequence[float], confidence: float) -> float | None:
+    """Half of Student's interval of the mean; None for a single value."""
     n = len(by_pair)
     if n < 2:
         return None

@@ -12,14 +12,14 @@ from html import escape
 COLOURS = 6  # --s0 .. --s5 in report.css
 CHART_WIDTH, CHART_HEIGHT = 480, 250  # text stays readable when a phone shows the chart at 340 px
 SMALL_WIDTH, SMALL_HEIGHT = 340, 190  # for three charts in a row
-MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 58, 22, 10, 44
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 64, 22, 10, 44
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MAX_CHART_POINTS = 400  # more cannot be seen on 480 units, and only make the page heavy
 
 
 @dataclass(frozen=True)
 class Series:
-    """One line of a chart; y may hold NaN where there is no value."""
+    """One line of a chart; y may hold NaN where there is no value. Without a name it is not in the legend."""
 
     name: str
     x: Sequence[float]
@@ -34,6 +34,7 @@ def line_chart(
     x_label: str,
     y_label: str,
     *,
+    log_x: bool = False,
     log_y: bool = False,
     x_marks: Sequence[tuple[float, str]] = (),
     title: str = "",
@@ -42,22 +43,22 @@ def line_chart(
     """A line chart with axes, grid and a legend, as one <figure>; empty text when nothing can be drawn.
 
     Args:
-        series: Lines; points that are not finite (or not positive with `log_y`) break the line.
+        series: Lines; points that are not finite (or not positive on a logarithmic axis) break the line.
         x_label, y_label: Axis titles with units.
-        log_y: Logarithmic y axis.
+        log_x, log_y: Logarithmic axes.
         x_marks: Vertical lines with a word each (for example where a level begins).
         title: Words above the chart.
         small: For rows of three.
     """
     width, height = (SMALL_WIDTH, SMALL_HEIGHT) if small else (CHART_WIDTH, CHART_HEIGHT)
-    lines = [(s, [_drawable(x, y, log_y) for x, y in zip(s.x, s.y, strict=True)]) for s in series]
+    lines = [(s, [_drawable(x, y, log_x, log_y) for x, y in zip(s.x, s.y, strict=True)]) for s in series]
     points = [p for _, ps in lines for p in ps if p is not None]
     if not points:
         return ""
-    x_ticks = ticks(min(p[0] for p in points), max(p[0] for p in points), 5)
-    y_all = [p[1] for p in points]
+    x_all, y_all = [p[0] for p in points], [p[1] for p in points]
+    x_ticks = _log_ticks(min(x_all), max(x_all)) if log_x else ticks(min(x_all), max(x_all), 5)
     y_ticks = _log_ticks(min(y_all), max(y_all)) if log_y else ticks(min(y_all), max(y_all), 5)
-    x_low, x_high = min(p[0] for p in points), max(p[0] for p in points)
+    x_low, x_high = (x_ticks[0], x_ticks[-1]) if log_x else (min(x_all), max(x_all))
     x_high = x_high if x_high > x_low else x_low + 1.0
     y_low, y_high = y_ticks[0], y_ticks[-1]
     bottom = height - MARGIN_BOTTOM
@@ -77,15 +78,15 @@ def line_chart(
     ]
     parts += [
         f'<text class="tick" x="{px(x):.1f}" y="{bottom + 17}" text-anchor="middle">'
-        f"{_tick_text(x, x_ticks)}</text>"
+        f"{_power_text(x) if log_x else _tick_text(x, x_ticks)}</text>"
         for x in x_ticks
         if x_low <= x <= x_high
     ]
-    for x, word in x_marks:
+    for x, word in ((math.log10(x) if log_x else x, word) for x, word in x_marks):
         if x_low <= x <= x_high:
             parts.append(
                 f'<line class="mark" x1="{px(x):.1f}" x2="{px(x):.1f}" y1="{MARGIN_TOP}" y2="{bottom}"/>'
-                f'<text class="markword" x="{px(x) + 3:.1f}" y="{MARGIN_TOP + 10}">{escape(word)}</text>'
+                f'<text class="markword" {_beside(px(x), width)} y="{MARGIN_TOP + 10}">{escape(word)}</text>'
             )
     for s, ps in lines:
         parts.append(_line(s, [None if p is None else (px(p[0]), py(p[1])) for p in _thin(ps)]))
@@ -103,7 +104,12 @@ def line_chart(
         f"{''.join(parts)}</svg>"
     )
     above = f'<figcaption class="legend">{escape(title)}</figcaption>' if title else _legend(series)
-    return f'<figure class="chart">{above}{svg}</figure>'
+    return f'<figure class="chart{" small" if small else ""}">{above}{svg}</figure>'
+
+
+def _beside(x: float, width: int) -> str:
+    """Where the word of a mark at `x` stands: right of it, left of it near the right edge."""
+    return f'x="{x + 3:.1f}"' if x < 0.8 * width else f'x="{x - 3:.1f}" text-anchor="end"'
 
 
 def ticks(low: float, high: float, count: int) -> list[float]:
@@ -118,10 +124,12 @@ def ticks(low: float, high: float, count: int) -> list[float]:
     return [n * step for n in range(first, last + 1)]
 
 
-def _drawable(x: float | None, y: float | None, log_y: bool) -> tuple[float, float] | None:
-    if x is None or y is None or not math.isfinite(x) or not math.isfinite(y) or (log_y and y <= 0):
+def _drawable(x: float | None, y: float | None, log_x: bool, log_y: bool) -> tuple[float, float] | None:
+    if x is None or y is None or not math.isfinite(x) or not math.isfinite(y):
         return None
-    return float(x), math.log10(y) if log_y else float(y)
+    if (log_x and x <= 0) or (log_y and y <= 0):
+        return None
+    return math.log10(x) if log_x else float(x), math.log10(y) if log_y else float(y)
 
 
 def _log_ticks(low: float, high: float) -> list[float]:
@@ -191,11 +199,12 @@ def _line(series: Series, points: list[tuple[float, float] | None]) -> str:
 
 
 def _legend(series: Sequence[Series]) -> str:
-    if len(series) < 2:
+    named = [s for s in series if s.name]
+    if len(named) < 2:
         return ""
     items = "".join(
         f'<span class="key{" dashed" if s.dashed else ""}" style="--c:var(--s{s.colour % COLOURS})">'
         f"{escape(s.name)}</span>"
-        for s in series
+        for s in named
     )
     return f'<figcaption class="legend">{items}</figcaption>'

@@ -83,8 +83,17 @@ def table(
     source: str = "",
     numeric: Sequence[int] = (),
     narrow: bool = False,
+    wide_last: bool = False,
 ) -> str:
-    """A table of ready HTML cells; columns in `numeric` are set right. Empty text without rows."""
+    """A table of ready HTML cells; columns in `numeric` are set right. Empty text without rows.
+
+    Args:
+        head, rows: Words over the columns, and the cells.
+        source: File of the run folder that the numbers stand in.
+        numeric: Columns of numbers.
+        narrow: As wide as half a page.
+        wide_last: The last column holds sentences: on a phone it is scrolled to instead of squeezed.
+    """
     if not rows:
         return ""
     align = ['class="num"' if i in numeric else "" for i in range(len(head))]
@@ -94,9 +103,9 @@ def table(
         for row in rows
     )
     note = f'<p class="source">Source: {link(source)}</p>' if source else ""
+    kinds = f"scroll{' narrow' if narrow else ''}{' wide-last' if wide_last else ''}"
     return (
-        f'<div class="scroll{" narrow" if narrow else ""}"><table><thead><tr>{top}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>{note}"
+        f'<div class="{kinds}"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>{note}'
     )
 
 
@@ -115,7 +124,7 @@ def absent(reason: str) -> str:
 def figure(image: str, caption: str, alt: str) -> str:
     """A picture (data URI) with a caption of ready HTML."""
     return (
-        f'<figure class="pic"><img src="{image}" alt="{text(alt)}" loading="lazy">'
+        f'<figure class="pic"><img src="{image}" alt="{text(alt)}">'
         f"<figcaption>{caption}</figcaption></figure>"
     )
 

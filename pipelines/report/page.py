@@ -6,8 +6,7 @@ here that a stage did not measure.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from devrf.pipelines.report.calibration import rig_section
 from devrf.pipelines.report.capture import capture_section
@@ -16,30 +15,19 @@ from devrf.pipelines.report.colour import colour_section
 from devrf.pipelines.report.confidence import confidence_section
 from devrf.pipelines.report.evidence import evidence_section
 from devrf.pipelines.report.flow import flow_section
-from devrf.pipelines.report.html import (
-    absent,
-    asset,
-    duration,
-    link,
-    number,
-    page,
-    readable,
-    section,
-    table,
-    text,
-)
-from devrf.pipelines.report.pictures import data_uri, picture_uri, read_picture
-from devrf.pipelines.report.run import RunFolder, at
+from devrf.pipelines.report.html import absent, asset, page, section, text
+from devrf.pipelines.report.run import RunFolder
 from devrf.pipelines.report.space import space_section
 from devrf.pipelines.report.speed import speed_section
+from devrf.pipelines.report.stability import stability_section
+from devrf.pipelines.report.summary import METRICS, film, making, stages_table, tiles, verdict
 from devrf.pipelines.report.training import training_section
 from devrf.pipelines.report.views import views_section
 
 logger = logging.getLogger(__name__)
 
-METRICS = "evaluate/metrics.json"
-POSTER_WIDTH = 800
-MAX_FILM_BYTES = 8_000_000  # base64 makes it a third larger; a bigger film is linked instead
+MAX_PAGE_BYTES = 15_000_000  # what can still be sent by mail
+ROOMS = (1.0, 0.5, 0.25, 0.1)  # shares of the usual pictures, tried one after the other
 SECTIONS = (  # key, title, what makes it
     ("capture", "Capture", capture_section),
     ("space", "Cameras in space", space_section),
@@ -52,17 +40,29 @@ SECTIONS = (  # key, title, what makes it
     ("views", "Views", views_section),
     ("confidence", "Confidence", confidence_section),
 )
-OPTIONAL = (("speed", "Speed", speed_section),)  # only where it has been measured; by `bench`, not a stage
+OPTIONAL = (  # only where it has been measured: by `bench`, not by a stage
+    ("speed", "Speed", speed_section),
+    ("stability", "Stability", stability_section),
+)
 
 
 def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
-    """The page as one text.
+    """The page as one text, below MAX_PAGE_BYTES: the film goes first, then pictures become fewer and smaller.
 
     Args:
         run: The run folder.
         name: Name of the scene, as the user wrote it.
         facts: A few words for the line under the title (preset, device, ...).
     """
+    html = ""
+    for run.film_inside, run.room in ((True, ROOMS[0]), *((False, room) for room in ROOMS)):
+        html = _page(run, name, facts)
+        if len(html.encode()) <= MAX_PAGE_BYTES:
+            break
+    return html
+
+
+def _page(run: RunFolder, name: str, facts: Sequence[str]) -> str:
     made = [(key, title, _made(run, key, title, make)) for key, title, make in (*SECTIONS, *OPTIONAL)]
     made = [(key, title, html) for key, title, html in made if html]
     sections = "".join(html for _, _, html in made)
@@ -76,7 +76,7 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
     return page(
         f"{name}: run report",
         f'<nav aria-label="Sections"><div>{nav}</div></nav>{top}<main>{sections}</main>{_footer(run)}'
-        f"<script>{asset('report.js')}</script>",
+        f"<script>{asset('slider.js')}</script><script>{asset('space.js')}</script>",
     )
 
 
@@ -94,196 +94,10 @@ def _made(run: RunFolder, key: str, title: str, make: Callable[[RunFolder], str]
 def _traced(run: RunFolder, html: str) -> str:
     """A section and, below it, when and in which run the stages were made that it drew on."""
     stages = [stage for stage in run.stages if stage in run.drawn_on]
-    made = [text for stage in stages if (text := _making(run, stage))]
+    made = [text for stage in stages if (text := making(run, stage))]
     if not html or not made:
         return html
     return f'<div data-stages="{" ".join(stages)}">{html}<p class="source made">From {"; ".join(made)}.</p></div>'
-
-
-def _making(run: RunFolder, stage: str) -> str:
-    """One making of a stage, linked to its stamp; empty text where there is none."""
-    file = f"{stage}/stamp.json"
-    stamp = run.object(file)
-    if not stamp:
-        return ""
-    made = [f"made {stamp['finished']}"] if stamp.get("finished") else []
-    made += [f"in run {stamp['run']}"] if stamp.get("run") else []
-    said = f" {text(' '.join(made))}" if made else ""
-    return f'<span title="id {text(stamp.get("id"))}">{link(file, stage)}{said}</span>'
-
-
-def verdict(run: RunFolder) -> str:
-    """One line from all health rows, and what to do about those that are not fine."""
-    rows = [(stage, row) for stage in run.stages for row in health_rows(run, stage)]
-    bad = [(s, r) for s, r in rows if r.get("verdict") == "fail"]
-    doubtful = [(s, r) for s, r in rows if r.get("verdict") == "warn"]
-    missing = [s for s in run.stages if s not in ("report", *run.reasons, *run.errors) and not run.has(s)]
-    if bad:
-        kind, line = "fail", f"{len(bad)} of {len(rows)} checks failed: do not trust this result."
-    elif run.errors:
-        kind, line = "fail", f"Stopped: {', '.join(run.errors)} failed."
-    elif doubtful:
-        kind, line = "warn", f"{len(doubtful)} of {len(rows)} checks warn; the others passed."
-    elif rows:
-        kind, line = "ok", f"All {len(rows)} checks passed."
-    else:
-        kind, line = "warn", "No stage has checked its result yet."
-    notes = "".join(
-        f"<li><strong>{text(s)}</strong> failed: {text(e.removeprefix(f'{s}: '))}</li>"
-        for s, e in run.errors.items()
-    )
-    notes += "".join(_remedy(stage, row) for stage, row in [*bad, *doubtful])
-    if missing:
-        have = "has" if len(missing) == 1 else "have"
-        notes += f"<li>Not finished: {text(', '.join(missing))} {have} not run.</li>"
-        kind = "warn" if kind == "ok" else kind
-    notes += "".join(
-        f"<li><code>{text(f)}</code> cannot be read: {text(e)}</li>" for f, e in run.unreadable.items()
-    )
-    notes = f"<ul>{notes}</ul>" if notes else ""
-    return f'<div class="verdict {kind}"><strong>{text(line)}</strong>{notes}</div>'
-
-
-def tiles(run: RunFolder) -> str:
-    """The numbers a reader looks for first."""
-    metrics = run.object(METRICS)
-    if not metrics:
-        return f'<p class="absent">No key numbers. {text(run.why_absent("evaluate"))}</p>'
-
-    def of(key: str, unit: str, digits: int) -> str:
-        block, _, name = key.rpartition(".")
-        why = at(metrics, f"{block}.why.{name}") or ""
-        return number(at(metrics, key), unit, digits, file=METRICS, key=key, why=str(why))
-
-    out = []
-    if at(metrics, "test_moving.psnr") is not None:
-        still = of("static_baseline.test_moving.psnr", "dB", 1)
-        more = f"as if nothing moved: {still}; where the true picture differs from the scene at rest"
-        out.append(("PSNR where it moves", of("test_moving.psnr", "dB", 1), more))
-    if metrics.get("test") != metrics.get("test_static"):
-        out.append(("PSNR, test views", of("test.psnr", "dB", 1), f"SSIM {of('test.ssim', '', 3)}"))
-    if metrics.get("test_static") is not None:
-        more = f"SSIM {of('test_static.ssim', '', 3)}"
-        out.append(("PSNR, held-out sweep", of("test_static.psnr", "dB", 1), more))
-    more = text(f"on {at(metrics, 'train.device')}") if at(metrics, "train.device") else ""
-    out.append(("Training", of("train.total_s", "s", 0), more))
-    out.append(("Model", of("model_mb", "MB", 1), ""))
-    out.append(("Rendering", of("render_fps", "fps", 2), ""))
-    cells = "".join(
-        f'<div class="tile"><div class="name">{text(name)}</div><div class="value">{value}</div>'
-        f'<div class="more">{more}</div></div>'
-        for name, value, more in out
-    )
-    return f'<div class="tiles">{cells}</div>'
-
-
-def film(run: RunFolder) -> str:
-    """The rendered film: inside the page where it is small enough, else linked."""
-    films = sorted((run.path / "render").glob("*.mp4")) if run.has("render") else []
-    if not films:
-        return f'<p class="absent">No film. {text(run.why_absent("render"))}</p>'
-    file = f"render/{films[0].name}"
-    small = films[0].stat().st_size <= MAX_FILM_BYTES
-    source = data_uri(films[0].read_bytes(), "video/mp4") if small else f"../{file}"
-    still = read_picture(run.path / "render" / "poster.png")
-    poster = f' poster="{picture_uri(still, POSTER_WIDTH)}"' if still is not None else ""
-    others = "".join(f", {link(f'render/{other.name}')}" for other in films[1:])
-    return (
-        '<figure class="film"><video controls muted loop playsinline preload="metadata"'
-        f'{poster} src="{text(source)}"></video>'
-        f"<figcaption>Rendered film: {link(file)}{others}</figcaption></figure>"
-    )
-
-
-def stages_table(run: RunFolder) -> str:
-    """Which stages ran, how long they took, what they found."""
-    rows = []
-    for stage in run.stages:
-        if stage == "report":
-            continue
-        if stage in run.reasons:
-            state = f'<span class="none">does not apply: {text(run.reasons[stage])}</span>'
-        else:
-            state = "done" if run.has(stage) else f'<span class="none">{_not_there(run, stage)}</span>'
-        seconds = run.object(f"{stage}/stamp.json").get("seconds")
-        took = (
-            f'<a class="n" href="../{stage}/stamp.json" title="{readable(float(seconds), 1)} s">'
-            f"{text(duration(float(seconds)))}</a>"
-            if isinstance(seconds, (int, float))
-            else ""
-        )
-        rows.append([f"<strong>{text(stage)}</strong>", state, took, _chips(run, stage), _making(run, stage)])
-    checks = [
-        [
-            text(stage),
-            text(row.get("check", "")),
-            _health_value(stage, n, row),
-            _bound(row.get("warn"), row.get("unit")),
-            _bound(row.get("fail"), row.get("unit")),
-            f'<span class="chip {text(row.get("verdict", ""))}">{text(row.get("verdict", ""))}</span>',
-        ]
-        for stage in run.stages
-        for n, row in enumerate(health_rows(run, stage))
-    ]
-    details = (
-        f"<details><summary>All {len(checks)} checks</summary>"
-        + table(("stage", "check", "value", "warns at", "fails at", "verdict"), checks, numeric=(2, 3, 4))
-        + "</details>"
-        if checks
-        else ""
-    )
-    head = ("stage", "state", "time", "checks", "made")
-    return f"<h3>Stages</h3>{table(head, rows, numeric=(2,))}{details}"
-
-
-def health_rows(run: RunFolder, stage: str) -> list[dict[str, Any]]:
-    """The rows a stage wrote about its own result."""
-    value = run.json(f"{stage}/health.json")
-    rows = value.get("rows") if isinstance(value, Mapping) else value
-    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
-
-
-def _not_there(run: RunFolder, stage: str) -> str:
-    return '<span class="chip fail">failed</span>' if stage in run.errors else "has not run"
-
-
-def _remedy(stage: str, row: dict[str, Any]) -> str:
-    value = row.get("value")
-    shown = (
-        readable(float(value), _decimals(value, 3))
-        if isinstance(value, (int, float))
-        else ("not measured" if value is None else value)
-    )
-    found = f"{row.get('check', '')}: {shown} {row.get('unit') or ''}".strip()
-    return f"<li><strong>{text(stage)}</strong>: {text(found)}. {text(row.get('remedy', ''))}</li>"
-
-
-def _health_value(stage: str, n: int, row: dict[str, Any]) -> str:
-    value = row.get("value")
-    if isinstance(value, str):
-        return text(value)
-    unit, digits = str(row.get("unit", "")), _decimals(value, 3)
-    return number(value, unit, digits, file=f"{stage}/health.json", key=f"rows.{n}.value")
-
-
-def _bound(value: object, unit: object) -> str:
-    if not isinstance(value, (int, float)):
-        return ""
-    return f"{readable(float(value), _decimals(value, 2))} {text(unit)}"
-
-
-def _decimals(value: object, most: int) -> int:
-    """No decimals for whole numbers: counts stand among measures in the health rows."""
-    return 0 if isinstance(value, (int, float)) and float(value).is_integer() else most
-
-
-def _chips(run: RunFolder, stage: str) -> str:
-    found = [row.get("verdict") for row in health_rows(run, stage)]
-    return " ".join(
-        f'<span class="chip {kind}">{found.count(kind)} {word}</span>'
-        for kind, word in (("ok", "ok"), ("warn", "warn"), ("fail", "failed"))
-        if found.count(kind)
-    )
 
 
 def _footer(run: RunFolder) -> str:
@@ -293,6 +107,10 @@ def _footer(run: RunFolder) -> str:
     if metrics.get("seed") is not None:
         words.append(f"seed {metrics['seed']}")
     line = f"{text(' · '.join(words))}. " if words else ""
+    less = "" if run.film_inside else " The film is linked, not in the page"
+    less += ", and pictures are fewer and smaller than usual" if run.room < ROOMS[0] else ""
+    kept = f"{less}, to keep it below {MAX_PAGE_BYTES / 1e6:.0f} MB." if less else ""
     return (
-        f"<footer>{line}Dotted numbers lead to the file they stand in, in the folder of its stage.</footer>"
+        f"<footer>{line}Dotted numbers lead to the file they stand in, in the folder of its stage, as long as this "
+        f"page lies in the run folder.{kept}</footer>"
     )

@@ -21,6 +21,8 @@ class RunFolder:
         errors: Why a stage failed when it was last tried, by its name.
         unreadable: Files that are there but could not be read, with the reason.
         drawn_on: Stages whose files were asked for since it was last emptied.
+        film_inside: Whether the page has room for a film.
+        room: Share of the usual pictures that it has room for.
     """
 
     def __init__(
@@ -36,6 +38,8 @@ class RunFolder:
         self.errors = dict(errors or {})
         self.unreadable: dict[str, str] = {}
         self.drawn_on: set[str] = set()
+        self.film_inside = True
+        self.room = 1.0
         self._json: dict[str, Any] = {}
 
     def has(self, stage: str) -> bool:
@@ -122,6 +126,11 @@ def evenly(items: Sequence[Any], count: int) -> list[Any]:
     if count == 1:
         return [items[len(items) // 2]]
     return [items[round(n * (len(items) - 1) / (count - 1))] for n in range(count)]
+
+
+def fewer(count: int, room: float) -> int:
+    """How many of `count` pictures there is room for, one at least."""
+    return max(1, round(count * room))
 
 
 def as_float(value: Any) -> float:

@@ -1,6 +1,6 @@
 """The report's 3D drawing: cameras as frusta, the scene box and a subset of the sweep's points, as JSON.
 
-Everything is in the world frame of `scene/`. The drawing itself is `drawSpace` in report.js.
+Everything is in the world frame of `scene/`. The drawing itself is `drawSpace` in space.js.
 """
 
 import json
@@ -31,7 +31,7 @@ def space_section(run: RunFolder) -> str:
     scene = run.scene
     if scene is None:
         return section("space", "Cameras in space", lead, absent(run.why_absent("scene")))
-    points, colours, note = _points(run, scene)
+    points, colours, note = sweep_points(run)
     data = space_data(scene, points, colours)
     switches = "".join(_switch(g["id"], g["label"], g["colour"]) for g in data["groups"])
     switches += _switch("points", "points", "--muted") if len(points) else ""
@@ -52,7 +52,7 @@ def space_section(run: RunFolder) -> str:
 
 
 def space_data(scene: Scene, points: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"]) -> dict:
-    """What report.js draws: groups of frusta, box corners, points, and how to look at them at first."""
+    """What space.js draws: groups of frusta, box corners, points, and how to look at them at first."""
     world_from_box = np.linalg.inv(scene.box_from_world)
     centres = np.stack([f.camera.centre for f in scene.frames])
     target = world_from_box[:3, :3] @ scene.aabb.mean(axis=0) + world_from_box[:3, 3]
@@ -82,8 +82,8 @@ def space_data(scene: Scene, points: Float[np.ndarray, "n 3"], colours: Float[np
     }
 
 
-def _points(run: RunFolder, scene: Scene) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], str]:
-    """A subset of the sweep's points, in the scene's world frame."""
+def sweep_points(run: RunFolder) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], str]:
+    """A subset of the sweep's points in the scene's world frame, their colours in [0, 255], and a remark."""
     none = np.zeros((0, 3))
     folder = run.folder("static_poses") / "colmap"
     if not folder.is_dir():

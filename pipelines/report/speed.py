@@ -2,13 +2,18 @@
 
 from typing import Any
 
-from devrf.pipelines.report.html import figure, number, section, table, text
-from devrf.pipelines.report.pictures import data_uri
-from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.report.charts import Series, line_chart
+from devrf.pipelines.report.html import link, number, section, table, text
+from devrf.pipelines.report.run import RunFolder, as_float
 
 LEAD = (
-    "What several ways to train this scene came to. A dashed line joins those that no other beats; published figures "
-    "are of other data and other devices."
+    "What several ways to train this scene came to. Up is better; left is better but for pictures per second. The "
+    "lines lead to the result, measured on a few views on the way."
+)
+COSTS = (
+    ("seconds", "seconds of training"),
+    ("megabytes", "megabytes"),
+    ("render_fps", "pictures per second"),
 )
 COLUMNS = (
     ("test/psnr", "PSNR, test views", "dB", 2),
@@ -27,18 +32,26 @@ def speed_section(run: RunFolder) -> str:
     if not isinstance(rows, list) or not isinstance(found.get("curves"), dict):
         return ""
     place = {str(row["name"]): n for n, row in enumerate(rows)}
-    body = _chart(run, file) + _table(list(found["curves"]), rows, place, file)
-    return section(
-        "speed", "Speed and accuracy", LEAD, f'{body}<p class="source">{text(found.get("device", ""))}</p>'
-    )
+    cases = [str(case) for case in found["curves"]]
+    values = {str(row["name"]): as_float(row.get("value")) for row in rows}
+    charts = "".join(_chart(cases, values, found["curves"], cost, label) for cost, label in COSTS)
+    body = f'<div class="charts three">{charts}</div>' + _table(cases, rows, place, file)
+    device = f'<p class="source">{text(found.get("device", ""))}; {link(file)}</p>'
+    return section("speed", "Speed and accuracy", LEAD, body + device)
 
 
-def _chart(run: RunFolder, file: str) -> str:
-    chart = (run.path / file).with_suffix(".png")
-    if not chart.is_file():
-        return ""
-    picture = data_uri(chart.read_bytes(), "image/png")
-    return figure(picture, "Up is better; left is better but for rendering.", "accuracy against cost")
+def _chart(cases: list[str], values: dict[str, float], curves: dict[str, Any], cost: str, label: str) -> str:
+    """Results as dots against one cost; against seconds, how training got there as well."""
+    series = []
+    for n, case in enumerate(cases):
+        result, psnr = values.get(f"speed/{case}/{cost}"), values.get(f"speed/{case}/test/psnr")
+        if cost == "seconds":
+            way = [point for point in curves[case] if isinstance(point, dict)]
+            x, y = ([as_float(point.get(axis)) for point in way] for axis in ("seconds", "psnr"))
+            series.append(Series("", x, y, n))
+        if result is not None and psnr is not None:
+            series.append(Series(case, [result], [psnr], n, markers=True))
+    return line_chart(series, label, "PSNR of test views, dB", log_x=True, small=True)
 
 
 def _table(cases: list[str], rows: list[dict[str, Any]], place: dict[str, int], file: str) -> str:
@@ -52,4 +65,4 @@ def _table(cases: list[str], rows: list[dict[str, Any]], place: dict[str, int], 
             cells.append(number(row.get("value"), unit, digits, file=file, key=f"rows.{n}.value", why=why))
         lines.append(cells)
     head = ("way to train", *(heading for _, heading, _, _ in COLUMNS))
-    return table(head, lines, source=file, numeric=range(1, len(head)))
+    return table(head, lines, numeric=range(1, len(head)))

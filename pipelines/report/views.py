@@ -1,5 +1,6 @@
 """The report's views: true and rendered pictures under a slider, where they differ, and PSNR over time."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,14 +9,16 @@ from typing import Any
 from devrf.pipelines.report.charts import Series, line_chart
 from devrf.pipelines.report.html import absent, link, number, section, text
 from devrf.pipelines.report.pictures import ERROR_FULL_SCALE, error_picture, picture_uri, read_picture
-from devrf.pipelines.report.run import RunFolder, as_float, at, evenly
+from devrf.pipelines.report.run import RunFolder, as_float, at, evenly, fewer
+from devrf.pipelines.report.slider import frames, pane, slider
 
 METRICS = "evaluate/metrics.json"
-VIEW_WIDTH = 560
+KINDS = ("true", "rendered", "error", "rest")
+VIEW_WIDTH, BESIDE_WIDTH = 720, 400  # of the two pictures under the slider, and of those beside it
 MAX_MOVING, MAX_STATIC = 12, 8  # frames inside the page; the others stay in evaluate/
 LEAD = (
     "Pictures that training never saw. Left of the border is the true picture, right of it the rendered one; "
-    "drag the border. Beside it: where they differ, and the scene rendered as if nothing moved."
+    "drag the border, or use the arrow keys. Beside it: where they differ, and the scene rendered as if nothing moved."
 )
 
 
@@ -33,13 +36,13 @@ def views_section(run: RunFolder) -> str:
     if not metrics:
         return section("views", "Views", LEAD, absent(run.why_absent("evaluate")))
     moving, static = collect_views(metrics)
-    folder = run.folder("evaluate")
     body = ""
     if moving:
-        body += f"<h3>Test views over time</h3>{_over_time(moving)}"
-        body += _viewer(_some(moving, MAX_MOVING), len(moving), folder)
+        some = _some(moving, fewer(MAX_MOVING, run.room))
+        body += f"<h3>Test views over time</h3>{_over_time(moving)}{_viewer(run, some, len(moving))}"
     if static:
-        body += f"<h3>Held-out sweep pictures</h3>{_viewer(_some(static, MAX_STATIC), len(static), folder)}"
+        some = _some(static, fewer(MAX_STATIC, run.room))
+        body += f"<h3>Held-out sweep pictures</h3>{_viewer(run, some, len(static))}"
     return section("views", "Views", LEAD, body or absent("evaluate/metrics.json lists no test views."))
 
 
@@ -76,75 +79,70 @@ def _over_time(views: Sequence[View]) -> str:
     )
 
 
-def _viewer(views: Sequence[View], total: int, folder: Path) -> str:
+def _viewer(run: RunFolder, views: Sequence[View], total: int) -> str:
+    """The views' pictures; fewer and smaller ones where the page would become too large (`run.room`)."""
+    folder = run.folder("evaluate")
     shown: list[tuple[View, dict[str, Any]]] = []
     for view in views:
-        pictures = {
-            kind: _picture(folder, view.row.get(kind)) for kind in ("true", "rendered", "error", "rest")
-        }
+        pictures = {kind: _picture(folder, view.row.get(kind)) for kind in KINDS}
         true, rendered = pictures["true"], pictures["rendered"]
         if true is None or rendered is None or true.shape != rendered.shape:
             continue
         if pictures["error"] is None:
             pictures["error"] = error_picture(true, rendered)
         shown.append((view, pictures))
-    first = len(shown) // 2  # at the first time of a clip nothing has moved yet
-    frames = [_frame(view, pictures, n == first) for n, (view, pictures) in enumerate(shown)]
-    buttons = [
-        f'<button type="button" aria-pressed="{str(n == first).lower()}">{text(_short_name(view.row))}</button>'
-        for n, (view, _) in enumerate(shown)
-    ]
-    if not frames:
+    if not shown:
         return absent("The true and rendered pictures are not in evaluate/.")
+    cameras = {view.row.get("camera") for view, _ in shown}
+    scale = math.sqrt(run.room)
+    rows = [(_short_name(v.row, len(cameras) > 1), _panes(v, pictures, scale)) for v, pictures in shown]
     some = (
-        f" {len(frames)} of {total} views are shown; the others are in evaluate/."
-        if len(frames) < total
-        else ""
+        f" {len(rows)} of {total} views are shown; the others are in evaluate/." if len(rows) < total else ""
     )
-    key = (
-        '<p class="source">Difference: 0<span class="ramp"></span>'
-        f"{ERROR_FULL_SCALE:g} or more of the full range.{some}</p>"
-    )
-    picker = f'<div class="picker" role="group" aria-label="Choose a view">{"".join(buttons)}</div>'
-    return f'<div class="views">{"".join(frames)}{picker if len(frames) > 1 else ""}{key}</div>'
+    middle = len(rows) // 2  # at the first time of a clip nothing has moved yet
+    return f'<div class="views">{frames(rows, middle)}{error_scale(some)}</div>'
 
 
-def _frame(view: View, pictures: dict[str, Any], on: bool) -> str:
-    row, name = view.row, text(_long_name(view.row))
-    uris = {kind: picture_uri(p, VIEW_WIDTH) for kind, p in pictures.items() if p is not None}
+def error_scale(more: str = "") -> str:
+    """The key to error pictures."""
+    return (
+        '<p class="source scale">Difference, the largest of red, green and blue: 0'
+        f'<span class="ramp"></span>{ERROR_FULL_SCALE:g} or more of the full range.{text(more)}</p>'
+    )
+
+
+def _panes(view: View, pictures: dict[str, Any], scale: float) -> list[str]:
+    row, name = view.row, _long_name(view.row)
+    widths = {kind: VIEW_WIDTH if kind in ("true", "rendered") else BESIDE_WIDTH for kind in KINDS}
+    uris = {k: picture_uri(p, round(scale * widths[k])) for k, p in pictures.items() if p is not None}
 
     def score(key: str, unit: str, digits: int) -> str:
         return number(at(row, key), unit, digits, file=METRICS, key=f"per_view.{view.place}.{key}")
 
-    compare = (
-        '<div class="compare">'
-        f'<img src="{uris["true"]}" alt="true, {name}" draggable="false">'
-        f'<img src="{uris["rendered"]}" alt="rendered, {name}" class="over" draggable="false">'
-        '<span class="tag left">true</span><span class="tag right">rendered</span>'
-        '<input type="range" min="0" max="100" step="0.5" value="50" '
-        'aria-label="Border between true and rendered"><span class="bar"></span></div>'
-    )
-    words = f"PSNR {score('psnr', 'dB', 1)}, SSIM {score('ssim', '', 3)}"
+    words = f"{text(name)}: PSNR {score('psnr', 'dB', 1)}, SSIM {score('ssim', '', 3)}"
     if at(row, "moving.psnr") is not None:
         words += f"; where it moves {score('moving.psnr', 'dB', 1)}"
-    panes = [(compare, f"{name}: {words}"), (f'<img src="{uris["error"]}" alt="difference">', "difference")]
+    panes = [
+        pane(slider([(uris["true"], "true"), (uris["rendered"], "rendered")], name), words),
+        pane(f'<img src="{uris["error"]}" alt="difference, {text(name)}">', "difference"),
+    ]
     if "rest" in uris:
         still = f"as if nothing moved: {score('static_baseline.psnr', 'dB', 1)}"
         if at(row, "static_baseline.moving.psnr") is not None:
             still += f"; where it moves {score('static_baseline.moving.psnr', 'dB', 1)}"
-        panes.append((f'<img src="{uris["rest"]}" alt="at rest">', still))
-    body = "".join(f"<div>{pane}<figcaption>{caption}</figcaption></div>" for pane, caption in panes)
-    return f'<div class="frame{" on" if on else ""}"><div class="panes n{len(panes)}">{body}</div></div>'
+        panes.append(pane(f'<img src="{uris["rest"]}" alt="as if nothing moved, {text(name)}">', still))
+    return panes
 
 
 def _picture(folder: Path, file: object) -> Any:
     return read_picture(folder / file) if isinstance(file, str) else None
 
 
-def _short_name(row: dict[str, Any]) -> str:
+def _short_name(row: dict[str, Any], with_camera: bool) -> str:
+    camera = f"{row.get('camera', '')}, " if with_camera else ""
     if row.get("time_s") is not None:
-        return f"{row['time_s']:.2f} s"
-    return f"{row['time']:.2f}" if row.get("time") is not None else f"{row.get('index', '')}"
+        return f"{camera}{row['time_s']:.2f} s"
+    return f"{camera}{row['time']:.2f}" if row.get("time") is not None else f"{camera}{row.get('index', '')}"
 
 
 def _long_name(row: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from tests.pipelines.report_folder import NASTY, write_json, write_run
 
+from devrf.pipelines.report import page as report_page
 from devrf.pipelines.report.confidence import CURVES, confidence_section
 from devrf.pipelines.report.page import SECTIONS, build_report
 from devrf.pipelines.report.run import RunFolder
@@ -124,6 +125,52 @@ def test_speed_is_shown_where_it_was_measured(full_run):
     link = f"../../{full_run.name}-bench/speed.json"
     assert f'href="{link}"' in html and ">31.25<" in html and "no weights" in html
     assert NASTY in page.text
+
+
+def test_stability_is_shown_where_it_was_measured(full_run):
+    _, page = _page(full_run)
+    assert "stability" not in page.ids
+    file = full_run.with_name(f"{full_run.name}-bench") / "stability.json"
+    cases = [
+        {"axis": "undisturbed", "severity": 0.0, "psnr_moving": 26.0},
+        {"axis": "blur", "severity": 1.0, "psnr_moving": 24.0},
+        {"axis": "blur", "severity": 2.0, "psnr_moving": None},  # stopped
+    ]
+    notices = [NASTY, "two", "three", "four"]
+    points = {"failure": 2.0, "notice": 1.0, "notices": notices, "lessened_db": 24.0}
+    found = {
+        "axes": {"blur": {"what": "motion blur", "unit": "px"}},
+        "points": {"blur": points},
+        "cases": cases,
+    }
+    heard = {"recall": 0.75, "broken": ["blur"], "precision": None, "spoken": []}
+    write_json(file, {**found, "heard": heard, "bar_db": 23.0, "seeds": [0], "device": "a device"})
+    try:
+        html, page = _page(full_run)
+    finally:
+        shutil.rmtree(file.parent)
+    assert "stability" in page.ids and "motion blur" in page.text and "and 1 more" in page.text
+    assert f'href="../../{full_run.name}-bench/stability.json"' in html and "75 % of 1 axes" in page.text
+    quoted = {key: value for name, key, value in page.numbers if name.endswith("stability.json")}
+    assert quoted["points.blur.failure"] == 2.0 and quoted["points.blur.notice"] == 1.0 and NASTY in page.text
+
+
+def test_a_page_that_would_be_too_large_gives_up_the_film_then_pictures_and_says_so(
+    full_run, tmp_path, monkeypatch
+):
+    run = shutil.copytree(full_run, tmp_path / "run")
+    (run / "render/orbit.mp4").write_bytes(bytes(100_000))
+    whole, page = _page(run)
+    assert "linked, not in" not in page.text and whole.count("data:video/mp4") == 1
+    monkeypatch.setattr(report_page, "MAX_PAGE_BYTES", len(whole.encode()) - 1)
+    linked, page = _page(run)
+    assert "data:video/mp4" not in linked and "The film is linked, not in the page, to keep" in page.text
+    assert linked.count("data:image") == whole.count("data:image")
+    monkeypatch.setattr(report_page, "MAX_PAGE_BYTES", len(linked.encode()) - 1000)
+    small, page = _page(run)
+    assert len(small.encode()) <= len(linked.encode()) - 1000
+    assert "The film is linked, not in the page, and pictures are fewer and smaller" in page.text
+    assert "1 of 2 views are shown" in page.text
 
 
 def test_the_method_of_the_flow_is_said(full_run):
@@ -248,7 +295,7 @@ def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
     rows = [counted, counted | {"check": "error", "value": 0.5}]
     write_json(tmp_path / "rig/health.json", {"stage": "rig", "rows": rows})
     _, page = _page(tmp_path)
-    assert "views: 147. " in page.text and "error: 0.500. " in page.text
+    assert "views: 147 . " in page.text and "error: 0.500 . " in page.text
     assert "147.000" not in page.text and "200.00" not in page.text and "0.25" in page.text
 
 
@@ -327,7 +374,7 @@ def test_curves_are_drawn(full_run):
     html, page = _page(full_run)
     for words in ("PSNR of training rays, dB", "cam0 and wit<b>ness: audio", "level 2", "PSNR, dB"):
         assert words in page.text
-    assert html.count('<figure class="chart">') == 2 * 2 + 1 + 1 + 1
+    assert html.count('<figure class="chart') - html.count('<figure class="chart plot') == 2 * 2 + 1 + 1 + 1
 
 
 def test_size_stays_small(full_run):

@@ -34,6 +34,14 @@ def test_chart_places_points_where_the_axes_say():
     assert label["0.0"][1] - 4 == pytest.approx(y0) and label["1.0"][1] - 4 == pytest.approx(y1)
 
 
+def test_decades_are_equally_wide_on_a_logarithmic_axis():
+    html = line_chart([Series("a", [1.0, 10.0, 100.0, 0.0], [0.0, 1.0, 2.0, 3.0])], "x", "y", log_x=True)
+    path = re.search(r'class="line".*?d="M([\d.]+) [\d.]+L([\d.]+) [\d.]+L([\d.]+) [\d.]+"', html)
+    assert path is not None  # what is not positive has no place
+    x0, x1, x2 = map(float, path.groups())
+    assert x1 - x0 == pytest.approx(x2 - x1, abs=0.2) and ">100<" in html
+
+
 def test_gaps_break_a_line_and_long_ones_keep_their_spikes():
     gap = line_chart([Series("a", [0.0, 1.0, 2.0, 3.0], [1.0, float("nan"), 1.0, 2.0])], "x", "y")
     path = re.search(r'class="line"[^>]* d="([^"]*)"', gap)

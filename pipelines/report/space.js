@@ -1,33 +1,4 @@
 "use strict";
-// The report works without this script; it adds the 3D view, the slider and the choice of frames.
-
-// --- true | rendered: drag (or arrow keys) moves the border ---------------------------------
-for (const input of document.querySelectorAll(".compare input")) {
-  const move = () => input.parentElement.style.setProperty("--cut", input.value + "%");
-  input.addEventListener("input", move);
-  const follow = (event) => {
-    if (event.type === "pointermove" && event.pointerType === "mouse" && !event.buttons) return;
-    const box = input.getBoundingClientRect();
-    input.value = (100 * (event.clientX - box.left)) / box.width;
-    move();
-  };
-  input.addEventListener("pointerdown", follow);
-  input.addEventListener("pointermove", follow);
-}
-
-// --- one frame of a row at a time; all rows keep the border where it was ----------------------
-for (const views of document.querySelectorAll(".views")) {
-  const frames = [...views.querySelectorAll(".frame")];
-  const buttons = [...views.querySelectorAll(".picker button")];
-  buttons.forEach((button, n) => button.addEventListener("click", () => {
-    const cut = views.querySelector(".frame.on .compare input")?.value;
-    frames.forEach((frame, m) => frame.classList.toggle("on", m === n));
-    buttons.forEach((other, m) => other.setAttribute("aria-pressed", String(m === n)));
-    const input = frames[n].querySelector(".compare input");
-    if (input && cut !== undefined) { input.value = cut; input.dispatchEvent(new Event("input")); }
-  }));
-}
-
 // --- cameras, points and box in 3D ----------------------------------------------------------
 // Orbit camera: yaw and pitch about `up`, distance from `target`. OpenCV axes: x right, y down, z forward.
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

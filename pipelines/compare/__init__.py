@@ -1,0 +1,1 @@
+"""`devrf-pipeline compare`: several finished runs of one scene side by side."""

@@ -1,0 +1,254 @@
+"""Comparing runs: what differs and what that is worth, what cannot be compared, and bad input."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from tests.conftest import Command
+from tests.pipelines.compare_folders import CAMERA, VIEWS, edit_metrics, set_config, write_two_runs
+from tests.pipelines.report_folder import write_json
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.compare.command import compare
+from devrf.pipelines.compare.page import build_page
+from devrf.pipelines.compare.result import Comparison, as_json, compare_runs
+from devrf.pipelines.compare.runs import find_runs
+from devrf.pipelines.console import Talk
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the runs `one` and `two`."""
+    folder = tmp_path_factory.mktemp("compare")
+    write_two_runs(folder)
+    return folder
+
+
+@pytest.fixture
+def runs(made: Path, tmp_path: Path) -> Path:
+    """A copy that a test may change."""
+    return Path(shutil.copytree(made, tmp_path / "runs"))
+
+
+def found_of(*folders: Path) -> Comparison:
+    return compare_runs(find_runs(folders), folders[0].parent / "out")
+
+
+def test_a_difference_is_judged_over_the_same_views(made: Path) -> None:
+    found = found_of(made / "one", made / "two")
+    moving = next(d for d in found.differences if d.measure.key == "test_moving.psnr")
+    assert moving.views == VIEWS and moving.verdict == "worse"
+    assert moving.gain.mean == pytest.approx(-1.0, abs=0.15)
+    assert moving.gain.half is not None and abs(moving.gain.mean) > moving.gain.half
+    ssim = next(d for d in found.differences if d.measure.key == "test.ssim")
+    assert ssim.verdict == "same"
+    training = next(d for d in found.differences if d.measure.key == "train.total_s")
+    assert training.verdict is None and training.gain.half is None  # one number of each run
+
+
+def test_what_is_within_the_scatter_cannot_be_told_apart(tmp_path: Path) -> None:
+    first, second = write_two_runs(tmp_path, worse_db=0.001)
+    verdicts = {d.measure.key: d.verdict for d in found_of(first, second).differences}
+    assert verdicts["test.psnr"] == "open"
+
+
+def test_less_is_better_where_it_is(runs: Path) -> None:
+    for run, lpips in ((runs / "one", 0.3), (runs / "two", 0.2)):
+        file = run / "evaluate/metrics.json"
+        metrics = json.loads(file.read_text())
+        for n, row in enumerate(metrics["per_view"]):
+            row["lpips_vgg"] = lpips + 0.01 * (n % 3)
+        write_json(file, metrics)
+    verdicts = {d.measure.key: d.verdict for d in found_of(runs / "one", runs / "two").differences}
+    assert verdicts["test.lpips_vgg"] == "better"
+
+
+def test_configuration_code_versions_times_and_health(runs: Path) -> None:
+    set_config(runs / "two", {"preset": "tiny", "reconstruct.rays": 512, "reconstruct.seed": 0}, code="b")
+    edit_metrics(runs / "two", versions__devrf="0.2.0", train__device="cuda")
+    row = {"check": "a new check", "value": 3.0, "unit": "px", "verdict": "fail", "remedy": "Do."}
+    write_json(runs / "two/rig/health.json", {"stage": "rig", "rows": [row]})
+    told = as_json(found_of(runs / "one", runs / "two"))
+    assert told["config"] == {"reconstruct.rays": ["default", "512"]}
+    assert told["code"]["evaluate"] == ["as the first", "reconstruct.render"]
+    assert told["versions"] == {"devrf": ["0.1.0", "0.2.0"], "device of training": ["cpu", "cuda"]}
+    assert told["stage_seconds"]["rig"] == [12.5, 12.5]
+    checks = {row["check"]: row["rows"] for row in told["health"]}
+    assert checks["a new check"][0] is None and checks["a new check"][1]["verdict"] == "fail"
+    assert len(checks) == 2  # and the one that warned and is no longer there
+
+
+def test_files_are_told_apart_by_their_content(runs: Path) -> None:
+    for run, content in (("one", "x"), ("two", "y")):
+        set_config(runs / run, {"capture.cameras.cam0": {"content": content}})
+    told = as_json(found_of(runs / "one", runs / "two"))
+    assert told["config"] == {"capture.cameras.cam0": ["file A", "file B"]}
+
+
+def test_repeats_are_compared_seed_by_seed(runs: Path) -> None:
+    """Two seeds of each of two configurations: groups are found, and paired by seed in whatever order they come."""
+    folders = []
+    for config, psnr in (("one", 22.75), ("two", 21.5)):
+        for seed in (1, 0):
+            copy = Path(shutil.copytree(runs / config, runs / f"{config}-{seed}"))
+            edit_metrics(copy, seed=seed, test_moving__psnr=psnr + seed + 0.01 * seed)
+            set_config(copy, {"name": config, "reconstruct.seed": seed})
+            folders.append(copy)
+    found = found_of(*folders[:2], *reversed(folders[2:]))
+    told = as_json(found)
+    assert told["repeats"] == [["one-1", "one-0"], ["two-0", "two-1"]]
+    moving = next(d for d in found.by_seed if d.measure.key == "test_moving.psnr")
+    assert moving.seeds == (0, 1) and moving.gain.by_pair == pytest.approx((-1.25, -1.25))
+    assert moving.verdict == "worse"
+    html = build_page(found)
+    assert 'id="seeds"' in html and "two-0, two-1 against one-1, one-0" in html
+
+
+def test_only_views_that_both_have_are_compared(runs: Path) -> None:
+    file = runs / "two/evaluate/metrics.json"
+    metrics = json.loads(file.read_text())
+    write_json(file, metrics | {"per_view": metrics["per_view"][4:]})
+    found = found_of(runs / "one", runs / "two")
+    assert any(
+        f"{VIEWS - 4} of {VIEWS} and {VIEWS - 4} test views are the same" in note for note in found.notes
+    )
+    assert {d.views for d in found.differences if d.measure.key == "test.psnr"} == {VIEWS - 4}
+    assert "The comparison has limits." in build_page(found)
+
+
+def _write_pictures(run: Path, size: tuple[int, int], change: float) -> None:
+    for file in (run / "evaluate/views").glob("*/*_true.png"):
+        picture = cv2.imread(str(file))
+        assert picture is not None
+        lighter = np.clip(picture.astype(float) + change, 0, 255).astype(np.uint8)
+        cv2.imwrite(str(file), cv2.resize(lighter, size, interpolation=cv2.INTER_AREA))
+
+
+def test_another_image_scale_is_said_and_not_compared(runs: Path) -> None:
+    _write_pictures(runs / "two", (24, 18), 0.0)
+    found = found_of(runs / "one", runs / "two")
+    assert not found.differences and not found.by_seed
+    assert "48 × 36 and 24 × 18 pixels (reconstruct.image_scale)" in found.not_compared["two"]
+    html = build_page(found)
+    assert "Not everything can be compared." in html and "cannot be compared" in html
+
+
+def test_other_colours_are_said(runs: Path) -> None:
+    _write_pictures(runs / "two", (48, 36), 3.0)
+    notes = found_of(runs / "one", runs / "two").notes
+    assert len(notes) == 1 and "the true pictures differ by" in notes[0]
+
+
+def test_another_scene_is_refused(runs: Path) -> None:
+    for file in (runs / "two/evaluate/views").glob("*/*_true.png"):
+        cv2.imwrite(str(file), np.zeros((36, 48, 3), np.uint8))
+    with pytest.raises(InputError, match="show something else in .*grey levels"):
+        found_of(runs / "one", runs / "two")
+
+
+def test_other_test_cameras_are_refused(runs: Path) -> None:
+    file = runs / "two/evaluate/metrics.json"
+    file.write_text(file.read_text().replace(CAMERA, "other").replace('"static"', '"sweep"'))
+    with pytest.raises(InputError, match="no test view in common"):
+        found_of(runs / "one", runs / "two")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{", "cannot be read"),
+        ("[]", "cannot be read"),
+        ("{}", "cannot be read"),
+        (None, "is not finished: there is no evaluate/metrics.json, its last finished stage is render"),
+        ('{"test": {"psnr": 3}}', "lists no test views"),
+        ('{"per_view": [3, {"camera": []}]}', "no test view in common"),
+    ],
+)
+def test_a_damaged_or_unfinished_run_is_refused(runs: Path, content: str | None, said: str) -> None:
+    file = runs / "two/evaluate/metrics.json"
+    file.unlink()
+    if content is not None:
+        file.write_text(content)
+    with pytest.raises(InputError, match=said):
+        found_of(runs / "one", runs / "two")
+
+
+def test_odd_values_and_runs_of_earlier_versions_are_compared_as_far_as_they_go(runs: Path) -> None:
+    edit_metrics(runs / "two", train=None, versions=None, model_mb=float("nan"), test_moving__psnr="24")
+    for stage in ("rig", "flow", "evaluate"):
+        (runs / f"two/{stage}/stamp.json").write_text(
+            '{"finished": "long ago"}'
+        )  # says nothing of its making
+    (runs / "two/scene/health.json").write_text("[")
+    found = found_of(runs / "one", runs / "two")
+    json.dumps(as_json(found)["differences"], allow_nan=False)
+    assert "not measured" in build_page(found)
+
+
+def test_runs_in_which_nothing_moves_are_compared_on_the_held_out_pictures(runs: Path) -> None:
+    for name in ("one", "two"):
+        file = runs / name / "evaluate/metrics.json"
+        metrics = json.loads(file.read_text())
+        still = [row for row in metrics["per_view"] if row["time"] is None]
+        more = [
+            {**still[0], "index": 8 * n, "psnr": 24.0 + 0.1 * (n % 3) + (name == "two")} for n in range(12)
+        ]
+        write_json(file, metrics | {"per_view": more, "test": metrics["test_static"], "test_moving": None})
+    found = found_of(runs / "one", runs / "two")
+    judged = {d.measure.key: d.verdict for d in found.differences if d.views}
+    assert judged == {"test_static.psnr": "better", "test_static.ssim": "same"}
+    html = build_page(found)
+    assert "Held-out sweep pictures" in html and "Over time" not in html
+
+
+def test_names_are_as_long_as_it_takes(made: Path, tmp_path: Path) -> None:
+    for name in ("a/tiny/run", "b/tiny/run", "b/fast/run"):
+        shutil.copytree(made / "one", tmp_path / name)
+    named = [tmp_path / name for name in ("a/tiny/run", "b/tiny/run", "b/fast/run")]
+    assert [run.name for run in find_runs(named)] == ["a/tiny", "b/tiny", "b/fast"]
+
+
+def test_command(made: Path, tmp_path: Path, devrf: Command) -> None:
+    out = tmp_path / "out"
+    result = devrf("compare", made / "one", made / "two", "--out", out)
+    assert result.code == 0, result.said
+    assert "worse" in result.out and "reconstruct.rays: default | 512" in result.out
+    told = json.loads((out / "compare.json").read_text())
+    assert [run["name"] for run in told["runs"]] == ["one", "two"]
+    assert sorted(os.listdir(out)) == ["compare.html", "compare.json"]
+    html = (out / "compare.html").read_text()
+    assert "<b>ness" not in html and "http" not in html
+    twice = devrf("compare", made / "one", made / "two", made / "one/../one", "--out", out)
+    assert twice.code == 2 and "is the same run as" in twice.err
+
+
+def test_bad_input_is_refused_before_anything_is_written(made: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    one, two, out = made / "one", made / "two", tmp_path / "out"
+    for named, where, rows, said in (
+        ([one], out, None, "1 run named, expected two or more"),
+        ([one, tmp_path / "nowhere"], out, None, "not found; expected a run folder"),
+        ([one, tmp_path / "empty"], out, None, "holds neither stages of a run nor a scene.yaml"),
+        ([one, two], tmp_path / "file", None, "--out .*is a file"),
+        ([one, two], out, tmp_path, "--json .*is a folder"),
+    ):
+        with pytest.raises(InputError, match=said):
+            compare(Talk("quiet"), named, where, rows)
+    assert not out.exists()
+
+
+def test_a_full_disk_is_said_and_leaves_no_half_page(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("devrf.pipelines.compare.command.write_json", full)
+    with pytest.raises(DevrfError, match="No space left"):
+        compare(Talk("quiet"), [made / "one", made / "two"], tmp_path, None)
+    assert not list(tmp_path.glob("*.tmp")) and not list(tmp_path.glob(".*.tmp"))
