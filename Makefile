@@ -1,7 +1,8 @@
 # Two commands do all the set-up on a machine with only Python >= 3.10 and make:
 #   make demo    run the example session, print where to look
-#   make test    format, lint, types, tests
+#   make test    format, lint, types, tests; those in a browser need Chromium (apt-get install chromium)
 # make venv      only make the environment; make clean: remove what these made
+# make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -9,7 +10,7 @@ BIN := $(VENV)/bin
 DEMO := examples/waving-sheet
 DEMO_OUT := $(DEMO)/runs
 
-.PHONY: demo test venv clean
+.PHONY: demo test docs docs-serve venv clean
 
 demo: $(VENV)/.installed
 	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny
@@ -20,10 +21,16 @@ test: $(VENV)/.installed-dev
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest
 
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+docs-serve: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
+
 venv: $(VENV)/.installed
 
 clean:
-	rm -rf $(VENV) $(DEMO_OUT) build dist *.egg-info .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(DEMO_OUT) build dist site *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 $(VENV)/.installed: pyproject.toml setup.py constraints.txt | $(VENV)/.python
@@ -31,7 +38,11 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt | $(VENV)/.python
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,ray,simulate]'
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,docs,export,ray,simulate,viewer]'
+	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
 $(VENV)/.python:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import devrf
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import DevrfError
 from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines import run_command
 from devrf.pipelines.bench.cli import bench
@@ -22,13 +22,13 @@ from devrf.pipelines.cli_options import (
     errors_told,
     talk_of,
 )
+from devrf.pipelines.cli_results import compare, export, render, report, view
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE, STOPPED, UNHEALTHY
-from devrf.pipelines.runner.own_folder import check_run_folder
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import dry_run
 from devrf.pipelines.runner.supervise import supervised
-from devrf.pipelines.stages import STAGES, stage_names
+from devrf.pipelines.stages import stage_names
 from devrf.pipelines.status import print_status, status_dict
 
 app = typer.Typer(
@@ -180,76 +180,8 @@ def status(
         print_status(talk.out, job.config, job.run_dir, found)
 
 
-@app.command()
-def report(
-    scene: SceneArgument,
-    preset: PresetOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-) -> None:
-    """Make the report anew from what the run folder holds, and say where it is."""
-    talk = talk_of(quiet, verbose)
-    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
-    done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
-    if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
-        run_command.only("report", scene, preset, overrides, talk)
-    from devrf.pipelines.stages.report import report_so_far
-
-    with errors_told(talk):
-        if not done:
-            raise InputError(
-                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
-            )
-        check_run_folder(job.run_dir, ("report",))
-        try:
-            report_so_far(job.config, job.run_dir)
-        except OSError as error:
-            raise DevrfError(
-                f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
-            ) from None
-    job.fresh.append("report")
-    run_command.say_where(job)
-
-
-@app.command()
-def render(
-    scene: SceneArgument,
-    preset: PresetOption = None,
-    overrides: SetOption = None,
-    device: DeviceOption = "auto",
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-) -> None:
-    """Film the reconstruction anew: an orbit through space and time."""
-    run_command.only("render", scene, preset, overrides, talk_of(quiet, verbose), device)
-
-
-@app.command()
-def export(
-    scene: SceneArgument,
-    dataset_format: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            help="nerfstudio, colmap, llff, devrf or blender; only the cameras: rig-anipose, rig-caliscope, "
-            "rig-colmap, rig-easymocap, rig-kalibr, rig-opencv or rig-pose2sim",
-        ),
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder to write; default: export/FORMAT in the run")
-    ] = None,
-    preset: PresetOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Write the calibrated scene as a data set, or the cameras as a calibration, for other programs."""
-    talk = talk_of(quiet)
-    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
-    from devrf.pipelines import export_command
-
-    with errors_told(talk):
-        export_command.export(talk, job.run_dir, dataset_format, out)
+for results_command in (report, compare, view, render, export):
+    app.command()(results_command)
 
 
 @app.command()

@@ -48,6 +48,12 @@ def test_the_example_that_demo_runs_exists() -> None:
     assert (REPOSITORY / scene).is_file()
 
 
+def test_docs_are_built_strictly_with_their_extra() -> None:
+    result = make(REPOSITORY, "-n", "docs", "VENV=none")
+    assert result.returncode == 0, result.stderr
+    assert "-e '.[docs]'" in result.stdout and "none/bin/mkdocs build --strict" in result.stdout
+
+
 def test_nothing_is_installed_twice(copy: Path) -> None:
     """pip is called the first time, not the second, and again when the constraints change."""
     log = copy / "pip.log"

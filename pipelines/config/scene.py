@@ -99,17 +99,19 @@ class BoardConfig(_Section):
     """A calibration board: intrinsics of the cameras, and metric scale."""
 
     type: Literal["charuco", "chessboard", "aruco_grid"] = "charuco"
-    """What is printed."""
+    """What is printed; aruco_grid is OpenCV's GridBoard, markers from 0 on."""
     squares: Annotated[tuple[int, int], BeforeValidator(_as_tuple)]
-    """Columns and rows: squares of a ChArUco board, inner corners of a chessboard, markers of an ArUco grid."""
+    """Columns and rows, from 2 to 100: squares of a ChArUco board, inner corners of a chessboard, markers of an
+    ArUco grid. Swapped, or a chessboard's squares for its corners: found out and said."""
     square_m: float | None = Field(default=None, gt=0, le=10)
-    """Side of a square, metres (not of an ArUco grid)."""
+    """Side of a square (needed, but not of an ArUco grid)."""
     marker_m: float | None = Field(default=None, gt=0, le=10)
-    """Side of a marker, metres (not of a chessboard)."""
+    """Side of a marker (needed, but not of a chessboard); of a ChArUco board smaller than the square."""
     separation_m: float | None = Field(default=None, gt=0, le=10)
-    """Gap between two markers of an ArUco grid, metres."""
+    """Gap between two markers of an ArUco grid (needed there)."""
     metric: bool = True
-    """Whether these lengths were measured; false: only their proportions are true, and the scale stays arbitrary."""
+    """Whether these lengths were measured; false: only their proportions are true (`square_m: 1.0`): the board
+    gives lenses and poses, and the scale stays arbitrary."""
     dictionary: str = "DICT_5X5_100"
     """OpenCV's name of the marker dictionary (not of a chessboard)."""
     inverted: AutoBool = "auto"
@@ -117,11 +119,13 @@ class BoardConfig(_Section):
     legacy: AutoBool = "auto"
     """Whether the layout is the one from before OpenCV 4.6; auto tries both."""
     lens: Literal["auto", "pinhole", "fisheye"] = "auto"
-    """Lens model of the calibrations; auto takes a fisheye where the view is wide and it fits better."""
+    """Lens model of the calibrations; auto takes a fisheye where the view is wider than 90 degrees and it fits
+    better."""
     clips: dict[str, PathText] = {}
-    """Camera name -> clip of the board before this camera alone: intrinsics."""
+    """Camera, or static for the sweep's -> clip of the board before this camera alone: intrinsics."""
     joint_clips: dict[str, PathText] = {}
-    """Camera name -> clip of the board before several cameras at once: intrinsics, rig and scale."""
+    """Camera -> clip of the board before several cameras at once: intrinsics, rig and scale. Where the board is in
+    the moving clips, name those here again."""
 
     @field_validator("squares")
     @classmethod
@@ -165,27 +169,29 @@ class RawConfig(_Section):
     """How RAW photos are developed; one recipe for all photos of a folder."""
 
     white_balance: Annotated[WhiteBalance, BeforeValidator(_white_balance)] = "auto"
-    """Multipliers [r, g, b, g2] for all of them; auto: daylight by the sensor of each folder's first photo."""
+    """Multipliers [r, g, b, g2] for all RAW photos, above 0, at most 100; auto: daylight by the sensor of each
+    folder's first photo."""
     keep_linear: bool = False
-    """Keep the pictures in linear light with 16 bits too."""
+    """Keep RAW photos in linear light with 16 bits too."""
 
 
 class MattesConfig(_Section):
     """Where the subject is, picture by picture."""
 
     method: Literal["given", "chroma", "background", "command"]
-    """given: a folder of mattes; chroma: a coloured screen; background: what differs from a fixed camera's clean plate
-    (moving cameras only); command: a program of yours."""
+    """given: a folder of mattes; chroma: a coloured screen; background: what differs from a fixed camera's clean
+    plate (fixed cameras only); command: a program of yours."""
     folder: PathText | None = None
     """given: holds a folder per camera, and `static` for the sweep."""
     inverted: AutoBool = "auto"
     """given: whether the subject is black on white."""
     colour: str = "auto"
-    """chroma: of the screen, #rrggbb; auto finds each camera's."""
+    """chroma: the screen's colour, auto or #rrggbb; auto finds each camera's."""
     command: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
-    """command: program and arguments, with {image} and {matte} for the files; run without a shell."""
+    """command: program and arguments, with {image} and {matte} for the files; run without a shell in the folder of
+    scene.yaml."""
     timeout_s: float = Field(default=120.0, gt=0, le=3600)
-    """command: longest time for one picture, seconds."""
+    """command: longest time for one picture."""
 
     @field_validator("colour")
     @classmethod
@@ -229,13 +235,13 @@ class CaptureConfig(_Section):
     static: PathText | None = None
     """The sweep of the scene at rest: a video, or a folder of images or RAW files."""
     cameras: dict[str, PathText] = {}
-    """Fixed cameras of the moving scene: name -> clip."""
+    """Fixed cameras of the moving scene: name -> clip. The first one is cam0, whose clock is everyone's."""
     test_cameras: dict[str, PathText] | list[str] = {}
     """Cameras that are never trained on: name -> clip, or a list of names out of `cameras`."""
     timestamps: PathText | None = None
-    """CSV with camera, frame_index, time_s, where the clips' own times are not the true ones."""
+    """Table of true times (CSV with camera, frame_index, time_s), where the clips' own are not."""
     range_s: Annotated[tuple[float, float], BeforeValidator(_as_tuple)] | None = None
-    """[from, to] on cam0's clock, seconds; default: what all cameras share."""
+    """[from, to]: the part to model, on cam0's clock; default: what all cameras share."""
     rest: Literal["start", "end", "none"] = "start"
     """When the moving clips show the scene as in the sweep."""
     board: BoardConfig | None = None
@@ -243,9 +249,10 @@ class CaptureConfig(_Section):
     raw: RawConfig = RawConfig()
     """RAW photos."""
     white: dict[str, PathText] = {}
-    """Camera name, or static for the sweep's -> clip, photo or folder of a white sheet: light fall-off."""
+    """Camera, or static for the sweep's -> clip, photo or folder of photos of a white sheet: its light fall-off."""
     mattes: Annotated[MattesConfig, BeforeValidator(_mattes)] | None = None
-    """Foreground mattes: a folder, `chroma`, `background`, or a section; a room needs none."""
+    """Mattes of the subject: a folder with one per camera, and `static` for the sweep; `chroma`; `background`; or a
+    section. A room needs none."""
 
     @field_validator("range_s")
     @classmethod
@@ -281,31 +288,38 @@ class DatasetConfig(_Section):
     frame_stride: int = Field(default=1, ge=1, le=1000)
     """Use every n-th time, of the test views too."""
     background: Annotated[BackgroundWord | tuple[float, float, float], BeforeValidator(_background)] = "auto"
-    """What is behind the subject: a plain colour (RGB in [0, 1]), or surroundings (shell)."""
+    """What is behind the subject: auto, a plain colour (white, black or [r, g, b] from 0 to 1), or surroundings
+    (shell)."""
 
 
 class StaticPosesConfig(_Section):
     """Structure from motion of the sweep."""
 
     mapper: Literal["incremental", "global", "both"] = "incremental"
-    """COLMAP's mapper to begin with, others are tried where it fails; both: run both, keep the better model."""
+    """COLMAP's mapper to begin with; others are tried where it fails and compared in small sweeps; both: run both,
+    keep the better model."""
     masks: PathText | None = None
-    """Folder of masks of what moves or reflects in the sweep, by picture or frame; black is ignored."""
+    """Folder of masks of what moves or reflects in the sweep, black is ignored: `IMG_1.jpg.png` or `IMG_1.png` by
+    photo, `000012.png` or `12.png` by frame of a film; of the picture's size, upright. Pictures without one are
+    used whole."""
     check_seed: bool = False
     """Map with another seed too, and report how far the poses move."""
     time_minutes: float | None = Field(default=30.0, gt=0)
-    """Time for this stage; what does not fit into it is left out and named. null: no limit."""
+    """Time for this stage; pairs (farthest first), pictures and mappers that do not fit into it are left out and
+    named. null: no limit."""
 
 
 class SyncConfig(_Section):
     """Each camera's clock."""
 
     method: Literal["auto", "audio", "motion", "flash", "timestamps", "none"] = "auto"
-    """Cue to use; auto takes the best there is; timestamps: the table, else timecode; none trusts the files."""
+    """Cue for the clocks; auto takes the best there is; timestamps: the table, else timecode; none trusts the
+    files' own times."""
     av_lag_s: dict[str, Annotated[float, Field(ge=-1, le=1)]] = {}
-    """Camera -> how late its sound is behind its pictures (in-camera lag), seconds."""
+    """Camera -> how late its sound is behind its pictures (in-camera lag), from -1 to 1."""
     readout_s: dict[str, Annotated[float, Field(gt=0, le=0.1)]] = {}
-    """Camera -> time in which its rolling shutter reads a picture, seconds; without it flashes find it."""
+    """Camera -> time in which its rolling shutter reads a picture, above 0, up to 0.1; several flashes find it
+    without."""
 
 
 class RigConfig(_Section):
@@ -318,16 +332,19 @@ class RigConfig(_Section):
     given_unit: Literal["m", "cm", "mm"] | None = None
     """Unit of the lengths in `given`; default: what its format says."""
     known_distance_m: float | None = Field(default=None, gt=0, le=10_000)
-    """Distance between the centres of the first two cameras, metres: gives the metric scale."""
+    """Distance between the centres of the first two cameras: gives the metric scale, also of a `given` calibration
+    without one."""
 
 
 class ColourConfig(_Section):
     """Cameras brought to one look."""
 
     method: Literal["auto", "chart", "points", "none"] = "auto"
-    """From a chart, or from surface points that two cameras see; auto: the chart where one is given, else points."""
+    """How cameras are brought to one look: from a chart, or from surface points that two cameras see; auto: the
+    chart of a camera where one is given, else points."""
     chart: dict[str, PathText] = {}
-    """Camera name, or static for the sweep's -> photo or clip of one colour chart (24 patches) in one light."""
+    """Camera, or static for the sweep's -> photo or clip of one chart of 24 patches, in one light. The reference
+    (the sweep, else the first camera) is needed."""
 
 
 class CalibrationConfig(_Section):
@@ -351,7 +368,7 @@ class FlowConfig(_Section):
     preset: Preset | None = None
     """Of dis; default: medium."""
     weights: PathText | None = None
-    """Weights of a learned estimator."""
+    """For raft: the authors' checkpoint or torchvision's state dict, small or large."""
 
     @model_validator(mode="after")
     def _usable(self) -> "FlowConfig":
@@ -366,23 +383,26 @@ class ReconstructConfig(_Section):
     image_scale: float | None = Field(default=None, ge=0.02, le=1)
     """Train and evaluate on pictures of this relative size."""
     resolution: int | None = Field(default=None, ge=16, le=640)
-    """R: the canonical grid has the volume of R^3 voxels; motion levels R/16, R/8, R/4, R/2, R."""
+    """R: the canonical grid has the volume of R³ voxels; the levels of the motion in proportion."""
     rays: int | None = Field(default=None, ge=64, le=1_048_576)
-    """Rays per iteration."""
+    """Rays per iteration, of both trainings."""
     canonical_iterations: int | None = Field(default=None, ge=1, le=10_000_000)
-    """Iterations of the canonical fine stage; the others in proportion."""
+    """Iterations of the scene at rest; those of its coarse model in proportion."""
     motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
-    """Iterations per frame of the motion field, over all levels."""
+    """Iterations per key time of the motion field, over all levels; fine-tuning's keep their proportion to them."""
     fine_tuning_iterations: int | None = Field(default=None, ge=0, le=1_000_000)
-    """Iterations in which the scene at rest follows the moving pictures too; 0: none."""
+    """Iterations in which the scene at rest, as it looks in motion, follows the moving pictures too; where given,
+    they are kept whatever they gain; 0: none."""
     key_times: int | None = Field(default=None, ge=2, le=10_000)
-    """Number of key times of the motion."""
+    """Key times of the motion; never more than a camera has pictures."""
     learning_rate: float = Field(default=1.0, gt=0, le=1000)
     """Learning rates of both trainings, relative to the preset's; smaller where a training diverges."""
     learn_clocks: bool = False
-    """Learn an offset of each camera's clock with the motion, within what sync leaves open."""
+    """Learn an offset of each camera's clock between the levels of the motion, within what `sync` leaves open;
+    experimental."""
     adapt: bool | None = None
-    """Decide by the scene how many voxels, key times and levels it needs, where not given here."""
+    """Decide by the scene how many voxels, key times and levels it needs and whether fine-tuning pays, where not
+    given here."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of every random draw."""
 
@@ -391,22 +411,26 @@ class BudgetConfig(_Section):
     """What a run may use."""
 
     memory_gb: float | None = Field(default=None, gt=0)
-    """Main memory of a run and of all processes it starts; never more than the machine and its cgroups leave."""
+    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, or are
+    refused. Default: what the machine and its cgroups leave, less a tenth."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
-    """Memory of the GPU: training is fitted to it; what would take more all the same ends with a message."""
+    """Most of a GPU's memory to take: training is fitted to it, rendering and RAFT try again with less at once,
+    else the stage ends with a message. Never tried on a GPU."""
     disk_gb: float | None = Field(default=None, gt=0)
-    """Size of the run folder; checked before each stage and watched while it writes."""
+    """Most the run folder may hold; checked before each stage and watched while it writes."""
     time_minutes: float | None = Field(default=None, gt=0)
-    """Time of one run; what is not begun by then is left for the next."""
+    """Time of one run; a training that is not done by then goes on in the next run, as does what is not begun, the
+    film first."""
 
 
 class CacheConfig(_Section):
     """Finished stages of earlier configurations, and of other scenes with the same inputs, kept and used again."""
 
     folder: PathText | None = Field(default=None, min_length=1)
-    """Where they are kept; default: the folder that the environment variable DEVRF_CACHE names, else nowhere."""
+    """Where finished stages are kept; default: the folder that the environment variable DEVRF_CACHE names, else
+    nowhere."""
     max_gb: float = Field(default=50.0, ge=0)
-    """Most the folder may hold; what was used longest ago goes first. 0: keep and take nothing."""
+    """Most that folder may hold; what was used longest ago goes first. 0: keep and take nothing."""
 
 
 class EvaluateConfig(_Section):
@@ -424,15 +448,15 @@ class SceneConfig(_Section):
     """The whole of scene.yaml."""
 
     name: str = Field(min_length=1, max_length=200)
-    """What the scene is called in reports."""
+    """What the scene is called in reports; 1 to 200 characters."""
     output: PathText | None = Field(default=None, min_length=1)
     """The run folder; default: runs/NAME beside scene.yaml."""
     preset: PresetName = "fast"
-    """tiny: two CPU cores; fast: default; reference: the published recipe."""
+    """tiny: sized for two CPU cores; fast: default; reference: the published recipe."""
     capture: CaptureConfig | None = None
-    """The raw files; or `dataset`."""
+    """The raw files; either this or `dataset`."""
     dataset: DatasetConfig | None = None
-    """A finished data set; or `capture`."""
+    """A finished data set; either this or `capture`."""
     calibration: CalibrationConfig = CalibrationConfig()
     """Cameras and clocks."""
     flow: FlowConfig = FlowConfig()

@@ -153,7 +153,7 @@ def _no_scene(path: Path) -> str:
     if found is None:
         return (
             f"{path}: no such file{near_file(path)}; expected a scene.yaml; "
-            f"`devrf-pipeline init {folder}` writes one for raw files there, docs/formats.md has all keys"
+            f"`devrf-pipeline init {folder}` writes one for raw files there, docs/configuration.md has all keys"
         )
     return (
         f"{path}: no such file; the folder looks like a data set ({found}): write a scene.yaml with "

@@ -10,8 +10,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.config.scene import PathText, SceneConfig
 
+_PATH = get_args(PathText)[1]  # the rule that marks a text as a path
 Say = Callable[[str, str], None]  # takes the dotted key and what is wrong with it
 
 
@@ -58,7 +59,15 @@ def _alternatives(field: FieldInfo | None) -> tuple:
         return ()
     kind = field.annotation
     kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
-    return tuple(get_args(k)[0] if get_origin(k) is Annotated else k for k in kinds)
+    return (Path,) if _PATH in field.metadata else tuple(map(_unmarked, kinds))
+
+
+def _unmarked(kind: Any) -> Any:
+    """A type without its rules; Path for a text that has to be one."""
+    if get_origin(kind) is not Annotated:
+        return kind
+    plain, *rules = get_args(kind)
+    return Path if _PATH in rules else plain
 
 
 def field_at(location: tuple) -> FieldInfo | None:
@@ -76,14 +85,19 @@ def keys_at(location: tuple) -> list[str]:
 def expectation(field: FieldInfo | None) -> str:
     """What a field takes, in words: `a whole number from 64 to 1048576`."""
     kinds = [kind for kind in _alternatives(field) if kind is not type(None)]
-    words = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+    words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", Path: "a path"}
     parts = []
     for kind in kinds:
         origin = get_origin(kind)
         if origin is Literal:
             parts.append(", ".join(str(choice) for choice in get_args(kind)))
         elif origin is dict:
-            parts.append("names with a path each ({cam0: cam0.mp4})")
+            number = get_args(get_args(kind)[1])[:1] == (float,)
+            parts.append(
+                "names with a number each ({cam0: 0.02})"
+                if number
+                else "names with a path each ({cam0: cam0.mp4})"
+            )
         elif origin is list:
             parts.append("a list of names")
         elif origin is tuple:

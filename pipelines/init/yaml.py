@@ -20,7 +20,7 @@ def scene_yaml(name: str, found: Found) -> str:
         else "no NVIDIA GPU here; fast with one"
     )
     lines = [
-        "# Written by `devrf-pipeline init` from what the clips show; every key is in docs/formats.md.",
+        "# Written by `devrf-pipeline init` from what the clips show; every key is in docs/configuration.md.",
         "# Paths are relative to this file. `devrf-pipeline check` looks at it before anything runs.",
         f"name: {_text(name)}",
         f"preset: {preset}                       # {why}",
@@ -51,7 +51,7 @@ def scene_yaml(name: str, found: Found) -> str:
 def dataset_yaml(name: str, dataset_format: str) -> str:
     """The file beside a finished data set."""
     return (
-        "# Written by `devrf-pipeline init`; every key is in docs/formats.md.\n"
+        "# Written by `devrf-pipeline init`; every key is in docs/configuration.md.\n"
         f"name: {_text(name)}\n"
         f"dataset: {{format: {dataset_format}, path: .}}\n"
     )

@@ -150,6 +150,24 @@ class Lock:
                 pass  # a server that does not answer for a while
 
 
+def is_held(folder: Path) -> bool:
+    """Whether a run seems to work in a folder, by reading alone: for those who only look.
+
+    A lock left by a process that was killed counts for `LEASE_S`, unless it is known here that the process is gone.
+    """
+    try:
+        handle = os.open(folder / LOCK, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        holder, me = _holder(handle), _me()
+        if holder is not None and all(holder.get(key) == me[key] for key in ("host", "boot", "pids")):
+            return holder.get("started") == _start_of(holder["pid"])
+        return time.time() - os.fstat(handle).st_mtime < LEASE_S
+    finally:
+        os.close(handle)
+
+
 def _lock(handle: int) -> bool | None:
     """Have the kernel lock a file. False where another process has it; None where this cannot be done."""
     try:

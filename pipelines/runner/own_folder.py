@@ -14,6 +14,7 @@ OTHERS = (
     EVENTS_FILE,
     OLD_LOGS,
     "export",
+    "films",
 )  # what runs write beside the folders of stages and hidden files
 
 

@@ -1,0 +1,203 @@
+"""The commands that look at what a run has made, and take it elsewhere: report, compare, view, render, export."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines import run_command
+from devrf.pipelines.cli_options import (
+    DeviceOption,
+    PresetOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    VerboseOption,
+    errors_told,
+    talk_of,
+)
+from devrf.pipelines.exit_codes import STOPPED
+from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.stages import STAGES
+
+
+def report(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Make the report anew from what the run folder holds, and say where it is."""
+    talk = talk_of(quiet, verbose)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+    done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
+    if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
+        run_command.only("report", scene, preset, overrides, talk)
+    from devrf.pipelines.stages.report import report_so_far
+
+    with errors_told(talk):
+        if not done:
+            raise InputError(
+                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
+            )
+        check_run_folder(job.run_dir, ("report",))
+        try:
+            report_so_far(job.config, job.run_dir)
+        except OSError as error:
+            raise DevrfError(
+                f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
+            ) from None
+    job.fresh.append("report")
+    run_command.say_where(job)
+
+
+def compare(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(help="Run folders, or scene.yaml; the others are held against the first"),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for compare.html")] = Path("compare"),
+    as_json: Annotated[
+        Path | None, typer.Option("--json", help="File for programs; default: compare.json beside the page")
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Put finished runs of one scene side by side: what differs, by how much, and whether that is chance."""
+    talk = talk_of(quiet)
+    from devrf.pipelines.compare import command as compare_command
+
+    with errors_told(talk):
+        compare_command.compare(talk, runs, out, as_json)
+
+
+def view(
+    scene: SceneArgument,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    device: DeviceOption = "auto",
+    host: Annotated[
+        str, typer.Option(help="Address to serve; default: only this machine. 0.0.0.0: the whole network")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to serve")] = 8080,
+    quiet: QuietOption = False,
+) -> None:
+    """Walk through the scene in a browser, also while it is being trained (needs the extra `viewer`)."""
+    talk = talk_of(quiet)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+    from devrf.pipelines.viewer import command as viewer_command
+
+    with errors_told(talk):
+        viewer_command.view(talk, job, device, host, port)
+
+
+def render(
+    scene: SceneArgument,
+    path: Annotated[
+        str | None,
+        typer.Option(
+            help="orbit, spiral, dolly, vertigo, between, between:CAMERA,CAMERA, still:CAMERA, or a JSON file of key "
+            "frames (nerfstudio's camera_path.json). Default: orbit"
+        ),
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(help="Length of the film; default: as time runs")] = None,
+    fps: Annotated[float | None, typer.Option(help="Pictures a second; default: 24")] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Seconds of the clip in a second of the film; 0.25 is slow motion")
+    ] = None,
+    slow: Annotated[
+        str | None,
+        typer.Option(help="Only between these two times at --speed (default 0.25): 0.4,0.6 or 1.0s,1.5s"),
+    ] = None,
+    time: Annotated[
+        str | None, typer.Option(help="Time stands still at this one: 0 to 1 of the clip, or seconds: 1.2s")
+    ] = None,
+    begin: Annotated[str | None, typer.Option("--from", help="First time that is shown")] = None,
+    end: Annotated[str | None, typer.Option("--to", help="Last time that is shown")] = None,
+    ping_pong: Annotated[bool, typer.Option("--ping-pong", help="Time runs there and back")] = False,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT; default: by the preset")] = None,
+    layers: Annotated[
+        str | None, typer.Option(help="Some of colour,depth,flow,confidence. Default: colour")
+    ] = None,
+    beside: Annotated[
+        str | None, typer.Option(help="Put the true pictures of this camera on the left")
+    ] = None,
+    film_format: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="mp4 (H.264, default), png (pictures; depth in 16 bits), or webp (animated picture)",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default: films/NAME in the run, by the options")
+    ] = None,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Film the reconstruction: without options the run's own film anew, else a film of its own (docs/film.md).
+
+    A film that was stopped is gone on with; one that is made already is left as it is.
+    """
+    talk = talk_of(quiet, verbose)
+    from devrf.pipelines.film import command
+    from devrf.pipelines.film.asked import Asked
+
+    asked = Asked(
+        path, seconds, fps, speed, slow, time, begin, end, ping_pong, size, layers, beside, film_format, out
+    )
+    if asked.nothing:
+        run_command.only("render", scene, preset, overrides, talk, device)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+    with errors_told(talk):
+        try:
+            command.film(talk, job, asked, device)
+        except command.Stopped as stop:
+            talk.error(str(stop))
+            raise typer.Exit(STOPPED) from None
+
+
+def export(
+    scene: SceneArgument,
+    dataset_format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="data sets: nerfstudio, colmap, llff, devrf or blender; the model: ply (point clouds), mesh (PLY and "
+            "OBJ), glb (animated), zarr or npz (voxel grids), splat (3D Gaussians) or player (a page); only "
+            "cameras: rig-anipose, rig-caliscope, rig-colmap, rig-easymocap, rig-kalibr, rig-opencv or rig-pose2sim",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default: export/FORMAT in the run")
+    ] = None,
+    times: Annotated[
+        str | None,
+        typer.Option(
+            help="The model: a number of times, keys (the model's own), or times such as 0.5s,1.25s. Default: 10; "
+            "glb and player: keys"
+        ),
+    ] = None,
+    level: Annotated[
+        float | None, typer.Option(help="mesh, glb: opacity of the surface, 0 to 1; default: 0.5")
+    ] = None,
+    splats: Annotated[
+        int | None, typer.Option(help="splat, player: how many Gaussians; default: 30000")
+    ] = None,
+    preset: PresetOption = None,
+    overrides: SetOption = None,
+    device: Annotated[str | None, typer.Option(help="The model: auto (default), cpu or cuda")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Write the calibrated scene as a data set, the trained model as geometry, or the cameras as a calibration."""
+    talk = talk_of(quiet)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+    from devrf.pipelines.export import command as export_command
+
+    with errors_told(talk):
+        options = export_command.Options(times=times, level=level, splats=splats, device=device)
+        export_command.export(talk, job.run_dir, dataset_format, out, options, job.config.name)
