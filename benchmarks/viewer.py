@@ -17,6 +17,7 @@ import torch
 import viser
 
 from devrf.capture.camera import Camera
+from devrf.capture.picture_files import to_8_bits
 from devrf.pipelines.bench.rows import Row, with_goal, write_rows
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.stages.evaluate import versions
@@ -24,7 +25,6 @@ from devrf.pipelines.viewer.site import CHUNK_CPU, settle
 from devrf.pipelines.viewer.source import Loaded, load, look
 from devrf.pipelines.viewer.view import View
 from devrf.pipelines.viewer.visit import DEPTH_PIXELS, NOTHING_HIDES, QUALITY_MOVING
-from devrf.reconstruct.film.layers import to_8_bits
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.model import render_layers

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 from PIL import Image, ImageFile, UnidentifiedImageError
 
 from devrf.capture.cores import usable_cores
@@ -88,6 +88,11 @@ def damaged_pictures(paths: Iterable[Path]) -> list[str]:
 
     with ThreadPoolExecutor(usable_cores()) as pool:  # decoding lets other threads run
         return [text for text in pool.map(problem, dict.fromkeys(paths)) if text is not None]
+
+
+def to_8_bits(picture: Float32[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width 3"]:
+    """A picture in [0, 1] as bytes."""
+    return np.clip(np.round(picture * 255), 0, 255).astype(np.uint8)
 
 
 def write_png(path: Path, picture: UInt8[np.ndarray, "height width *channels"]) -> None:

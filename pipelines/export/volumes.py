@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from devrf.capture.arrays import read_npz
 from devrf.capture.formats.round_trip import RoundTrip, of_points
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import Trained
@@ -179,5 +180,5 @@ class _Npz:
 
     def rest(self) -> tuple[np.ndarray, dict[str, Any]]:
         """Density at rest and attributes, read back."""
-        with np.load(self.folder / "rest.npz") as file:
-            return file["density"], json.loads(str(file["attributes"]))
+        read = read_npz(self.folder / "rest.npz", ("density", "attributes"), text=True)
+        return read["density"], json.loads(str(read["attributes"]))

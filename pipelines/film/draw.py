@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from devrf.capture.formats.flow_files import Flow
+from devrf.capture.picture_files import to_8_bits
 from devrf.capture.scene import load_image
 from devrf.pipelines.film.plan import Film
 from devrf.pipelines.report.pictures import flow_picture
@@ -22,7 +23,6 @@ from devrf.reconstruct.film.layers import (
     depth_colours,
     depth_steps,
     planar_depth,
-    to_8_bits,
 )
 from devrf.reconstruct.model import DynamicModel, render_layers
 

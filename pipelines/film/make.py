@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
+from devrf.capture.picture_files import open_picture
 from devrf.capture.progress import Progress
 from devrf.capture.video_writer import video_beside
 from devrf.pipelines.film.draw import Drawer
@@ -76,18 +76,15 @@ def finish(drawer: Drawer, kept: Kept, folder: Path) -> None:
 
 def _write_webp(path: Path, pictures: list[Path], fps: float) -> None:
     """One animated picture that repeats for ever."""
-    shown = [Image.open(picture) for picture in pictures]  # pixels are read one by one
-    try:
-        shown[0].save(
+    with ExitStack() as stack:
+        first, *rest = (stack.enter_context(open_picture(picture)) for picture in pictures)
+        first.save(  # reads the pixels of one after the other
             path,
             format="WEBP",
             save_all=True,
-            append_images=shown[1:],
+            append_images=rest,
             duration=round(1000 / fps),
             loop=0,
             quality=WEBP_QUALITY,
             method=WEBP_EFFORT,
         )
-    finally:
-        for picture in shown:
-            picture.close()

@@ -4,11 +4,10 @@ import json
 import time
 
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.picture_files import write_png
+from devrf.capture.picture_files import to_8_bits, write_png
 from devrf.capture.video_writer import video_beside
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_renderer
-from devrf.reconstruct.film.layers import to_8_bits
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.film.times import film_times

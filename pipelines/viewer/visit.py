@@ -8,13 +8,14 @@ import numpy as np
 import viser
 
 from devrf.capture.camera import Camera
+from devrf.capture.picture_files import to_8_bits
 from devrf.pipelines.viewer.controls import FROM_REST, NO_ARROWS, Controls
 from devrf.pipelines.viewer.furniture import Furniture
 from devrf.pipelines.viewer.source import Loaded
 from devrf.pipelines.viewer.thumbnails import Thumbnails
 from devrf.pipelines.viewer.view import View
 from devrf.reconstruct.error_map import confidence_picture
-from devrf.reconstruct.film.layers import DepthScale, depth_colours, planar_depth, to_8_bits
+from devrf.reconstruct.film.layers import DepthScale, depth_colours, planar_depth
 from devrf.reconstruct.model import render_layers
 from devrf.reconstruct.motion_arrows import motion_arrows, next_key
 from devrf.reconstruct.refinement import Pace, at_most, at_size, next_size

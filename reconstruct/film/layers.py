@@ -54,11 +54,6 @@ class DepthScale:
         return DepthScale(least * world_per_box, far * world_per_box, unit, world_per_box)
 
 
-def to_8_bits(picture: Float32[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """A picture in [0, 1] as bytes."""
-    return np.clip(np.round(picture * 255), 0, 255).astype(np.uint8)
-
-
 def planar_depth(camera: Camera, layers: Layers, scale: DepthScale) -> Float32[np.ndarray, "h w"]:
     """Depth along the camera's axis, world units; 0 where nothing solid is seen in the box."""
     surface, solid = _surface(camera, layers)

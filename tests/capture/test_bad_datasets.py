@@ -39,6 +39,12 @@ def _no_motion(frame):
     return np.zeros((*shape, 2), np.float32), np.ones(shape, bool)
 
 
+def last_picture(folder: Path) -> Path:
+    """One that is read: no test picture, none of the model in motion beside COLMAP's."""
+    unread = {"test", "motion"}
+    return sorted(p for p in folder.rglob("*.png") if not unread & set(p.relative_to(folder).parts))[-1]
+
+
 def edit(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     meta = json.loads(path.read_text())
     change(meta)
@@ -144,7 +150,7 @@ def test_a_monocular_set_in_motion_has_no_scene_at_rest(folders):
 def test_pictures(folders, name: Any, kind, says):
     from PIL import Image
 
-    victim = sorted(p for p in folders[name].rglob("*.png") if "test" not in p.parts)[-1]
+    victim = last_picture(folders[name])
     if kind == "gone":
         victim.unlink()
     elif kind == "text":
@@ -158,7 +164,7 @@ def test_pictures(folders, name: Any, kind, says):
 
 @pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
 def test_grey_pictures_are_read_and_said(folders, name: Any):
-    victim = sorted(p for p in folders[name].rglob("*.png") if "test" not in p.parts)[-1]
+    victim = last_picture(folders[name])
     cv2.imwrite(str(victim), np.ascontiguousarray(read_pixels(victim)[..., 0]))
     notes: list[str] = []
     read_dataset(name, folders[name], notes=notes)

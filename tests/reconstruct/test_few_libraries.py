@@ -15,10 +15,9 @@ WORK = """
 from pathlib import Path
 import numpy as np
 from devrf.capture.camera import Camera
-from devrf.capture.picture_files import write_png
+from devrf.capture.picture_files import write_png, to_8_bits
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
-from devrf.reconstruct.film.layers import to_8_bits
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.film.times import film_times

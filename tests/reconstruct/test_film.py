@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
+from devrf.capture.picture_files import to_8_bits
 from devrf.reconstruct.film.between import between, through
-from devrf.reconstruct.film.layers import to_8_bits
 from devrf.reconstruct.film.paths import PATHS, orbit
 from devrf.reconstruct.film.span import film_lens, focus
 
