@@ -167,8 +167,3 @@ def tiles_of(
     tile, by_tile = tile.sort(stable=True)
     edges = torch.arange(across * down + 1, device=flat.device)
     return torch.searchsorted(tile, edges), order[which[by_tile]].int()
-
-
-def pinhole(camera: Camera) -> Camera:
-    """The camera without its lens distortion."""
-    return Camera(camera.width, camera.height, camera.K, camera.cam_from_world)

@@ -25,9 +25,10 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.pictures import clips, spread, training
 from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.shell import CUBE, Shell
-from devrf.reconstruct.splats.gaussians import pinhole
 
-MOST_PIXELS = 120_000  # of a picture: what 400 x 300 shows; a smaller training size stays
+MOST_PIXELS = (
+    120_000  # of a picture, before it is made square: what 400 x 300 shows; a smaller training size stays
+)
 OF_SWEEP = 16  # pictures from the sweep's poses
 OF_MOTION = 16  # from the moving cameras' places, over all of them
 OF_FILM = 12  # on a path between the cameras
@@ -92,12 +93,12 @@ def views(scene: Scene, motion: MotionField | None) -> tuple[list[Camera], list[
 
     def small(camera: Camera) -> Camera:
         scale = min(scene.image_scale, image_scale_for(camera.width, camera.height, MOST_PIXELS))
-        return pinhole(camera.scaled(scale))
+        return squared(camera.scaled(scale))
 
     poses = [small(f.camera) for f in spread(training(scene.static), OF_SWEEP)]
     cameras = film_cameras(scene)
-    pixels = max(camera.width * camera.height for camera in poses)
-    path = orbit(cameras, scene.aabb, OF_FILM, film_lens(cameras, pixels))
+    side = max(camera.width for camera in poses)
+    path = orbit(cameras, scene.aabb, OF_FILM, film_lens(cameras, size=(side, side)))
     if motion is None:
         return poses, [(camera, None) for camera in path]
     fixed, moments = clips(scene), []
@@ -106,6 +107,14 @@ def views(scene: Scene, motion: MotionField | None) -> tuple[list[Camera], list[
     # neighbours on the path are at times far apart, so that each part of it sees all of the motion
     times = (np.arange(OF_FILM) * 5 % OF_FILM + 0.5) / OF_FILM
     return poses, moments + [(camera, float(t)) for camera, t in zip(path, times, strict=True)]
+
+
+def squared(camera: Camera) -> Camera:
+    """The camera without lens distortion, and as high as it is wide: windows show more than a camera's picture."""
+    side = max(camera.width, camera.height)
+    K = camera.K.copy()
+    K[:2, 2] += (side - camera.width) / 2, (side - camera.height) / 2
+    return Camera(side, side, K, camera.cam_from_world)
 
 
 def rest_time(motion: MotionField) -> float | None:

@@ -27,6 +27,7 @@ from devrf.reconstruct.splats.gaussians import (
     tiles_of,
     transformed,
 )
+from devrf.reconstruct.splats.looks import squared
 from devrf.reconstruct.splats.make import Splats, make_splats
 from devrf.reconstruct.splats.moving import moved
 from devrf.reconstruct.splats.packed import pack, size_at_most
@@ -83,6 +84,18 @@ def test_the_kernel_is_its_reference(count: int) -> None:
     torch.testing.assert_close(*pictures, rtol=0, atol=2e-6)  # a few roundings of numbers up to 1
     for a, b in zip(gradients[:1], gradients[1:], strict=True):
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5 * float(b.abs().max()))
+
+
+def test_a_square_picture_holds_the_camera_s_own_in_its_middle() -> None:
+    for camera in (
+        FACING,
+        replace(FACING, width=21, height=30, K=np.array([[30.0, 0, 10], [0, 33, 15], [0, 0, 1]])),
+    ):
+        wide = squared(replace(camera, distortion=np.array([0.1, 0, 0, 0, 0])))
+        points = np.random.default_rng(0).uniform((-0.3, -0.3, 1), (0.3, 0.3, 2), (9, 3))
+        border = np.array([30 - camera.width, 30 - camera.height]) / 2
+        assert (wide.width, wide.height) == (30, 30)
+        np.testing.assert_allclose(wide.project(points), camera.project(points) + border, atol=1e-9)
 
 
 def test_tiles_miss_nothing() -> None:
