@@ -3,6 +3,9 @@
 Each picture is of one time, to which the Gaussians are moved; what is learned is one set of them, at rest. Their number
 stays. After a round those that no picture shows are taken to where the pictures pull most: a Gaussian there is
 cut in two along its longest axis (their densification, with a fixed budget).
+
+No Gaussian becomes finer than a part of the pixels it was fitted to: in a picture `BLUR` hides what is finer, but in a
+larger one, or from nearer, it falls apart into dots (Yu et al., Mip-Splatting, 2024, Section 4.1).
 """
 
 from collections.abc import Sequence
@@ -12,10 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from devrf.capture.camera import Camera
 from devrf.capture.progress import Progress, no_progress
 from devrf.reconstruct.kernels.splat import splat
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.splats.gaussians import Gaussians, flattened, tiles_of
+from devrf.reconstruct.splats.gaussians import Gaussians, flattened, pixel_sizes, tiles_of
 from devrf.reconstruct.splats.looks import Look
 from devrf.reconstruct.splats.moving import moved
 
@@ -23,6 +27,7 @@ from devrf.reconstruct.splats.moving import moved
 RATES = {"places": 0.2, "quats": 1e-2, "log_scales": 5e-2, "logits": 1e-1, "colours": 3e-2}
 LAST = 0.1  # rates at the end
 BETAS, EPS = (0.9, 0.99), 1e-15
+FINEST_PX = 0.4  # standard deviation, in pixels of the picture that shows a Gaussian largest
 UNSEEN_PX = 0.5  # pixels that a Gaussian adds to in its best picture: with fewer it is taken elsewhere
 MOST_TAKEN = 0.25  # of all, after a round
 CUT = 0.6  # of the longest standard deviation: how far the halves lie from the middle, and how long they are
@@ -47,7 +52,7 @@ def fit(
         rounds: Through all pictures, each in an order of its own.
         seed: Of that order.
     """
-    learned = _Learned(gaussians)
+    learned = _Learned(gaussians, [look.camera for look in looks])
     adam = torch.optim.Adam(
         [{"params": [leaf], "lr": RATES[name]} for name, leaf in learned.leaves.items()], betas=BETAS, eps=EPS
     )
@@ -59,6 +64,7 @@ def fit(
             adam.zero_grad()
             learned.step(model, looks[at], behind)
             adam.step()
+            learned.keep_coarse()
             schedule.step()
             progress((turn + (n + 1) / len(looks)) / rounds, f"fitting: round {turn + 1} of {rounds}")
         if turn < rounds - 1:
@@ -69,7 +75,8 @@ def fit(
 class _Learned:
     """Gaussians as leaves; places as shifts from where they began, in units of their own size."""
 
-    def __init__(self, gaussians: Gaussians) -> None:
+    def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
+        self.cameras = cameras
         self.start = gaussians.places.clone()
         self.unit = gaussians.log_scales.exp().mean(1, keepdim=True)
         self.leaves = {f.name: getattr(gaussians, f.name).clone() for f in fields(gaussians)}
@@ -101,6 +108,11 @@ class _Learned:
         self.seen_px = torch.maximum(self.seen_px, flat.grad[:, 6:].abs().amax(1) * look.picture.numel())
 
     @torch.no_grad()
+    def keep_coarse(self) -> None:
+        """Hold the standard deviations to what pictures can show."""
+        self.leaves["log_scales"].copy_(torch.maximum(self.leaves["log_scales"], self.finest))
+
+    @torch.no_grad()
     def take_elsewhere(self, adam: torch.optim.Adam) -> None:
         """Give those that are not seen half of those that are pulled most."""
         unseen = (self.seen_px < UNSEEN_PX).nonzero()[:, 0]
@@ -123,5 +135,7 @@ class _Learned:
                 adam.state[leaf][name][changed] = 0
         self._forget()
 
+    @torch.no_grad()
     def _forget(self) -> None:
+        self.finest = (FINEST_PX * pixel_sizes(self.places(), self.cameras)).log()[:, None]
         self.pull, self.seen_px = (torch.zeros_like(self.start[:, 0]) for _ in range(2))

@@ -6,6 +6,7 @@ J W R S S' R' W' J', with the pose W and the projection's derivative J at its ce
 2002), and `BLUR` square pixels more, as in the published program: no Gaussian falls between pixels.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -167,3 +168,23 @@ def tiles_of(
     tile, by_tile = tile.sort(stable=True)
     edges = torch.arange(across * down + 1, device=flat.device)
     return torch.searchsorted(tile, edges), order[which[by_tile]].int()
+
+
+def pixel_sizes(places: Float[Tensor, "N 3"], cameras: Sequence[Camera]) -> Float[Tensor, " N"]:
+    """How large a pixel is at each place, box units, of the camera that shows it largest; 0 where none does."""
+    smallest = places.new_full((len(places),), torch.inf)
+    for camera in cameras:
+        pose = places.new_tensor(camera.cam_from_world)
+        seen = places @ pose[:, :3].T + pose[:, 3]
+        pixels = seen @ places.new_tensor(camera.K).T
+        size = pixels.new_tensor([camera.width, camera.height])
+        inside = ((pixels[:, :2] >= 0) & (pixels[:, :2] <= size * seen[:, 2:])).all(1) & (
+            seen[:, 2] > NEAREST
+        )
+        smallest = torch.where(inside, torch.minimum(smallest, seen[:, 2] / camera.K[0, 0]), smallest)
+    return torch.where(smallest.isfinite(), smallest, 0.0)
+
+
+def pinhole(camera: Camera) -> Camera:
+    """The camera without its lens distortion."""
+    return Camera(camera.width, camera.height, camera.K, camera.cam_from_world)

@@ -17,17 +17,19 @@ from devrf.capture.formats.splat_ply import write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
 from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.splats.fit import FINEST_PX, fit
 from devrf.reconstruct.splats.gaussians import (
     BLUR,
     Gaussians,
     flattened,
+    pixel_sizes,
     quats_of,
     render_gaussians,
     rotations,
     tiles_of,
     transformed,
 )
-from devrf.reconstruct.splats.looks import squared
+from devrf.reconstruct.splats.looks import Look, squared
 from devrf.reconstruct.splats.make import Splats, make_splats
 from devrf.reconstruct.splats.moving import moved
 from devrf.reconstruct.splats.packed import pack, size_at_most
@@ -84,6 +86,12 @@ def test_the_kernel_is_its_reference(count: int) -> None:
     torch.testing.assert_close(*pictures, rtol=0, atol=2e-6)  # a few roundings of numbers up to 1
     for a, b in zip(gradients[:1], gradients[1:], strict=True):
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5 * float(b.abs().max()))
+
+
+def test_pixels_are_as_large_as_the_nearest_camera_that_sees_them_has_them() -> None:
+    nearer = replace(FACING, cam_from_world=np.eye(4)[:3] + np.array([[0, 0, 0, 0]] * 2 + [[0, 0, 0, -1.0]]))
+    places = torch.tensor([[0.0, 0, 3], [1.4, 0, 3], [0, 0, -3], [9, 0, 3]])
+    np.testing.assert_allclose(pixel_sizes(places, [FACING, nearer]), [2 / 30, 3 / 30, 0, 0], rtol=1e-6)
 
 
 def test_a_square_picture_holds_the_camera_s_own_in_its_middle() -> None:
@@ -173,6 +181,16 @@ def test_splats_of_a_ball(made: tuple[DynamicModel, Splats, Splats]) -> None:
     for key in range(3):  # the motion is the model's: the pictures are as good at all times
         before, after = psnr_of(model, sampled, key), psnr_of(model, fitted, key)
         assert after > before + 1 and after > 30, (key, before, after)
+
+
+def test_none_becomes_finer_than_what_pictures_show(made: tuple[DynamicModel, Splats, Splats]) -> None:
+    """Else they would be dots with gaps between them from nearer, or in a larger picture."""
+    dots = replace(made[1].gaussians, log_scales=torch.full_like(made[1].gaussians.log_scales, -9.0))
+    camera = look_at(around(16, 0.2, 0.35)[3])
+    picture = Look(camera, 0.5, torch.from_numpy(render_view(made[0], camera, 0.5)))
+    fitted = fit(made[0], dots, [picture], made[1].behind, rounds=1, seed=0)
+    finest = FINEST_PX * pixel_sizes(fitted.places, [camera])
+    assert (finest > 0).any() and (fitted.log_scales.exp() > 0.9 * finest[:, None]).all()
 
 
 def test_splats_come_out_the_same_again(made: tuple[DynamicModel, Splats, Splats], tmp_path: Path) -> None:
