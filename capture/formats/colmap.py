@@ -32,6 +32,7 @@ from devrf.capture.formats.colmap_rigs import (
 from devrf.capture.formats.export import Export, copied, static_of
 from devrf.capture.formats.files import Header, find_picture, read_header
 from devrf.capture.formats.llff import TEST_LIST, read_names
+from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.picture_files import natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
 
@@ -121,12 +122,15 @@ def _model(frames: tuple[PosedFrame, ...], base: Path, points: SparsePoints | No
         rotation = quat_wxyz(camera.cam_from_world[:, :3])
         name = frame.path.relative_to(base).as_posix()
         images[n + 1] = ModelImage(name, camera_id, rotation, camera.cam_from_world[:, 3], keypoints, ids)
-    xyz = points.xyz if points is not None else np.zeros((0, 3))
-    none = np.zeros(0, np.int64)
+    written: dict[int, ModelPoint] = {}
+    if points is not None:
+        none, colours = np.zeros(0, np.int64), point_colours(points, frames).tolist()
+        for n, (xyz, rgb) in enumerate(zip(points.xyz, colours, strict=True)):
+            written[n + 1] = ModelPoint(xyz, UNKNOWN_ERROR_PX, none, tuple(rgb))
     return Model(
         {number: camera for (_, camera), number in cameras.items()},
         images,
-        {n + 1: ModelPoint(p, UNKNOWN_ERROR_PX, none) for n, p in enumerate(xyz)},
+        written,
     )
 
 

@@ -74,11 +74,12 @@ class ModelImage:
 
 @dataclass(frozen=True)
 class ModelPoint:
-    """A point: position [3], reprojection error in pixels (below 0: unknown), ids of the images that show it."""
+    """A point: position [3], reprojection error in pixels (below 0: unknown), ids of the images that show it, sRGB."""
 
     xyz: Float[np.ndarray, "3"]
     error_px: float
     images: Int[np.ndarray, " seen"]
+    rgb: tuple[int, int, int] = (GREY, GREY, GREY)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def read_model(folder: Path) -> Model:
 
 
 def write_model(folder: Path, model: Model) -> None:
-    """Write a model in binary form; points are grey."""
+    """Write a model in binary form."""
     folder.mkdir(parents=True, exist_ok=True)
     rows: list[bytes] = []
     for number, camera in model.cameras.items():
@@ -144,7 +145,7 @@ def write_model(folder: Path, model: Model) -> None:
     _write(folder / "images.bin", rows)
     rows = []
     for number, point in model.points.items():
-        head = struct.pack("<Q3d3Bd", number, *point.xyz, GREY, GREY, GREY, point.error_px)
+        head = struct.pack("<Q3d3Bd", number, *point.xyz, *point.rgb, point.error_px)
         rows.append(head + struct.pack("<Q", len(track[number])) + np.array(track[number], SEEN).tobytes())
     _write(folder / "points3D.bin", rows)
 

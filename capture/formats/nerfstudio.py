@@ -13,10 +13,13 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.export import Export, copied
 from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.formats.ply import write_ply
+from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
 from devrf.capture.formats.transforms import frame_entry, read_transforms
 from devrf.capture.scene import PosedFrame
 
+POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
 SAME_POSE_DECIMALS = 6  # fixed cameras' entries may be rounded differently
 
 
@@ -40,11 +43,17 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
 
 
 def write_nerfstudio(export: Export) -> None:
-    """`transforms.json` with each camera's own lens, and the pictures as they are."""
+    """`transforms.json` with each camera's own lens, the pictures as they are, and the sparse points."""
     scene = export.scene
     base = export.folder.resolve()
     frames = copied(export, scene.frames, "images")
     entries = [frame_entry(frame, base) for frame in frames]
+    cloud = {}
+    if scene.points is not None:
+        rgb = point_colours(scene.points, frames[: len(scene.static)]) / 255
+        comments = ["sparse points of the scene at rest, in the world of transforms.json"]
+        write_ply(export.folder / POINTS, scene.points.xyz, None, rgb, comments=comments)
+        cloud = {"ply_file_path": POINTS}
     write_json(
         export.folder / "transforms.json",
         {
@@ -55,6 +64,7 @@ def write_nerfstudio(export: Export) -> None:
                 ]
                 for split, used in (("train", "train"), ("val", "test"), ("test", "test"))
             },
+            **cloud,
             OWN_KEY: scene_entry(scene),
             "frames": [{key: value for key, value in e.items() if value is not None} for e in entries],
         },

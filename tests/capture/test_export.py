@@ -6,7 +6,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
+from plyfile import PlyData
 
 from devrf.capture.camera import Camera, undistort
 from devrf.capture.errors import CaptureError, InputError
@@ -14,7 +16,7 @@ from devrf.capture.formats import DATASET_FORMATS, datasets, read_dataset, write
 from devrf.capture.formats.export import MARKER
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 
 LARGEST_MISS_PX = 0.2
 SEEDED = np.random.default_rng(0).uniform(-0.6, 0.6, (200, 3))
@@ -72,6 +74,39 @@ def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background):
         assert again.points is not None and scene.points is not None
         np.testing.assert_array_equal(again.points.xyz, scene.points.xyz)
         assert len(again.points.obs_point) == len(scene.points.obs_point)
+
+
+def test_sparse_points_have_the_colours_of_their_pictures(odd_scene: Scene, tmp_path: Path) -> None:
+    """Each picture is of one colour: a point has the mean of those in which it lies, grey where it is in none."""
+    assert odd_scene.points is not None
+    points, static = odd_scene.points, odd_scene.static
+    xyz = np.vstack([points.xyz, 2 * static[0].camera.centre - points.xyz[0]])  # one behind the first camera
+    kept = (points.obs_point + points.obs_frame) % 3 > 0
+    seen_by = np.append(points.obs_point[kept], len(points.xyz)), np.append(points.obs_frame[kept], 0)
+    points = SparsePoints(xyz, *seen_by)
+    scene = replace(odd_scene, points=points)
+    for n, frame in enumerate(static):
+        picture = np.full((frame.camera.height, frame.camera.width, 3), (n, 2 * n, 200 - n), np.uint8)
+        cv2.imwrite(str(frame.path), picture[..., ::-1])
+    expected = np.full((len(xyz), 3), 128.0)
+    for k in range(len(xyz) - 1):
+        seen = [
+            (n, 2 * n, 200 - n)
+            for n in points.obs_frame[points.obs_point == k].tolist()
+            if np.all((at := static[n].camera.project(points.xyz[k])) >= 0)
+            and np.all(at < (static[n].camera.width, static[n].camera.height))
+        ]
+        expected[k] = np.mean(seen, axis=0) if seen else 128
+    assert len(np.unique(expected, axis=0)) > 2
+    write_dataset("nerfstudio", scene, tmp_path / "nerfstudio")
+    named = json.loads((tmp_path / "nerfstudio/transforms.json").read_text())["ply_file_path"]
+    vertex = PlyData.read(str(tmp_path / "nerfstudio" / named))["vertex"]
+    np.testing.assert_allclose(np.stack([vertex[a] for a in "xyz"], 1), xyz, rtol=1e-6)
+    rgb = np.stack([vertex[c] for c in ("red", "green", "blue")], 1)
+    np.testing.assert_allclose(rgb, expected, atol=0.51)
+    write_dataset("colmap", scene, tmp_path / "colmap")
+    model = pycolmap.Reconstruction(str(tmp_path / "colmap/sparse/0"))
+    np.testing.assert_array_equal([model.points3D[k + 1].color for k in range(len(xyz))], rgb)
 
 
 def with_fisheyes(scene: Scene) -> Scene:
