@@ -1,6 +1,8 @@
 """Whether something can be written, asked before the work is done that would be lost."""
 
+import errno
 import os
+import tempfile
 from pathlib import Path
 
 from devrf.capture.errors import InputError
@@ -20,11 +22,22 @@ def check_folder(folder: Path, what: str) -> None:
         reason = f"{there} is a file"
     elif not os.access(there, os.W_OK | os.X_OK):
         reason = f"{there} may not be written"
+    elif not _takes_files(there):
+        reason = f"{there} takes no files"
     else:
         return
     raise InputError(
         f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable"
     )
+
+
+def _takes_files(folder: Path) -> bool:
+    """Whether a file can be made, which rights do not say of read-only disks and of the system's own folders."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError as error:
+        return error.errno in (errno.ENOSPC, errno.EDQUOT)  # room may be made until it is needed
 
 
 def check_file(path: Path, what: str) -> None:

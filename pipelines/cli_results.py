@@ -19,6 +19,7 @@ from devrf.pipelines.cli_options import (
 )
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.runner.signals import stopped_by_signals
 from devrf.pipelines.stages import STAGES
 
 
@@ -33,7 +34,11 @@ def report(
     talk = talk_of(quiet, verbose)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
-    if {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {"report"}:
+    with errors_told(talk):
+        stale = run_command.stale(job, "render")
+    if not stale and {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {
+        "report"
+    }:
         run_command.only("report", scene, preset, overrides, talk)
     from devrf.pipelines.stages.report import report_so_far
 
@@ -44,11 +49,13 @@ def report(
             )
         check_run_folder(job.run_dir, ("report",))
         try:
-            report_so_far(job.config, job.run_dir)
+            report_so_far(job.config, job.run_dir, stale)
         except OSError as error:
             raise DevrfError(
                 f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
             ) from None
+    for line in run_command.said_of_stale(stale):
+        talk.say(f"  note: {line}", style="yellow")
     job.fresh.append("report")
     run_command.say_where(job)
 
@@ -186,7 +193,7 @@ def export(
         float | None, typer.Option(help="mesh, glb: opacity of the surface, 0 to 1; default: 0.5")
     ] = None,
     splats: Annotated[
-        int | None, typer.Option(help="splat, player: how many Gaussians; default: 30000")
+        int | None, typer.Option(help="splat, player: how many Gaussians at most; default: 30000")
     ] = None,
     preset: PresetOption = None,
     overrides: SetOption = None,
@@ -200,4 +207,14 @@ def export(
 
     with errors_told(talk):
         options = export_command.Options(times=times, level=level, splats=splats, device=device)
-        export_command.export(talk, job.run_dir, dataset_format, out, options, job.config.name)
+        try:
+            with stopped_by_signals():
+                export_command.export(
+                    talk, job.run_dir, dataset_format, out, options, job.config.name,
+                    lambda until: run_command.said_of_stale(run_command.stale(job, until)),
+                )  # fmt: skip
+        except KeyboardInterrupt:
+            talk.error(
+                "stopped; nothing is left of this export, an earlier one stands; the same command begins anew"
+            )
+            raise typer.Exit(STOPPED) from None

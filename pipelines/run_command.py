@@ -1,6 +1,6 @@
 """Commands that run stages: what has to be right before anything starts, and what is said in the end."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -80,6 +80,24 @@ def only(
         check_reads(job, f"run the scene first (devrf-pipeline run {scene})")
         job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
     carry_out(job)
+
+
+def stale(job: Run, until: str) -> dict[str, str]:
+    """Stages up to `until` that are made, and that a run would make again: why, by name, in the order of the stages."""
+    names = stage_names()
+    up_to = names[: names.index(until) + 1]
+    found = {now.stage.name: "; ".join(now.why) for now in job.standings() if now.state == "stale"}
+    job.digests.save()
+    return {name: why for name, why in found.items() if name in up_to}
+
+
+def said_of_stale(stages: Mapping[str, str]) -> list[str]:
+    """One line about stages that are stale; none where none is."""
+    if not stages:
+        return []
+    (first, why), *more = stages.items()
+    others = f", and so are {', '.join(name for name, _ in more)}" if more else ""
+    return [f"the run is stale, and taken as it is: {first} ({why}){others}; run the scene again to renew it"]
 
 
 def say_where(job: Run) -> None:

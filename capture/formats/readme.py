@@ -17,15 +17,17 @@ AXES = {
     "(0.5, 0.5).",
 }
 FILES = {
-    "nerfstudio": "transforms.json; images/static: the scene at rest; images/<camera>: the scene in motion.",
+    "nerfstudio": "transforms.json; images/static: the scene at rest; images/<camera>: the scene in motion; "
+    "sparse_pc.ply: the sparse points, where there are some.",
     "blender": "transforms_train.json, transforms_test.json (transforms_val.json is the same as test), pictures as "
     "RGBA in train/ and test/.",
     "devrf": "static/ and dynamic_<n>views/, each with transforms_train.json, transforms_test.json "
     "(transforms_val.json is the same as test) and pictures as RGBA.",
     "llff": "poses_bounds.npy, images/, test.txt (names of the test pictures).",
     "colmap": "sparse/0 (binary), images/, sparse/0/test.txt (names of the test pictures). Keypoints are where the "
-    "points project, points are grey, errors are unknown (-1). motion/ is the same for the pictures in motion (without "
-    "points), with the fixed cameras as a rig (rigs.bin, frames.bin) and the times of the pictures in times.csv.",
+    "points project, points have the mean colour of the pictures, errors are unknown (-1). motion/ is the same for the "
+    "pictures in motion (without points), with the fixed cameras as a rig (rigs.bin, frames.bin) and the times of the "
+    "pictures in times.csv.",
 }
 
 

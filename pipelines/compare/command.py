@@ -50,16 +50,17 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
                 f"{option} {folder}: cannot be made ({error.strerror or error}); choose another folder"
             ) from None
     _print(talk, found)
-    html = build_page(found)
+    html, where = build_page(found), out / PAGE
     try:
         new = out / f".{PAGE}.tmp"
         new.write_text(html, encoding="utf-8")
         new.replace(out / PAGE)
+        where = rows
         write_json(rows, _finite(as_json(found)))
     except OSError as error:
         raise DevrfError(
-            f"{error.filename or out}: cannot be written ({error.strerror or error}); free space or name another "
-            "folder with --out"
+            f"{where}: cannot be written ({error.strerror or error}); free space, or name another place with --out "
+            "or --json"
         ) from None
     talk.say(f"  page: {out / PAGE}")
     talk.say(f"  rows: {rows}")

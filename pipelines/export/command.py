@@ -2,6 +2,7 @@
 
 import difflib
 import importlib.util
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from devrf.capture.errors import InputError
@@ -18,7 +19,13 @@ INSTALL = "python -m pip install 'devrf[export]'; in a clone: python -m pip inst
 
 
 def export(
-    talk: Talk, run_dir: Path, name: str, out: Path | None, options: Options | None = None, title: str = ""
+    talk: Talk,
+    run_dir: Path,
+    name: str,
+    out: Path | None,
+    options: Options | None = None,
+    title: str = "",
+    stale: Callable[[str], Sequence[str]] = lambda stage: (),
 ) -> Path:
     """Write what a run has made in another program's files, and say where it is.
 
@@ -29,6 +36,7 @@ def export(
         out: Folder to write; None: `export/<format>` in the run folder.
         options: What some formats take.
         title: Name of the scene.
+        stale: What is to be said of stages up to one that have changed since they were made.
     Raises:
         InputError: An unknown format, an option it does not take, a library that is missing, a folder in use, nothing
             to export yet, or a link in the run folder.
@@ -40,7 +48,10 @@ def export(
     folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
     _check(run_dir, name, chosen, options)
     check_target(folder, name)
-    notes = _unhealthy(run_dir, chosen.stage)
+    last = (
+        "deformation" if chosen.stage == "canonical" else chosen.stage
+    )  # the model moves where that stage has run
+    notes = [*_unhealthy(run_dir, last), *stale(last)]
     request = Request(talk, run_dir, name, folder, options, title or run_dir.name, notes)
     chosen.write(request)
     for text in request.notes:
@@ -71,15 +82,17 @@ def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
             f"--format {name}: needs {', '.join(missing)}, which is not installed; install the extra `export` "
             f"({INSTALL})"
         )
-    if not (run_dir / chosen.stage / STAMP).is_file():
-        what = "the model" if chosen.stage in ("canonical", "deformation") else f"the {chosen.stage}"
-        raise InputError(f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first")
+    for stage in ("scene", "canonical") if chosen.stage == "canonical" else (chosen.stage,):
+        if not (run_dir / stage / STAMP).is_file():
+            what = "the model" if stage == "canonical" else f"the {stage}"
+            raise InputError(
+                f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
+            )
 
 
-def _unhealthy(run_dir: Path, stage: str) -> list[str]:
-    """What the run's own checks refused, up to the stage that is exported, in words."""
+def _unhealthy(run_dir: Path, last: str) -> list[str]:
+    """What the run's own checks refused, up to the last stage that is exported, in words."""
     names = [each.name for each in STAGES]
-    last = "deformation" if stage == "canonical" else stage  # the model moves where that stage has run
     rows = [(n, row) for n in names[: names.index(last) + 1] for row in read_health(run_dir / n)]
     return [
         f"the run is not healthy: {name}: {row.check}; {row.remedy}"

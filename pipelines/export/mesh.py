@@ -121,7 +121,8 @@ def write_glb(request: Request) -> None:
         trained.describe(
             new,
             files="scene.glb: the mesh at rest and, as morph targets, where the forward motion takes it at each key "
-            f"time; the animation `motion` plays them. {_made(level)} Colours are per vertex, unlit.",
+            f"time; the animation `motion` plays them; its second 0 is {start:.4f} s. {_made(level)} Colours are "
+            "per vertex, unlit.",
             axes=GLTF_AXES,
             facts=facts,
             checks=checks,

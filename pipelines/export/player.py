@@ -47,6 +47,7 @@ def write(request: Request) -> None:
             new,
             files=f"{PAGE}: one page that needs nothing else; open it in a browser, or send it to anyone.",
             axes="the box frame of the model, `world_from_box` in export.json leads to the world of the calibration.",
+            lengths=f"box units; one is {trained.scale:.6g} {trained.unit}",
             facts={"splats": packed.about, "bytes": path.stat().st_size},
             checks=[("the views in the page", _checked(trained, again))],
         )
@@ -62,8 +63,8 @@ def _check_size(count: int, keys: int) -> None:
     if size(count) > MOST_BYTES:
         most = int(count * (MOST_BYTES - size(0)) / (size(count) - size(0)) / 1000) * 1000
         raise InputError(
-            f"--splats {count}: at {keys} times the page could have {size(count) / 1e6:.0f} MB, more than "
-            f"{MOST_BYTES / 1e6:.0f}; expected at most {most}, or fewer times (--times)"
+            f"--format player: with {count} splats at {keys} times the page could have {size(count) / 1e6:.0f} MB, "
+            f"more than {MOST_BYTES / 1e6:.0f}; choose at most --splats {most}, or fewer --times"
         )
 
 

@@ -74,7 +74,7 @@ class Trained:
         self.moments: list[Moment] = [times.REST]
         if motion is not None:
             keys = np.linspace(motion.t_first, motion.t_last, motion.keys).tolist()
-            self.moments = times.chosen(wish or default_times, self.scene, keys)
+            self.moments = times.chosen(default_times if wish is None else wish, self.scene, keys)
 
     @property
     def unit(self) -> str:
@@ -117,6 +117,7 @@ class Trained:
         axes: str,
         facts: dict[str, Any],
         checks: Sequence[tuple[str, RoundTrip]],
+        lengths: str | None = None,
     ) -> None:
         """Write README.txt and export.json, and add the worst check to what is told.
 
@@ -126,6 +127,7 @@ class Trained:
             axes: Of the files, in words.
             facts: More for programs.
             checks: What was read back, and what came of it.
+            lengths: What lengths in the files are in; None: the world's.
         """
         whose, worst = max(checks, key=lambda check: check[1].worst_px)
         self.request.notes.append(worst.said(whose))
@@ -134,7 +136,7 @@ class Trained:
             f"The trained model of a scene in the format {self.request.name}.",
             f"Files: {files}",
             f"Axes: {axes}",
-            f"Scale: lengths are in {self.unit}.",
+            f"Scale: lengths are in {lengths or self.unit}.",
         ]
         if self.moments[0].time_s is not None:
             paragraphs.append(
@@ -147,7 +149,7 @@ class Trained:
         value = {
             "format": self.request.name,
             "axes": axes,
-            "unit": "metre" if self.scene.metric else "arbitrary",
+            "unit": lengths or ("metre" if self.scene.metric else "arbitrary"),
             "metric": self.scene.metric,
             "up": up.tolist(),
             "world_from_box": self.world_from_box.tolist(),

@@ -20,6 +20,7 @@ from devrf.pipelines.device import resolve_device
 from devrf.pipelines.film.about import FILM, READS, film_json, finished_film, made_from_of
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.plan import Film, planned
+from devrf.pipelines.run_command import said_of_stale, stale
 from devrf.pipelines.runner.failure import is_no_memory
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.own_folder import check_run_folder
@@ -152,13 +153,9 @@ def _state(job: Run) -> list[str]:
             lines.append(f"{stage.name} is unhealthy: {'; '.join(failed)}")
         if stage.name not in READS:
             continue
-        now = job.standing(stage)
-        if now.state == "missing":
+        if not (job.run_dir / stage.name).is_dir():
             lines.append(f"{stage.name} is not made yet: the film shows the scene at rest")
-        elif now.state == "stale":
-            lines.append(f"{stage.name} is filmed as it is, but is stale: {'; '.join(now.why)}")
-    job.digests.save()
-    return lines
+    return [*lines, *said_of_stale(stale(job, READS[-1]))]
 
 
 def _check_memory(job: Run, plan: Film) -> None:

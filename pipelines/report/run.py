@@ -19,6 +19,7 @@ class RunFolder:
         stages: Names of the stages in their order.
         reasons: Why a stage does not apply, by its name.
         errors: Why a stage failed when it was last tried, by its name.
+        stale: Why a stage that is there would be made again, by its name.
         unreadable: Files that are there but could not be read, with the reason.
         drawn_on: Stages whose files were asked for since it was last emptied.
         film_inside: Whether the page has room for a film.
@@ -31,11 +32,13 @@ class RunFolder:
         stages: Sequence[str],
         reasons: Mapping[str, str],
         errors: Mapping[str, str] | None = None,
+        stale: Mapping[str, str] | None = None,
     ) -> None:
         self.path = path
         self.stages = tuple(stages)
         self.reasons = dict(reasons)
         self.errors = dict(errors or {})
+        self.stale = dict(stale or {})
         self.unreadable: dict[str, str] = {}
         self.drawn_on: set[str] = set()
         self.film_inside = True

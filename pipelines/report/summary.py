@@ -37,6 +37,13 @@ def verdict(run: RunFolder) -> str:
         have = "has" if len(missing) == 1 else "have"
         notes += f"<li>Not finished: {text(', '.join(missing))} {have} not run.</li>"
         kind = "warn" if kind == "ok" else kind
+    if run.stale:
+        (first, why), *_ = run.stale.items()
+        notes += (
+            f"<li>Stale: {text(', '.join(run.stale))}. What they were made from has changed since ({text(first)}: "
+            f"{text(why)}); run the scene again.</li>"
+        )
+        kind = "warn" if kind == "ok" else kind
     notes += "".join(
         f"<li><code>{text(f)}</code> cannot be read: {text(e)}</li>" for f, e in run.unreadable.items()
     )
@@ -106,7 +113,9 @@ def stages_table(run: RunFolder) -> str:
         if stage in run.reasons:
             state = f'<span class="none">does not apply: {text(run.reasons[stage])}</span>'
         else:
-            state = "done" if run.has(stage) else f'<span class="none">{_not_there(run, stage)}</span>'
+            state = (
+                _done(run, stage) if run.has(stage) else f'<span class="none">{_not_there(run, stage)}</span>'
+            )
         seconds = run.object(f"{stage}/stamp.json").get("seconds")
         took = (
             f'<a class="n" href="../{stage}/stamp.json" title="{readable(float(seconds), 1)} s">'
@@ -143,6 +152,11 @@ def health_rows(run: RunFolder, stage: str) -> list[dict[str, Any]]:
     value = run.json(f"{stage}/{HEALTH}")
     rows = value.get("rows") if isinstance(value, Mapping) else value
     return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+def _done(run: RunFolder, stage: str) -> str:
+    why = run.stale.get(stage)
+    return "done" if why is None else f'<span class="chip warn" title="{text(why)}">stale</span>'
 
 
 def _not_there(run: RunFolder, stage: str) -> str:

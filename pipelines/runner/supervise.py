@@ -237,7 +237,9 @@ class _Supervisor:
         if self._too_much is not None:
             message = f"{self._too_much}; finished stages are kept"
         elif self._kill_at is not None:
-            code, message = STOPPED, "stopped; finished stages are kept, the next run goes on from there"
+            code, message = STOPPED, "stopped"
+            if run_dir:
+                message += "; finished stages are kept, the next run goes on from there"
         elif os.WIFEXITED(status):  # not by Python, which would have left the stage first
             code_of_library = os.WEXITSTATUS(status)
             message = (

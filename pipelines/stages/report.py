@@ -1,5 +1,6 @@
 """Stage `report`: one self-contained HTML page about all that the other stages left."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from devrf.pipelines.config.scene import SceneConfig
@@ -35,15 +36,23 @@ def run(context: StageContext) -> None:
         )
 
 
-def report_so_far(config: SceneConfig, run_dir: Path) -> None:
-    """Write the page about an unfinished run; it carries no stamp, so the next run makes it again."""
+def report_so_far(config: SceneConfig, run_dir: Path, stale: Mapping[str, str]) -> None:
+    """Write the page about a run that is unfinished or stale; it carries no stamp, so the next run makes it again.
+
+    Args:
+        config: The scene.
+        run_dir: Its run folder.
+        stale: Why stages would be made again, by their names.
+    """
     folder = run_dir / "report"
     folder.mkdir(exist_ok=True)
     (folder / "stamp.json").unlink(missing_ok=True)
-    write_report(config, run_dir, folder)
+    write_report(config, run_dir, folder, stale)
 
 
-def write_report(config: SceneConfig, run_dir: Path, out: Path) -> dict[str, str]:
+def write_report(
+    config: SceneConfig, run_dir: Path, out: Path, stale: Mapping[str, str] | None = None
+) -> dict[str, str]:
     """Write the page about `run_dir`, at whatever state it is, into the folder `out`.
 
     Returns:
@@ -53,7 +62,7 @@ def write_report(config: SceneConfig, run_dir: Path, out: Path) -> dict[str, str
     names = [stage.name for stage in STAGES]
     others = [name for name in names if name != "report"]
     errors = {name: error for name in others if (error := last_error(run_dir, name)) is not None}
-    run_folder = RunFolder(run_dir, names, reasons, errors)
+    run_folder = RunFolder(run_dir, names, reasons, errors, stale)
     facts = [KINDS[config.kind], f"preset {config.preset}"]
     page = build_report(run_folder, config.name, facts)
     new = out / f".{PAGE}.tmp"

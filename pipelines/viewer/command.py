@@ -13,7 +13,7 @@ from devrf.pipelines.runner.lock import is_held
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.runner.signals import stopped_by_signals
 
-INSTALL = "python -m pip install -e '.[viewer]'"
+INSTALL = "python -m pip install 'devrf[viewer]'; in a clone: python -m pip install -e '.[viewer]'"
 KINDNESS = 10  # niceness beside a run
 PORTS = 20  # after the one that is taken, in which another is looked for
 LAST_PORT = 65535

@@ -34,7 +34,7 @@ def views_of(scene: Scene, names: Sequence[str] = ()) -> list[Camera]:
         names: Cameras of the moving scene in the order they are met; none: all that are trained on, by azimuth, or
             some of the sweep's pictures where there are none or one.
     Raises:
-        InputError: A camera that is not there, or fewer than two.
+        InputError: A camera that is not there, or fewer than two different ones.
     """
     if names:
         known = {f.camera_name: f.camera for f in scene.dynamic}
@@ -43,8 +43,10 @@ def views_of(scene: Scene, names: Sequence[str] = ()) -> list[Camera]:
             raise InputError(
                 f"--path between: no camera {', '.join(missing)}; expected some of {', '.join(known) or 'none'}"
             )
-        if len(names) < 2:
-            raise InputError("--path between: one camera is named; expected two or more, or none for all")
+        if len(set(names)) < 2:
+            raise InputError(
+                f"--path between:{','.join(names)}: one camera is named; expected two or more, or none for all"
+            )
         return [known[name] for name in names]
     fixed = list(fixed_cameras(scene).values())
     if len(fixed) < 2:

@@ -2,6 +2,10 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +16,7 @@ from tests.reconstruct.moving_ball import RADIUS, TRAVEL
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.console import Talk
+from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.export.command import export
 from devrf.pipelines.export.request import Options
 
@@ -46,8 +51,16 @@ def test_a_sequence_of_splats(devrf: Callable, scene_yaml: Path, tmp_path: Path)
     ("options", "expected"),
     [
         (Options(splats=3), "--splats 3: expected 500 to 2000000; 30000 if it is left out"),
-        (Options(splats=1_500_000), r"the page could have .* MB, more than 25; expected at most \d+000"),
+        (
+            Options(splats=1_500_000),
+            r"the page could have .* MB, more than 25; choose at most --splats \d+000",
+        ),
         (Options(times="3s"), "outside the clip"),
+        (Options(times=""), "--times '': expected a number of times, keys, or times with commas"),
+        (
+            Options(times="keys,0.5s"),
+            "--times 'keys,0.5s': expected a number of times, keys, or times with commas",
+        ),
         (Options(level=0.5), "--level: not for --format player"),
     ],
 )
@@ -66,9 +79,42 @@ def test_a_file_in_the_way(scene_yaml: Path, tmp_path: Path) -> None:
 
 def test_a_run_without_a_model(tmp_path: Path) -> None:
     write_trained(tmp_path)
-    (tmp_path / "run" / "canonical" / "stamp.json").unlink()
-    with pytest.raises(InputError, match="the model has not been made yet; run with --until canonical"):
-        export(Talk("quiet"), tmp_path / "run", "splat", None)
+    for stage, what in (("canonical", "the model"), ("scene", "the scene")):
+        (tmp_path / "run" / stage / "stamp.json").unlink()
+        with pytest.raises(InputError, match=f"{what} has not been made yet; run with --until canonical"):
+            export(Talk("quiet"), tmp_path / "run", "splat", None)
+
+
+def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
+    scene = write_trained(tmp_path)
+    for stage in ("scene", "canonical", "deformation"):
+        (tmp_path / "run" / stage / "stamp.json").write_text(
+            '{"identity": {}}'
+        )  # of a version that knew less
+    said = "the run is stale, and taken as it is: scene ("
+    result = devrf("export", scene, "--format", "npz", "--times", "1")
+    assert result.code == 0 and said in result.said
+    assert said in " ".join((tmp_path / "run/export/npz/README.txt").read_text().split())
+    assert said in json.loads((tmp_path / "run/export/npz/export.json").read_text())["notes"][0]
+    result = devrf("report", scene)
+    assert result.code == 0 and said in result.said
+    assert "Stale: scene, canonical, deformation." in (tmp_path / "run/report/index.html").read_text()
+    assert not (tmp_path / "run/report/stamp.json").exists()
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_export_leaves_nothing_and_says_so(tmp_path: Path, sign: signal.Signals) -> None:
+    scene = write_trained(tmp_path)
+    command = [sys.executable, "-m", "devrf.pipelines.cli", "export", str(scene), "--format", "splat"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        new, until = tmp_path / "run/export/.new-splat", time.monotonic() + 60
+        while not new.exists() and time.monotonic() < until:
+            time.sleep(0.02)
+        process.send_signal(sign)
+        said = process.communicate(timeout=60)[1]
+    assert process.returncode == STOPPED, said
+    assert said.startswith("stopped; nothing is left of this export") and "stages" not in said
+    assert not list((tmp_path / "run" / "export").iterdir())
 
 
 def test_a_motion_that_is_not_trained_yet_is_told(tmp_path: Path) -> None:

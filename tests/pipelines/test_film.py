@@ -163,6 +163,7 @@ def test_another_model_is_another_film(scene: Path, capsys: pytest.CaptureFixtur
         ({"path": "orbt"}, "did you mean orbit?"),
         ({"path": "still:cam9"}, "no such camera; expected one of cam0, cam1, cam2, witness"),
         ({"path": "between:cam0"}, "one camera is named; expected two or more"),
+        ({"path": "between:cam0,cam0"}, "between:cam0,cam0: one camera is named; expected two or more"),
         ({"path": "between:cam0,nobody"}, "no camera nobody"),
         ({"path": "nothing.json"}, "--path nothing.json: no such file"),
         ({"time": "1.5"}, "outside the clip; expected 0 to 1, or 1.000s to 3.000s"),

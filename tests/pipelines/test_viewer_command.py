@@ -50,7 +50,7 @@ def test_without_viser_it_says_how_to_get_it(tmp_path: Path) -> None:
     )  # fmt: skip
     assert result.returncode == 2
     assert "view needs the extra `viewer` (viser is not installed)" in result.stderr
-    assert "pip install -e '.[viewer]'" in result.stderr
+    assert "in a clone: python -m pip install -e '.[viewer]'" in result.stderr
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])

@@ -1,0 +1,28 @@
+"""What cannot be written is refused before the work, whatever the rights say."""
+
+from pathlib import Path
+
+import pytest
+
+from devrf.capture.errors import InputError
+from devrf.capture.writable import check_file, check_folder
+
+
+def test_a_folder_that_is_missing_with_those_above_it(tmp_path: Path) -> None:
+    check_folder(tmp_path / "a" / "b", "--out")
+    check_file(tmp_path / "a" / "b.json", "--json")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("place", ["/proc/x", "/sys/x"])
+def test_folders_that_take_no_files_even_of_root(place: str) -> None:
+    with pytest.raises(InputError, match=f"--out {place}: cannot be written .* choose another folder"):
+        check_folder(Path(place), "--out")
+
+
+def test_a_file_in_the_way(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="file is a file"):
+        check_folder(tmp_path / "file" / "x", "--out")
+    with pytest.raises(InputError, match="is a folder; expected the name of a file"):
+        check_file(tmp_path, "--json")
