@@ -2,6 +2,11 @@
 
 const TURN = 4; // radians across the canvas's height
 const KEY_TURN = 0.08, KEY_PAN = 0.05, KEY_ZOOM = 1.1;
+const OWN_KEYS = [ // keys that a control needs itself
+  ["select", /./],
+  ["input", /^(Arrow.*|Home|End|Page.*)$/],
+  ["button, summary", /^( |Enter)$/],
+];
 const WHEEL = 0.0012; // per pixel of scrolling
 
 // `changed` is called after each change of the camera, `time` has toggle() and step(keys).
@@ -45,11 +50,15 @@ export function listen(canvas, orbit, changed, time, views) {
   };
   const shifted = { ArrowLeft: pan(1, 0), ArrowRight: pan(-1, 0), ArrowUp: pan(0, 1), ArrowDown: pan(0, -1) };
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest?.("input, select, button, summary")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || isOwn(event.target, event.key)) return;
     const act = (event.shiftKey && shifted[event.key]) || plain[event.key] || views(event.key);
     if (!act) return;
     event.preventDefault();
     act();
     changed();
   });
+  // what was chosen with a mouse or a finger gives the keys back; with keys one goes on choosing
+  addEventListener("change", ({ target }) => target.matches("select:not(:focus-visible)") && target.blur());
 }
+
+const isOwn = (target, key) => OWN_KEYS.some(([what, keys]) => target.closest?.(what) && keys.test(key));

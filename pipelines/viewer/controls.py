@@ -15,7 +15,9 @@ SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 NO_ARROWS, FROM_REST, TO_NEXT = "none", "from rest to now", "from now to the next key time"
 STEP_S = 0.001  # of the time slider
 SLIDER_S = 0.1  # between two moves of the slider while time runs
-SHOWN_AT_FIRST = {"moving cameras", "sweep path"}  # the first view is often a test camera's
+SHOWN_AT_FIRST = {
+    "moving cameras"
+}  # the first view is often a test camera's, and the sweep passed everywhere
 
 
 def themed(gui: viser.GuiApi, dark: bool) -> None:
@@ -66,8 +68,8 @@ class Controls:
                 self._gui.add_dropdown("motion arrows", (NO_ARROWS, FROM_REST, TO_NEXT), visible=False)
             )
         self._gui.add_button("Back to the first view").on_click(lambda event: home())
-        dark = self._gui.add_checkbox("dark page", False)
-        dark.on_update(lambda event: themed(self._gui, event.target.value))
+        self._dark = self._input(self._gui.add_checkbox("dark page", False))
+        self._dark.on_update(lambda event: themed(self._gui, event.target.value))
         with self._gui.add_folder("Facts", expand_by_default=False):
             self._facts = self._gui.add_markdown("")
 
@@ -101,6 +103,11 @@ class Controls:
         """A remark on the picture; empty: none."""
         if self._note.content != text:
             self._note.content, self._note.visible = text, bool(text)
+
+    @property
+    def dark(self) -> bool:
+        """Whether the page is dark."""
+        return self._dark.value
 
     @property
     def layer(self) -> str:

@@ -19,6 +19,7 @@ from devrf.pipelines.viewer.thumbnails import Thumbnails
 
 GROUPS = ("moving cameras", "test cameras", "sweep cameras", "sweep path", "points", "box")
 FRUSTUM_FIXED, FRUSTUM_SWEEP = 0.07, 0.03  # of the distance from which cameras look at the box
+NEAR = 3.0  # times its size: how near a frustum would be in the way of what its camera saw
 MOST_OF_SWEEP = 60  # frusta; more of them hide each other
 COLOURS = {
     "moving cameras": (234, 120, 30),
@@ -58,6 +59,7 @@ class Furniture:
         centres = np.array([f.camera.centre for f in scene.frames])
         self._radius = float(np.median(np.linalg.norm(centres - scene.aabb.mean(axis=0), axis=1)))
         self._clips: list[tuple[Any, list[PosedFrame]]] = []
+        self._frusta: list[tuple[Any, np.ndarray, float]] = []  # with centre, and how near a view hides it
         self._shown: dict[str, Path] = {}  # pictures of moving cameras, by name
         self._wanted: float | None = None
         self._add_sweep()
@@ -68,6 +70,13 @@ class Furniture:
     def show(self, name: str, visible: bool) -> None:
         """Show or hide a group."""
         self._groups[name].visible = visible
+
+    def seen_from(self, place: np.ndarray) -> None:
+        """Hide cameras that a view from this place looks through, or nearly: their pictures would fill it."""
+        for handle, centre, near in self._frusta:
+            visible = bool(np.linalg.norm(centre - place) > near)
+            if handle.visible != visible:
+                handle.visible = visible
 
     def at(self, time: float | None) -> None:
         """Let moving cameras show their pictures nearest to a time in [0, 1]; None: their first."""
@@ -117,6 +126,7 @@ class Furniture:
             position=camera.centre, cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
         handle.on_click(lambda event: self._go_to(camera))
+        self._frusta.append((handle, camera.centre, NEAR * share * self._radius))
 
         def picture() -> None:
             handle.image = self._thumbnails.of(frame, self._scene.background)

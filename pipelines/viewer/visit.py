@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FASTEST_S = 1 / 30  # between two pictures while time runs
 MOST_PIXELS = {"cpu": 1280 * 720, "cuda": 1920 * 1080}  # of a picture that is finished
 QUALITY_MOVING, QUALITY = 75, 92  # of JPEG
-BEHIND = "white"  # what is in the box, where it is shown alone
+BEHIND = {False: "white", True: "black"}  # what is in the box, where it is shown alone; of a dark page
 DEPTH_PIXELS = 40_000  # a PNG of more takes longer than the picture
 NOTHING_HIDES = 160.0  # depth; what the page can tell ends at 167.77
 MOST_ARROWS = 500
@@ -59,14 +59,14 @@ class Visit:
         self._loaded = Loaded()
         self._furniture: Furniture | None = None
         self._home: View | None = None
-        self._alone: tuple[DynamicModel, DynamicModel] | None = None
+        self._alone: tuple[DynamicModel, bool, DynamicModel] | None = None
         self._sure_of: Loaded | None = None  # of what it has been learned how sure pictures are
         self._pace = Pace()
         self._wish, self._painted, self._halvings = 1, 0, 0
         self._next = 0.0  # earliest moment of the next picture while time runs
         self._arrows: tuple[str, float] = (NO_ARROWS, 0.0)
         self.controls = Controls(client, self.want, self._show, self._go_home)
-        client.camera.on_update(lambda camera: self.want())
+        client.camera.on_update(lambda camera: self._moved())
 
     def renew(self, loaded: Loaded, standing: str, facts: str, home: View | None) -> None:
         """Show something else from now on."""
@@ -76,6 +76,7 @@ class Visit:
             if self._furniture is not None:
                 self._client.scene.reset()
             self._furniture = Furniture(self._client, loaded, self._thumbnails, self._look_through)
+            self._furniture.seen_from(self._client.camera.position)
             if before.scene is None:
                 self._go_home()
         if self._furniture is not None:
@@ -89,6 +90,11 @@ class Visit:
         """Another picture than the one that is shown."""
         self._wish += 1
         self._wake()
+
+    def _moved(self) -> None:
+        if self._furniture is not None:
+            self._furniture.seen_from(self._client.camera.position)
+        self.want()
 
     def due(self, now: float) -> bool:
         """Whether there is something to paint."""
@@ -151,9 +157,10 @@ class Visit:
         assert whole is not None
         if not self.controls.alone:
             return whole
-        if self._alone is None or self._alone[0] is not whole:
-            self._alone = whole, whole.alone(BEHIND)
-        return self._alone[1]
+        dark = self.controls.dark
+        if self._alone is None or self._alone[0] is not whole or self._alone[1] != dark:
+            self._alone = whole, dark, whole.alone(BEHIND[dark])
+        return self._alone[2]
 
     def _picture(
         self,

@@ -112,6 +112,27 @@ def test_mouse_keys_and_touch_move_it(page: Any, pages: dict[str, Path]) -> None
     assert page.inner_text("#clock") == "0.50 s"
 
 
+def test_keys_are_heard_after_the_bar_was_used(page: Any, pages: dict[str, Path]) -> None:
+    opened(page, pages["moving"])
+    box = page.locator("#time").bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert 0.3 < page.evaluate("player.state.time") < 0.7
+    eye = page.evaluate("player.orbit.eye")
+    page.keyboard.press("ArrowRight")  # the slider's own
+    assert page.evaluate("player.orbit.eye") == eye
+    page.keyboard.press(".")
+    assert page.evaluate("player.state.time") in (0.5, 1.0)
+    page.keyboard.press("2")
+    assert page.input_value("#view") == "2"
+    for playing in (True, False):
+        page.keyboard.press(" ")
+        assert page.evaluate("player.state.playing") is playing
+    page.click("#play")  # has the focus now: Space is its own, and heard once
+    assert page.evaluate("player.state.playing")
+    page.keyboard.press(" ")
+    assert not page.evaluate("player.state.playing")
+
+
 def test_it_plays(page: Any, pages: dict[str, Path]) -> None:
     opened(page, pages["moving"])
     page.select_option("#speed", "0.5")

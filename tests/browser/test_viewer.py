@@ -102,8 +102,7 @@ def visited(
     run.motion(rest)
     reads("finished model")
     out = Visited(page, site, load_model(run.run_dir), texts)
-    for name in ("moving cameras", "sweep path"):
-        page.get_by_role("checkbox", name=name).click()
+    page.get_by_role("checkbox", name="moving cameras").click()
     yield out
     page.close()
     site.close()
@@ -177,3 +176,16 @@ def test_a_click_on_a_camera_looks_through_it(visited: Visited, ball: Ball) -> N
     wait_for(lambda: np.linalg.norm(visited.view().position - frame.camera.centre) < 1e-3, LIMIT_S)
     axes = visited.view().camera(8, 8).cam_from_world[:, :3]
     np.testing.assert_allclose(axes, frame.camera.cam_from_world[:, :3], atol=0.02)
+
+
+def test_a_camera_that_is_looked_through_does_not_hide_what_it_saw(visited: Visited, ball: Ball) -> None:
+    (visit,) = visited.site._visits.values()
+    furniture = visit._furniture
+    assert furniture is not None
+    camera = next(f.camera for f in ball.scene.dynamic if f.split == "train")
+    visit._look_through(camera)
+    own = [handle for handle, centre, _ in furniture._frusta if np.allclose(centre, camera.centre)]
+    wait_for(lambda: not any(handle.visible for handle in own), LIMIT_S)
+    assert own and sum(handle.visible for handle, *_ in furniture._frusta) > 2
+    visited.page.get_by_text("Back to the first view").click()
+    wait_for(lambda: all(handle.visible for handle in own), LIMIT_S)
