@@ -1,6 +1,6 @@
 """Finished data sets in and out: which reader or writer, what is held out, which times, and the background."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -55,6 +55,7 @@ def write_dataset(
     folder: Path,
     find_flow: FindFlow = lambda frame: None,
     progress: Progress = no_progress,
+    notes: Sequence[str] = (),
 ) -> list[str]:
     """Write a calibrated scene as a data set, with a README.txt that states axes and scale.
 
@@ -64,6 +65,7 @@ def write_dataset(
         folder: New, empty, or an earlier export of the same format, which is replaced.
         find_flow: Backward flow of a frame of the moving cameras, or None (for `devrf`).
         progress: To be called with (fraction done, short text).
+        notes: What is known of the scene already that people should know.
     Returns:
         What people should know of this data set, in words; its README.txt says the same.
     Raises:
@@ -84,7 +86,8 @@ def write_dataset(
         pairs = [(meant, cameras[path]) for path, meant in export.written.items()]
         export.notes.append(of_cameras(scene, pairs, str(folder)).said("the cameras"))
 
-    return write_export(scene, dataset_format, WRITERS[dataset_format], check, folder, find_flow, progress)
+    writer = WRITERS[dataset_format]
+    return write_export(scene, dataset_format, writer, check, folder, find_flow, progress, notes)
 
 
 def guess_format(folder: Path) -> DatasetFormat | None:

@@ -6,7 +6,7 @@ of the same format is replaced; any other folder that holds something is left al
 """
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -62,6 +62,7 @@ def write_export(
     folder: Path,
     find_flow: FindFlow = lambda frame: None,
     progress: Progress = no_progress,
+    notes: Sequence[str] = (),
 ) -> list[str]:
     """Write a data set and its README.txt; returns what people should know of it.
 
@@ -72,7 +73,7 @@ def write_export(
         CaptureError: The format cannot hold this scene, a picture is missing, or `check` found a difference.
     """
     with new_folder(folder, dataset_format) as new:
-        export = Export(scene, new, find_flow, progress)
+        export = Export(scene, new, find_flow, progress, list(notes))
         write(export)
         check(export)
         (new / README).write_text(readme(scene, dataset_format, export.notes))

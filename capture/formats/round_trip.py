@@ -49,8 +49,13 @@ def of_cameras(scene: Scene, pairs: Sequence[tuple[Camera, Camera]], where: str)
     """
     rng = np.random.default_rng(0)
     points = _from_box(scene, rng.uniform(scene.aabb[0], scene.aabb[1], (POINTS, 3)))
+    return of_rig(points, pairs, where)
+
+
+def of_rig(points: Float[np.ndarray, "n 3"], pairs: Sequence[tuple[Camera, Camera]], where: str) -> RoundTrip:
+    """The same of points that are given, in the world of the cameras."""
     worst = max((_apart(a.project(points), b.project(points)) for a, b in pairs), default=np.inf)
-    return _judged(RoundTrip(POINTS, len(pairs), worst), where)
+    return _judged(RoundTrip(len(points), len(pairs), worst), where)
 
 
 def of_points(

@@ -24,4 +24,4 @@ def write(chosen: DatasetFormat, request: Request) -> None:
         return flow.flow[place].astype("float32"), flow.valid[place]
 
     with request.disk_told(), request.talk.progress(f"export {chosen}") as progress:
-        request.notes += write_dataset(chosen, scene, request.folder, find_flow, progress)
+        request.notes = write_dataset(chosen, scene, request.folder, find_flow, progress, request.notes)

@@ -1,7 +1,7 @@
 """Data sets through the command line: exported, run again from the export, and refused where they are wrong."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import cv2
@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 import yaml
 
+from devrf.calibration.formats import RIG_WRITERS
+from devrf.calibration.formats.toml_tables import write_anipose
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.rig import read_rig
+from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
 from devrf.capture.scene import Scene
+from devrf.pipelines.console import Talk
+from devrf.pipelines.export.command import export
 
 
 @pytest.fixture
@@ -132,7 +138,9 @@ def _flow_of_nothing(frame):
     return np.zeros((*shape, 2), np.float32), np.ones(shape, bool)
 
 
-def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
+def test_the_rig_is_written_for_other_programs(
+    devrf: Callable, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Webcams calibrated by caliscope: named in scene.yaml, used, and written for aniposelib."""
     source = data_dir / "caliscope_post_optimization"
     clips = {f"cam{n}": str(source / f"calibration/extrinsic/cam_{n}.mp4") for n in range(4)}
@@ -165,7 +173,21 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
         )
     wrong = devrf("export", scene, "--format", "rig-anipos")
     assert wrong.code == 2 and "did you mean rig-anipose?" in wrong.err
-    assert "metres" in (tmp_path / "run/export/rig-anipose/README.txt").read_text()
+    text = (tmp_path / "run/export/rig-anipose/README.txt").read_text()
+    assert "metres" in text and "200 points" in text
+    for name in set(RIG_WRITERS) - {"rig-kalibr"}:  # it has no k3, and these lenses have
+        folder = export(Talk("quiet"), tmp_path / "run", name, None)
+        assert "checked on writing: 200 points" in (folder / "README.txt").read_text(), name
+
+    def in_feet(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
+        write_anipose(
+            folder, {n: c.moved(np.diag([3.28, 3.28, 3.28, 1])) for n, c in cameras.items()}, metric
+        )
+
+    monkeypatch.setitem(RIG_WRITERS, "rig-anipose", in_feet)
+    with pytest.raises(CaptureError, match="rig-anipose: read back, points lie .* px from where they were"):
+        export(Talk("quiet"), tmp_path / "run", "rig-anipose", tmp_path / "feet")
+    assert not (tmp_path / "feet").exists()
 
 
 def test_a_calibration_for_other_cameras_is_told_before_anything_starts(

@@ -92,6 +92,8 @@ def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
             '{"identity": {}}'
         )  # of a version that knew less
     said = "the run is stale, and taken as it is: scene ("
+    assert devrf("export", scene, "--format", "nerfstudio").code == 0
+    assert said in " ".join((tmp_path / "run/export/nerfstudio/README.txt").read_text().split())
     result = devrf("export", scene, "--format", "npz", "--times", "1")
     assert result.code == 0 and said in result.said
     assert said in " ".join((tmp_path / "run/export/npz/README.txt").read_text().split())
