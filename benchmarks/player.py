@@ -1,14 +1,14 @@
 """Pictures a second of a player page in software WebGL, and its pictures against the model's: docs/player.md.
 
     devrf-pipeline export scene.yaml --format player
-    python -m benchmarks.player run/export/player/player.html run     # from the repository's root
+    python -m benchmarks.player run/export/player/player.html run [--json FILE]     # from the repository's root
 
 The browser is Debian's Chromium with SwiftShader, the picture 400 x 400; what the page draws by requestAnimationFrame
 is counted for some seconds. Pictures are compared with `render_view` of the same camera and time.
 """
 
+import argparse
 import io
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.metrics import psnr
 from devrf.reconstruct.model import render_view
 
-RESULT = Path("benchmarks/results/player-cpu.json")
 SIDE, SECONDS, GOAL = 400, 6, 20
 MOST_MB = 25
 MOMENTS = 3
@@ -35,8 +34,15 @@ TURN = """() => {
 
 
 def main() -> None:
-    """Measure the page that the arguments name, print and write the rows."""
-    page_path, run_dir = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
+    """Measure the page that the arguments name, print the rows and write them."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("page", type=Path)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    page_path, run_dir = arguments.page.resolve(), arguments.run
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
@@ -48,7 +54,8 @@ def main() -> None:
         browser.close()
     for row in rows:
         print(f"| {row.name} | {row.value} {row.unit} |")
-    write_rows(RESULT, rows, benchmark="player", versions=versions())
+    if arguments.json is not None:
+        write_rows(arguments.json, rows, benchmark="player", versions=versions())
 
 
 def _size(path: Path) -> Row:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, ImageFile, UnidentifiedImageError
 
 from devrf.capture.cores import usable_cores
@@ -95,8 +95,10 @@ def to_8_bits(picture: Float32[np.ndarray, "height width 3"]) -> UInt8[np.ndarra
     return np.clip(np.round(picture * 255), 0, 255).astype(np.uint8)
 
 
-def write_png(path: Path, picture: UInt8[np.ndarray, "height width *channels"]) -> None:
-    """Write grey, RGB or RGBA; a full disk is an OSError."""
+def write_png(
+    path: Path, picture: UInt8[np.ndarray, "height width *channels"] | UInt16[np.ndarray, "height width"]
+) -> None:
+    """Write grey (8 or 16 bits), RGB or RGBA; a full disk is an OSError."""
     Image.fromarray(picture).save(path, format="PNG", compress_level=PNG_LEVEL)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from devrf.reconstruct.geometry.field import field_at
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
 
@@ -31,24 +32,12 @@ def motion_arrows(
     Returns:
         Start and end [n, 2, 3], box frame; none where nothing moves by half a voxel.
     """
-    assert model.motion is not None
     canonical = model.rest.canonical
-    device = canonical.density.device
     places = vertices(canonical.aabb, canonical.shape).to(canonical.density)[canonical.distance == 0]
     places = places[canonical.alpha(places) > SOLID]
     order = torch.randperm(len(places), generator=torch.Generator().manual_seed(0))[:CANDIDATES]
-    rest = places[order.to(device)]
-
-    def at(time: float | None) -> torch.Tensor:
-        if time is None:
-            return rest
-        assert model.motion is not None
-        motion, tau = model.motion.at(time, device)
-        return motion.from_rest(rest, tau.expand(len(rest)).contiguous())
-
-    ends = torch.stack([at(start), at(end)], dim=1)
+    rest = places[order.to(places.device)]
+    ends = torch.stack([field_at(model, time).from_rest(rest) for time in (start, end)], dim=1)
     moved = (ends[:, 1] - ends[:, 0]).norm(dim=1) > SHORTEST * canonical.voxel
     ends = ends[moved][:count]
-    if canonical.ndc is not None:
-        ends = canonical.ndc.to_world(ends.reshape(-1, 3)).reshape(-1, 2, 3)
-    return ends.cpu().numpy()
+    return field_at(model, None).to_box(ends.reshape(-1, 3)).reshape(-1, 2, 3).cpu().numpy()

@@ -196,6 +196,12 @@ def camera_rays(camera: Camera, device: str = "cpu") -> tuple[Float[Tensor, "n 3
     return torch.from_numpy(rays_o.copy()).to(device), torch.from_numpy(rays_d).to(device)
 
 
+def pixel_directions(camera: Camera) -> Float[np.ndarray, "height width 3"]:
+    """Unit directions of all pixels of a camera in the world."""
+    directions = _remembered_directions(camera) @ camera.world_from_cam[:3, :3].T
+    return directions.reshape(camera.height, camera.width, 3)
+
+
 def _remembered_directions(camera: Camera) -> Float[np.ndarray, "n 3"]:
     """`local_directions`; for the lenses of a film or of a view that moves they are found once."""
     if camera.width * camera.height > REMEMBERED_PIXELS:

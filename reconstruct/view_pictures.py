@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.evidence import SOLID
@@ -18,9 +19,7 @@ def pinhole(
         fov_rad: Vertical field of view.
         width, height: Of the picture, pixels.
     """
-    w, v = wxyz[0] / np.linalg.norm(wxyz), wxyz[1:] / np.linalg.norm(wxyz)
-    across = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    R = np.eye(3) + 2 * w * across + 2 * across @ across  # Rodrigues, of a quaternion
+    R = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
     f = height / 2 / np.tan(fov_rad / 2)
     K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
     return Camera(width, height, K, np.column_stack([R.T, -R.T @ position]))

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 FLOAT, USHORT, UINT = 5126, 5123, 5125
@@ -47,8 +48,9 @@ class AnimatedMesh:
 def write_glb(path: Path, mesh: AnimatedMesh, name: str, extras: dict[str, Any]) -> None:
     """Write the file; `extras` are kept in it, under `asset`."""
     parts = _Parts()
-    linear = np.where(mesh.rgb <= 0.04045, mesh.rgb / 12.92, ((mesh.rgb + 0.055) / 1.055) ** 2.4)
-    colours = np.concatenate([linear, np.ones((len(linear), 1))], axis=1)  # glTF's colours are linear light
+    colours = np.concatenate(
+        [linear_from_srgb(mesh.rgb), np.ones((len(mesh.rgb), 1))], axis=1
+    )  # glTF's colours are linear light
     primitive: dict[str, Any] = {
         "attributes": {
             "POSITION": parts.add(mesh.vertices, FLOAT, VERTICES, bounds=True),
@@ -121,8 +123,7 @@ def read_glb(path: Path) -> AnimatedMesh:
             return out / 65535 if accessor.get("normalized") else out
 
         vertices = array(primitive["attributes"]["POSITION"])
-        linear = array(primitive["attributes"]["COLOR_0"])[:, :3]
-        rgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        rgb = srgb_from_linear(array(primitive["attributes"]["COLOR_0"])[:, :3])
         shapes = [vertices + array(target["POSITION"]) for target in primitive.get("targets", [])]
         samplers = [animation["samplers"][0] for animation in value.get("animations", [])]
         times_s = array(samplers[0]["input"])[:, 0].tolist() if samplers else []

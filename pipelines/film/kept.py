@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from devrf.capture.durable import write_json
 from devrf.capture.errors import CaptureError
@@ -108,8 +107,6 @@ def _write_all(folder: Path, picture: Picture) -> None:
 def _write(path: Path, value: np.ndarray | Flow) -> None:
     if isinstance(value, tuple):
         write_flow_file(path, value)
-    elif value.dtype == np.uint16:
-        Image.fromarray(value).save(path, format="PNG")  # grey of 16 bits
     else:
         write_png(path, value)
 

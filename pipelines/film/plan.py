@@ -85,9 +85,7 @@ def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Film:
         path = [_still(scene, spoken.partition(":")[2], asked)] * count
     else:
         raise _unknown(spoken)
-    film = Film(
-        scene, spoken, tuple(path), times, fps, asked.layer_names(), asked.format or "mp4"
-    )  # fmt: skip
+    film = Film(scene, spoken, tuple(path), times, fps, asked.layer_names(), asked.format or "mp4")
     if film.format == "webp" and film.count > MOST_ANIMATED:
         raise InputError(
             f"--format webp: {film.count} pictures, at most {MOST_ANIMATED} are put into one; choose fewer --seconds "

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.colmap import quat_wxyz
+from devrf.capture.formats.colmap_poses import quat_wxyz
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.report.run import evenly
 from devrf.pipelines.viewer.source import Loaded

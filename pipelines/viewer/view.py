@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.colmap import quat_wxyz
+from devrf.capture.formats.colmap_poses import quat_wxyz
 from devrf.capture.scene import Scene
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens

@@ -15,7 +15,9 @@ from devrf.capture.camera import Camera
 from devrf.reconstruct.error_causes import Layers
 from devrf.reconstruct.error_map import inferno
 from devrf.reconstruct.evidence import SOLID
+from devrf.reconstruct.geometry.field import field_at
 from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.rays import pixel_directions
 
 MILLIMETRE = 0.001
 MOST_STEPS = 65_000  # of a 16-bit depth picture; 0 is nothing
@@ -109,10 +111,8 @@ def backward_flow(
 def _surface(camera: Camera, layers: Layers) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """Where what each pixel shows is, and whether it shows anything solid."""
     _, depth, opacity = layers
-    height, width = opacity.shape
-    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
     distance = depth / np.maximum(opacity, SOLID)
-    return camera.centre + distance[..., None] * camera.directions(pixels), opacity > SOLID
+    return camera.centre + distance[..., None] * pixel_directions(camera), opacity > SOLID
 
 
 @torch.no_grad()
@@ -122,11 +122,7 @@ def _moved(
     """Where points seen at a time are at another one."""
     if model.motion is None or time is None or then is None or time == then or not len(points):
         return points
-    ndc, device = model.rest.canonical.ndc, model.rest.canonical.density.device
-    x = torch.from_numpy(points.astype(np.float32)).to(device)
-    x = x if ndc is None else ndc.from_world(x)
-    motion, tau = model.motion.at(time, device)
-    x0 = motion.to_rest(x, tau.expand(len(x)).contiguous())
-    motion, tau = model.motion.at(then, device)
-    x = motion.from_rest(x0, tau.expand(len(x)).contiguous())
-    return (x if ndc is None else ndc.to_world(x)).cpu().numpy().astype(np.float64)
+    now, before = field_at(model, time), field_at(model, then)
+    x = torch.from_numpy(points.astype(np.float32)).to(model.rest.canonical.density.device)
+    x_rest = now.to_rest(now.from_box(x))
+    return before.to_box(before.from_rest(x_rest)).cpu().numpy().astype(np.float64)

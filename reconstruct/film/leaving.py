@@ -15,6 +15,7 @@ from jaxtyping import Float
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
 from devrf.reconstruct.film.span import film_cameras, focus
+from devrf.reconstruct.geometry.field import field_at
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.model import DynamicModel
@@ -91,10 +92,7 @@ def _in_solid(model: DynamicModel, place: Float[np.ndarray, "3"], time: float | 
         )  # rays begin on the near plane: from behind it they would begin before it
     lo, hi = canonical.aabb.to(x)
     if bool(((x >= lo) & (x <= hi)).all()):
-        if model.motion is not None and time is not None:
-            motion, tau = model.motion.at(time, device)
-            x = motion.to_rest(x, tau)
-        return bool(canonical.alpha(x) > SOLID)
+        return bool(canonical.alpha(field_at(model, time).to_rest(x)) > SOLID)
     if rest.shell is None:
         return False
     middle, zero = x.new_full((3,), 0.5), x.new_zeros(3)

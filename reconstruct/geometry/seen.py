@@ -15,9 +15,11 @@ from jaxtyping import Bool, Float, Float32, Int
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY
+from devrf.reconstruct.film.span import fixed_cameras
 from devrf.reconstruct.geometry.field import Field
 from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.pictures import spread, training
+from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.train_canonical import RestModel
 
 SOLID = 0.9  # opacity from which a pixel shows a surface
@@ -68,9 +70,8 @@ def poses(scene: Scene) -> list[Camera]:
     Args:
         scene: In the box frame.
     """
-    fixed = {f.camera_name: f.camera for f in training(scene.dynamic)}
     chosen = [f.camera for f in spread(training(scene.static), MOST_OF_SWEEP)]
-    chosen += spread(list(fixed.values()), MOST_FIXED)
+    chosen += spread(list(fixed_cameras(scene).values()), MOST_FIXED)
     return [c.scaled(min(scene.image_scale, np.sqrt(MOST_PIXELS / (c.width * c.height)))) for c in chosen]
 
 
@@ -78,8 +79,7 @@ def look(model: DynamicModel, camera: Camera, time: float | None) -> SeenView:
     """Render what a camera in the box frame sees at a time in [0, 1]; None: at rest."""
     picture, depth, opacity = render_layers(model, camera, time)
     away = np.where(opacity > SOLID, depth / np.maximum(opacity, SOLID), np.nan)
-    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays_d = camera.directions(np.stack([u, v], axis=-1))
+    rays_d = pixel_directions(camera)
     points = camera.centre + away[..., None] * rays_d
     normals = _normals(points)
     facing = -(normals * rays_d).sum(-1)
