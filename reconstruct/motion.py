@@ -7,6 +7,7 @@ its own time. At the key time of rest both fields are exactly zero and stay so.
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -62,6 +63,11 @@ class MotionField:
     def keys(self) -> int:
         """Number of key times."""
         return len(self.backward)
+
+    @property
+    def key_times(self) -> list[float]:
+        """When they are, in the scene's time of [0, 1]."""
+        return np.linspace(self.t_first, self.t_last, self.keys).tolist()
 
     def tau(self, time: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Times in units of the key times' spacing, held to the first and last."""

@@ -16,7 +16,7 @@ SHORTEST = 0.5  # voxels: less motion is no arrow
 def next_key(model: DynamicModel, time: float) -> float:
     """The model's first key time after a time, in [0, 1]; the last one at the end."""
     assert model.motion is not None
-    times = torch.linspace(model.motion.t_first, model.motion.t_last, model.motion.keys).tolist()
+    times = model.motion.key_times
     return next((t for t in times if t > time + 1e-6), times[-1])
 
 

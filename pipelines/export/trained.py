@@ -73,8 +73,7 @@ class Trained:
         motion = self.model.motion
         self.moments: list[Moment] = [times.REST]
         if motion is not None:
-            keys = np.linspace(motion.t_first, motion.t_last, motion.keys).tolist()
-            self.moments = times.chosen(default_times if wish is None else wish, self.scene, keys)
+            self.moments = times.chosen(default_times if wish is None else wish, self.scene, motion.key_times)
 
     @property
     def unit(self) -> str:

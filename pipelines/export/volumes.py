@@ -98,13 +98,12 @@ def _attributes(trained: Trained, field: "Field") -> dict[str, Any]:
     }
     motion = trained.model.motion
     if motion is not None:
-        keys = np.linspace(motion.t_first, motion.t_last, motion.keys)
         span = trained.scene.t1_s - trained.scene.t0_s
         value |= {
             "motion_box_min": motion.aabb[0].tolist(),
             "motion_box_max": motion.aabb[1].tolist(),
             "moving_times_s": [moment.time_s for moment in trained.moments],
-            "motion_key_times_s": (trained.scene.t0_s + span * keys).tolist(),
+            "motion_key_times_s": [trained.scene.t0_s + span * time for time in motion.key_times],
         }
     return value
 

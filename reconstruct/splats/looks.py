@@ -119,9 +119,7 @@ def squared(camera: Camera) -> Camera:
 
 def rest_time(motion: MotionField) -> float | None:
     """The time of [0, 1] at which nothing has moved; None if there is none."""
-    if motion.rest_key is None:
-        return None
-    return motion.t_first + (motion.t_last - motion.t_first) * motion.rest_key / max(1, motion.keys - 1)
+    return None if motion.rest_key is None else motion.key_times[motion.rest_key]
 
 
 @torch.no_grad()
