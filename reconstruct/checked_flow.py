@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from devrf.flow.agreement import agreement
+from devrf.flow.agreement import MOSTLY_CONTRADICTED, Agreement, agreement
 from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RaySet
 
@@ -25,7 +25,11 @@ class CheckedFlow:
 
 
 def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
-    """Ask the training pictures about each pair's flow; flow of other pictures or another size stays as it is."""
+    """Ask the training pictures about each pair's flow; flow of other pictures or another size stays as it is.
+
+    A pair that they mostly contradict does not count at all, nor does any of a camera whose flow they mostly
+    contradict: the vectors left there are those that move too little to be told from right ones, and are as wrong.
+    """
     numbers: dict[str, dict[int, int]] = {}
     for n, frame in enumerate(rays.frames):
         numbers.setdefault(frame.camera_name, {})[frame.index] = n
@@ -35,17 +39,21 @@ def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
         order = sorted(mine)
         before = {index: mine[earlier] for earlier, index in zip(order, order[1:], strict=False)}
         agrees = np.full(clip.valid.shape, BEST, np.uint8)
-        asked = against = 0
+        found: dict[int, Agreement] = {}
         for n, index in enumerate(clip.index.tolist()):
             if index not in before:
                 continue
             current, previous = rays.picture(mine[index]), rays.picture(before[index])
             if not current.shape == previous.shape == (*clip.valid[n].shape, 3):
                 continue
-            found = agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
-            agrees[n] = np.rint(BEST * found.weight)
-            asked, against = asked + found.asked, against + found.contradicted
-        out[name] = replace(clip, agreement=agrees, valid=clip.valid & (agrees > 0))
+            found[n] = agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
+            agrees[n] = np.rint(BEST * found[n].weight)
+        asked = sum(pair.asked for pair in found.values())
         if asked:
-            contradicted[name] = against / asked
+            contradicted[name] = sum(pair.contradicted for pair in found.values()) / asked
+        for n, pair in found.items():
+            share = pair.contradicted / pair.asked if pair.asked else 0.0
+            if max(share, contradicted.get(name, 0.0)) > MOSTLY_CONTRADICTED:
+                agrees[n] = 0
+        out[name] = replace(clip, agreement=agrees, valid=clip.valid & (agrees > 0))
     return CheckedFlow(out, contradicted)

@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+from devrf.flow.agreement import MOSTLY_CONTRADICTED
 from devrf.pipelines.health.rows import HealthRow, row
 
-# True flow of a subject of a dozen pixels is contradicted for up to 55 % (silhouettes jump), reversed for 92 % or more.
-MOSTLY_CONTRADICTED = 0.75
 RESTARTED = "times that training ran away and went back"
 CONTRADICTED = "share of what moves whose flow the pictures contradict"
 LATE = "clock that the motion of the other cameras contradicts"
@@ -57,9 +56,9 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
             "",
             warn=MOSTLY_CONTRADICTED,
             low_is_bad=False,
-            remedy="Such flow does not count in training, so the motion rests on colours alone there. Run again with "
-            "--force flow, or film with a higher frame rate and more texture; of a data set that brings its flow look "
-            "at the direction, the order and the size of its vectors.",
+            remedy="The flow of such a camera does not count in training, so the motion rests on colours alone there. "
+            "Run again with --force flow, or film with a higher frame rate and more texture; of a data set that brings "
+            "its flow look at the direction, the order and the size of its vectors.",
         )
     ]
 

@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter, shift
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
+from devrf.flow.agreement import MOSTLY_CONTRADICTED
 from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.checked_flow import checked_flow
 from devrf.reconstruct.moving_pixels import changing_pixels
@@ -46,10 +47,20 @@ def test_a_camera_whose_flow_is_reversed_is_found_and_does_not_count() -> None:
     rays = _rays()
     checked = checked_flow(rays, {"cam0": _clip("cam0", [1, 2], -STEP), "cam1": _clip("cam1", [2, 4], STEP)})
     assert checked.contradicted["cam0"] < 0.15 and checked.contradicted["cam1"] > 0.95
-    assert checked.flows["cam0"].valid.mean() > 0.85 and checked.flows["cam1"].valid.mean() < 0.15
+    assert checked.flows["cam0"].valid.mean() > 0.85 and not checked.flows["cam1"].valid.any()
     pixel = torch.full((2,), HEIGHT // 2 * WIDTH + WIDTH // 2)
     _, _, confidence, agrees = PixelFlow(rays, checked.flows, True).at(torch.tensor([1, 4]), pixel)
     assert confidence.tolist() == [1, 1] and agrees[0] > 0.8 and agrees[1] == 0
+
+
+def test_nothing_is_left_of_a_pair_that_is_mostly_contradicted() -> None:
+    """Not even what happens to agree: it comes from the same hand."""
+    clip = _clip("cam0", [1, 2], -STEP)
+    clip.flow[1, :, 10:] *= -1
+    checked = checked_flow(_rays(), {"cam0": clip})
+    first, second = checked.flows["cam0"].valid
+    assert first.mean() > 0.8 and not second.any()
+    assert checked.contradicted["cam0"] < MOSTLY_CONTRADICTED
 
 
 def test_what_cannot_be_asked_stays_as_it_is() -> None:
