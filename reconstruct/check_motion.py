@@ -1,10 +1,10 @@
 """The motion that was learned against the pictures that it was learned from, camera by camera.
 
 Pictures say more of a motion than its loss does. Where they change, four things are measured on a few rays of a few
-pictures: by how much the motion explains them better than the scene at rest; how much of what the scene at rest leaves
-unexplained lies where the model shows nothing at any time, so that no motion can explain it; how much of the surface
-that changes no other camera sees, so that its depth is a guess; and whether the pictures would fit better as if they
-had been taken a little earlier or later.
+pictures: by how much the motion explains them better than the scene at rest; how much of what the scene at rest
+leaves unexplained lies where the model shows nothing at any time, so that no motion can explain it; how much of the
+surface that changes no other camera sees from aside, so that its depth is a guess; and whether the pictures would fit
+better as if they had been taken a little earlier or later.
 
 A motion has far fewer numbers than the pictures have pixels, so pixels need not be held back from training for this.
 What fits each picture by a motion of its own (wrong cameras) is not seen here but at rest (`check_rest.py`).
@@ -37,9 +37,9 @@ SURE = 0.977  # that another time is better, by Student's t over pictures: two s
 LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
 SHIFTS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # pictures by which a camera is tried to be early or late
 OPAQUE = 0.5  # opacity from which something is there
-SAME_SURFACE = (
-    6.0  # voxels, between depths of two cameras: a surface two to three voxels thick, seen at a slant
-)
+# Voxels: between depths of two cameras, a surface two to three voxels thick, seen at a slant; and by which a depth may
+# be wrong where the other camera is wrong by a pixel: more than that is another surface.
+SAME_SURFACE = 6.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class MotionFit:
     Attributes:
         gain_db: Error of the scene at rest over that of the motion, where the camera's pictures change.
         unreachable: Share of the error of the scene at rest where the box is empty at rest and at the picture's time.
-        alone: Share of the changing surface that no other training camera sees; None where no surface changes.
+        alone: Share of the changing surface that no other training camera sees from far enough aside to tell its
+            depth; None where no surface changes.
         better_at: Pictures by which they would have to be later (> 0) or earlier (< 0) to fit the motion clearly
             better, of SHIFTS; 0 where none is clearly better.
     """
@@ -112,7 +113,9 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     empty = torch.minimum(left, rest_left) > OPAQUE
     solid = (left < OPAQUE).nonzero()[:, 0]
     surface = batch.rays_o + (depth / (1 - left).clamp_min(1e-6))[:, None] * batch.rays_d
-    others = _seen_by_others(model, rays, camera, solid, surface[solid], batch.time[solid])
+    others = _seen_by_others(
+        model, rays, camera[solid], batch.rays_o[solid], surface[solid], batch.time[solid]
+    )
     out = {}
     for n, name in enumerate(names):
         mine = camera == n
@@ -183,12 +186,16 @@ def _at(model: DynamicModel, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
 def _seen_by_others(
     model: DynamicModel,
     rays: RaySet,
-    camera: Int[Tensor, " n"],
-    solid: Int[Tensor, " s"],
+    camera: Int[Tensor, " s"],
+    seen_from: Float[Tensor, "s 3"],
     points: Float[Tensor, "s 3"],
     time: Float[Tensor, " s"],
 ) -> Bool[Tensor, " s"]:
-    """Whether a training camera other than its own sees a point of the moving surface at the point's time."""
+    """Whether a training camera other than its own sees a point of the moving surface at the point's time.
+
+    And whether it does so from aside: along the own line of sight, a pixel of the other camera is d / (f sin a), of its
+    distance d, its focal length f, and the angle a between both lines.
+    """
     canonical = model.rest.canonical
     tolerance = SAME_SURFACE * voxel_size(canonical.aabb, canonical.shape)
 
@@ -202,12 +209,16 @@ def _seen_by_others(
         other = rays.cameras[view]
         pixel = np.nan_to_num(other.project(points.double().cpu().numpy()), nan=-1.0)
         inside = ((pixel >= 0) & (pixel < [other.width, other.height])).all(-1)
-        asked = (torch.from_numpy(inside).to(seen.device) & (camera[solid] != number) & ~seen).nonzero()[:, 0]
+        asked = (torch.from_numpy(inside).to(seen.device) & (camera != number) & ~seen).nonzero()[:, 0]
         towards = points[asked] - rays.centres[view]
         away = towards.norm(dim=1)
         origin = rays.centres[view].expand(len(asked), 3).contiguous()
         _, left, depth = _at(model, (origin, towards / away[:, None], time[asked]))
         hit = origin + (depth / (1 - left).clamp_min(1e-6) / away)[:, None] * towards
         apart = (grid(hit) - grid(points[asked])).norm(dim=1)
-        seen[asked] = (left < OPAQUE) & (apart < tolerance)
+        along = torch.nn.functional.normalize(points[asked] - seen_from[asked], dim=1)
+        aside = torch.linalg.cross(along, towards / away[:, None]).norm(dim=1).clamp_min(1e-9)
+        pixel_along = (away / (float(other.K[0, 0]) * aside))[:, None] * along
+        vague = (grid(points[asked] + pixel_along) - grid(points[asked])).norm(dim=1)
+        seen[asked] = (left < OPAQUE) & (apart < tolerance) & (vague < tolerance)
     return seen

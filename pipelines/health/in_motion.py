@@ -46,14 +46,14 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> list[HealthRow]:
     if alone:
         rows.append(
             row(
-                "moving surface that only one camera sees",
+                "moving surface that is seen from one side only",
                 100 * fmean(alone),
                 "%",
                 warn=100 * MOST_ALONE,
                 low_is_bad=False,
-                remedy="What only one camera sees moves at a depth that is a guess, and other views show it wrong: "
-                "add cameras (four, around the subject), or turn them so that each side of the subject is in two "
-                "pictures.",
+                remedy="What only one camera sees, or several from one place, moves at a depth that is a guess, and "
+                "other views show it wrong: add cameras (four, around the subject), or move them apart so that each "
+                "side of the subject is in two pictures.",
             )
         )
     name, shift = _worst(cameras, lambda fit: abs(fit.better_at))

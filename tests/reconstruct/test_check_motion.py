@@ -165,9 +165,22 @@ def test_a_camera_that_moves_is_not_asked_but_sees(ball, true: DynamicModel, mon
     assert fits["cam1"].alone is not None and fits["cam1"].alone < 0.15
 
 
-@pytest.mark.parametrize("z", [1.5, 6.0])
-def test_what_others_see_of_a_wall_in_a_forward_scene(ball, z: float) -> None:
-    """Points two voxels behind the wall are seen, ten behind are not, however many metres deep voxels are there."""
+@pytest.mark.parametrize(
+    ("z", "apart", "behind", "seen"),
+    [
+        (1.5, 0.3, 2, True),
+        (1.5, 0.3, 10, False),
+        (6.0, 1.2, 2, True),
+        (6.0, 1.2, 10, False),
+        (1.5, 0.02, 2, False),
+    ],
+)
+def test_what_others_see_of_a_wall_in_a_forward_scene(
+    ball, z: float, apart: float, behind: int, seen: bool
+) -> None:
+    """Points two voxels behind the wall are seen, ten behind are not, however many metres deep voxels are there; and
+    none from right beside, where a pixel is metres of depth.
+    """
     n, ndc = 48, Ndc(0.6, 0.45)
     canonical = Canonical.new(
         CUBE, n, n, channels=4, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-4,
@@ -179,26 +192,40 @@ def test_what_others_see_of_a_wall_in_a_forward_scene(ball, z: float) -> None:
     canonical.net.requires_grad_(False)
     motion = MotionField.still(CUBE, 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
     model = DynamicModel(RestModel(canonical, None, "white", 0.3, 9.0, {}), motion)
+    at = torch.rand(200, 2, generator=torch.Generator().manual_seed(0)) * 0.6 - 0.3
     two = []
     for side, frame in enumerate(
         f for f in ball.scene.dynamic if f.time == 0 and f.camera_name in ("cam0", "cam1")
     ):
         ahead = np.eye(4)[:3].copy()
-        ahead[0, 3] = 0.02 * side
+        ahead[0, 3] = apart * side
         two.append(replace(frame, camera=replace(frame.camera, cam_from_world=ahead)))
-    at = torch.rand(200, 2, generator=torch.Generator().manual_seed(0)) * 0.8 - 0.4
-    for behind, seen in ((2, True), (10, False)):
-        deep = torch.full((200, 1), wall + behind * 2 / (n - 1))
-        points, every = ndc.to_world(torch.cat([at, deep], dim=1)), torch.arange(200)
-        others = _seen_by_others(
-            model,
-            RaySet(tuple(two), 1.0, "white"),
-            torch.zeros(200, dtype=torch.int64),
-            every,
-            points,
-            torch.zeros(200),
-        )
-        assert others.float().mean() == float(seen)
+    rays = RaySet(tuple(two), 1.0, "white")
+    deep = torch.full((200, 1), wall + behind * 2 / (n - 1))
+    points = ndc.to_world(torch.cat([at, deep], dim=1))
+    first = torch.zeros(200, dtype=torch.int64)
+    seen_from = rays.centres[:1].expand(200, 3)
+    others = _seen_by_others(model, rays, first, seen_from, points, torch.zeros(200))
+    assert others.float().mean() == float(seen)
+
+
+def test_cameras_side_by_side_do_not_tell_depth(ball, true: DynamicModel) -> None:
+    """cam1 moved to within 3 degrees of cam0, as seen from the middle: both see the same, from one side."""
+    first = {f.index: f for f in ball.scene.dynamic if f.camera_name == "cam0"}
+    middle = np.array(ball.scene.aabb).mean(axis=0)
+    turn = cv2.Rodrigues(np.radians([0.0, 3.0, 0.0]))[0]
+    about = np.concatenate([turn, (middle - turn @ middle)[:, None]], axis=1)
+
+    def beside(frame: PosedFrame) -> PosedFrame:
+        was = first[frame.index]
+        pose = was.camera.cam_from_world
+        moved = np.concatenate([pose[:, :3] @ about[:, :3], pose[:, :3] @ about[:, 3:] + pose[:, 3:]], axis=1)
+        return replace(was, camera_name="cam1", camera=replace(was.camera, cam_from_world=moved))
+
+    kept = tuple(f for f in ball.scene.dynamic if f.camera_name == "cam0")
+    fits = check_motion(replace(ball.scene, dynamic=(*kept, *map(beside, kept))), true)
+    assert all(fit.alone is not None and fit.alone > 0.95 for fit in fits.values()), fits
+    assert any(check.startswith("moving surface") for check in warnings(fits))
 
 
 FINE = MotionFit(gain_db=4.0, unreachable=0.1, alone=0.2, better_at=0.0)
