@@ -56,7 +56,8 @@ def weakest_regions(scene: Scene, confidence: Confidence) -> dict[str, Any]:
         confidence: Of the model.
     Returns:
         `as_seen_by`: name of a camera; `moves`: whether only what moves was taken; `low_above`: grey levels that count
-        as low confidence; `low_share` of the subject (None where nothing of it is seen); `regions`.
+        as low confidence; `low_share` of the subject (None where nothing of it is seen); `unseen_share`: of what moves,
+        what no moving camera sees at that time (None where not only what moves was taken); `regions`.
     """
     scene = scene.in_box_frame()
     found = _Points(scene, confidence)
@@ -64,7 +65,7 @@ def weakest_regions(scene: Scene, confidence: Confidence) -> dict[str, Any]:
     low_above = 10 ** (-LOW_DB / 20)
     known = {"as_seen_by": name, "moves": found.moves, "low_above": 255 * low_above}
     if not len(found.expected):
-        return {**known, "low_share": None, "regions": []}
+        return {**known, "low_share": None, "unseen_share": None, "regions": []}
     cells = _cells(found.at_rest)
     words = _Words(reference, found.at_rest)
     regions = []
@@ -84,7 +85,13 @@ def weakest_regions(scene: Scene, confidence: Confidence) -> dict[str, Any]:
         )
     regions.sort(key=lambda region: -region.expected_rms)
     low_share = float((found.expected > low_above).mean())
-    return {**known, "low_share": low_share, "regions": [asdict(region) for region in regions]}
+    unseen_share = float((found.cameras == 0).mean()) if found.moves else None
+    return {
+        **known,
+        "low_share": low_share,
+        "unseen_share": unseen_share,
+        "regions": [asdict(region) for region in regions],
+    }
 
 
 class _Points:

@@ -104,13 +104,17 @@ def _regions(run: RunFolder, found: dict[str, Any]) -> str:
         return ""
     low = number(found.get("low_above"), "grey levels", 0, file=METRICS, key="confidence.low_above")
     share = number(found.get("low_share"), "%", 0, file=METRICS, key="confidence.low_share", scale=100.0)
+    unseen = ""
+    if found.get("unseen_share") is not None:
+        part = number(found["unseen_share"], "%", 0, file=METRICS, key="confidence.unseen_share", scale=100.0)
+        unseen = f" {part} of what moves is seen by no moving camera: how it moves is a guess."
     what = "of what moves" if found.get("moves") else "of what is in the box"
     seen_by = "moving cameras that see it" if found.get("moves") else "sweep pictures that see it"
     head = ("where it rests", "expected error", "low confidence", seen_by, "share of all")
     seen_as = text(found.get("as_seen_by", "the camera"))
     return (
         f"<h3>Weakest regions</h3><p>As {seen_as} sees it, from all directions of the sweep. {share} {what} is of low "
-        f"confidence: an expected error above {low}. To be surer of a region let more cameras see it from further "
-        "apart, and bring the sweep closer to it.</p>"
+        f"confidence: an expected error above {low}.{unseen} To be surer of a region let more cameras see it from "
+        "further apart, and bring the sweep closer to it.</p>"
         f"{table(head, lines, source=METRICS, numeric=range(1, len(head)))}"
     )

@@ -243,7 +243,7 @@ def _confidence() -> dict[str, object]:
     }
     return {"test": curve, "test_static": {**curve, "spearman": 0.375}, "test_moving": {"pixels": 0, "why": "none"},
             "as_seen_by": f"cam0{NASTY}", "moves": True,
-            "low_above": 32.0, "low_share": 0.0625, "regions": [region]}  # fmt: skip
+            "low_above": 32.0, "low_share": 0.0625, "unseen_share": 0.125, "regions": [region]}  # fmt: skip
 
 
 def _row(verdict: str) -> dict:

@@ -159,6 +159,8 @@ def test_regions_name_what_no_moving_camera_sees(ball, known: Confidence, moving
     }
     assert sides["back"] > 1.2 * sides["front"]  # cam0 looks at the front
     assert fewer["regions"][0]["cameras"] < found["regions"][-1]["cameras"]
+    # All around a ball, three cameras in half a turn leave a quarter and less, one leaves more than half.
+    assert found["unseen_share"] < 0.35 and 0.5 < fewer["unseen_share"] < 0.8
 
 
 def test_a_stray_floater_is_not_the_subject(ball, rest: RestModel) -> None:
@@ -170,7 +172,7 @@ def test_a_stray_floater_is_not_the_subject(ball, rest: RestModel) -> None:
     motion.backward[1, 10, 8, 8] += 0.2  # a vertex on the ball's surface
     motion.forward[1, 10, 8, 8] -= 0.2
     found = weakest_regions(ball.scene, Confidence(ball.scene, DynamicModel(rest, motion)))
-    assert not found["moves"]
+    assert not found["moves"] and found["unseen_share"] is None
     quiet = weakest_regions(replace(ball.scene, dynamic=()), at_rest)
     of = [sum(r["share"] * r["cameras"] for r in regions["regions"]) for regions in (found, quiet)]
     assert of[0] == pytest.approx(of[1], rel=0.1)  # pictures of the sweep, as the report says

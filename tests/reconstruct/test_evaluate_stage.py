@@ -147,6 +147,7 @@ def _run(
         "moves": True,
         "low_above": 32.0,
         "low_share": low_share,
+        "unseen_share": 0.6 if low_share > 0.5 else 0.2,
         "regions": [region],
     }
     monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device, pieces: None)
@@ -194,6 +195,8 @@ def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
     row = next(row for row in context.health if "low confidence" in row.check)
     assert row.verdict == "warn" and row.value == 75 and "32 grey levels" in row.check
     assert "cam0: back, low" in row.remedy
+    row = next(row for row in context.health if "no camera sees" in row.check)
+    assert row.verdict == "warn" and row.value == 60 and "cam0: back, low" in row.remedy
 
 
 def test_confidence_takes_the_times_that_were_trained_with(context: StageContext, monkeypatch):
@@ -216,7 +219,14 @@ def test_confidence_takes_the_times_that_were_trained_with(context: StageContext
 
 def test_a_box_without_anything_solid_is_told():
     rows = confidence_rows(
-        {"low_share": None, "low_above": 32.0, "regions": [], "as_seen_by": "cam0", "moves": False}
+        {
+            "low_share": None,
+            "unseen_share": None,
+            "low_above": 32.0,
+            "regions": [],
+            "as_seen_by": "cam0",
+            "moves": False,
+        }
     )
     assert rows[0].verdict == "warn" and "nothing solid" in str(rows[0].value) and "box" in rows[0].remedy
 
