@@ -199,10 +199,12 @@ def test_no_case_begins_after_the_time_that_was_given(
     late = tmp_path / "late.json"
     moment = SimpleNamespace(monotonic=lambda: 7.0)  # a clock too coarse to tell what went by
     monkeypatch.setattr("devrf.pipelines.bench.stability.stability.time", moment)
-    run_stability(base, suite[0], ["flow_wrong", "pose_noise"], 1, [0], late, minutes=0.0)
+    run_stability(base, suite[0], ["flow_wrong", "pose_noise", "box_size"], 2, [0], late, minutes=0.0)
     content = json.loads(late.read_text())
-    assert set(content["left_out"]) == {"flow_wrong", "pose_noise"} and not content["points"]
-    assert "from 100 on not begun within 0 minutes" in content["left_out"]["flow_wrong"]
+    assert set(content["left_out"]) == {"flow_wrong", "pose_noise", "box_size"}
+    assert "from 30 on nothing was begun after 0 minutes" in content["left_out"]["flow_wrong"]
+    made = {(case["axis"], case["severity"]) for case in content["cases"]}
+    assert made == {("undisturbed", 0.0), ("flow_wrong", 100.0), ("pose_noise", 16.0)}  # of the earlier run
     assert late.with_suffix(".html").is_file()
 
 
