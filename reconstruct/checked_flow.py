@@ -9,6 +9,10 @@ from devrf.flow.agreement import MOSTLY_CONTRADICTED, Agreement, agreement
 from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RaySet
 
+FEWEST_ASKED = (
+    0.01  # of a picture, for flow to be judged as a whole: where hardly anything moves, noise answers
+)
+
 
 @dataclass(frozen=True)
 class CheckedFlow:
@@ -27,8 +31,8 @@ class CheckedFlow:
 def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
     """Ask the training pictures about each pair's flow; flow of other pictures or another size stays as it is.
 
-    A pair that they mostly contradict does not count at all, nor does any of a camera whose flow they mostly
-    contradict: the vectors left there are those that move too little to be told from right ones, and are as wrong.
+    A pair that they mostly contradict where it moves does not count at all, nor does any of a camera whose flow they
+    mostly contradict: what is left there moves too little to be told from right vectors, and is as wrong.
     """
     numbers: dict[str, dict[int, int]] = {}
     for n, frame in enumerate(rays.frames):
@@ -48,12 +52,17 @@ def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
                 continue
             found[n] = agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
             agrees[n] = np.rint(BEST * found[n].weight)
-        asked = sum(pair.asked for pair in found.values())
+        asked, against = (sum(getattr(pair, x) for pair in found.values()) for x in ("asked", "contradicted"))
         if asked:
-            contradicted[name] = sum(pair.contradicted for pair in found.values()) / asked
+            contradicted[name] = against / asked
         for n, pair in found.items():
-            share = pair.contradicted / pair.asked if pair.asked else 0.0
-            if max(share, contradicted.get(name, 0.0)) > MOSTLY_CONTRADICTED:
+            pixels = agrees[n].size
+            if _mostly(pair.contradicted, pair.asked, pixels) or _mostly(against, asked, pixels):
                 agrees[n] = 0
         out[name] = replace(clip, agreement=agrees, valid=clip.valid & (agrees > 0))
     return CheckedFlow(out, contradicted)
+
+
+def _mostly(contradicted: int, asked: int, pixels: int) -> bool:
+    """Whether that many of those asked are most of them, and more than noise in a picture of so many pixels."""
+    return asked >= FEWEST_ASKED * pixels and contradicted > MOSTLY_CONTRADICTED * asked

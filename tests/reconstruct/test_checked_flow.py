@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from scipy.ndimage import gaussian_filter, shift
 
@@ -61,6 +62,19 @@ def test_nothing_is_left_of_a_pair_that_is_mostly_contradicted() -> None:
     first, second = checked.flows["cam0"].valid
     assert first.mean() > 0.8 and not second.any()
     assert checked.contradicted["cam0"] < MOSTLY_CONTRADICTED
+
+
+def test_a_pair_in_which_hardly_anything_moves_is_not_judged_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its vectors say that nothing moves, which is right but for a spot: too little to drop all of them."""
+    monkeypatch.setattr("devrf.reconstruct.checked_flow.FEWEST_ASKED", 0.05)  # a spot of so small a picture
+    rays = _rays()
+    pictures = rays.pixels.view(6, HEIGHT, WIDTH, 3)
+    pictures[2] = pictures[1]
+    pictures[2, 20:22, 20:22] = 255 - pictures[1, 20:22, 20:22]
+    clip = _clip("cam0", [1, 2], -STEP)
+    clip.flow[1] = 0
+    checked = checked_flow(rays, {"cam0": clip})
+    assert 0.9 < checked.flows["cam0"].valid[1].mean() < 1
 
 
 def test_what_cannot_be_asked_stays_as_it_is() -> None:
