@@ -24,7 +24,7 @@ from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.pictures import clips, spread
 from devrf.reconstruct.rays import RaySet, camera_rays
 from devrf.reconstruct.render import segments_in
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 SIDE_PX = 192  # of the longer side, at most: a shift of a thousandth of the width is still found, in a second or two
 HELD_OUT = (

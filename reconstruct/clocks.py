@@ -25,8 +25,8 @@ from devrf.reconstruct.model import live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import ChangingPixels, draw_with_importance
 from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.train_canonical import RestModel
 
 SHIFTS = np.linspace(-1.2, 1.2, 13)  # pictures by which a camera is tried to be early or late
 NEAR = 2  # shifts on either side of the best one that its parabola goes through

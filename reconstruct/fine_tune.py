@@ -28,9 +28,9 @@ from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importanc
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 

@@ -23,8 +23,8 @@ from devrf.reconstruct.moving_pixels import ChangingPixels, changing_pixels
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips, spread
 from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.train_canonical import RestModel
 
 FEWEST = 3  # cameras: of two nobody knows which one is wrong
 SUSPECT = 0.3  # pictures that a camera differs from the median of all: the motion follows it more than half of the way

@@ -24,7 +24,7 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in, shade
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 FEWEST_AT_ONCE = 1 << 9  # rays, where memory is short: fewer would be slow and need hardly less
 CACHED_BYTES = 1 << 28  # of surroundings of cameras that are remembered: 20 cameras of 0.5 megapixels

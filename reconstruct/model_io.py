@@ -33,8 +33,8 @@ from devrf.reconstruct.packing import (
     mask_of,
     to_bytes,
 )
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
-from devrf.reconstruct.train_canonical import RestModel
 
 FILE = "model.safetensors"
 TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion

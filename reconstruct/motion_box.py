@@ -7,7 +7,7 @@ from torch import Tensor
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.hull import box_of, visual_hull
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 HULL_RESOLUTION, HULL_TIMES, HULL_MARGIN = 40, 12, 1.05
 

@@ -1,27 +1,22 @@
 """Stage 1: learn the scene at rest, and its surroundings, from the sweep (DeVRF 3.1, after DirectVoxGO).
 
 The number of voxels doubles a few times early on; occupancy is rebuilt as density settles; the grids are trained
-by masked Adam on the vertices that rays can touch, the MLP by Adam. Where the background is plain, the tight box
-comes from a coarse model, as published, or from silhouettes. A forward-facing scene is modelled by planes in
-normalised device coordinates, without a box to find.
+by masked Adam on the vertices that rays can touch, the MLP by Adam. Where in the box to look: `subject_box.py`.
 """
 
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.canonical import EMPTY, NUMBERS, Canonical, ColourNet
+from devrf.capture.scene import Scene
+from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
-from devrf.reconstruct.coarse_box import find_subject
-from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grid_shape, grown
+from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
-from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.kernels.adam import add_total_variation
 from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import march
@@ -33,12 +28,14 @@ from devrf.reconstruct.losses import (
     rendering_loss,
     variation_weight,
 )
-from devrf.reconstruct.ndc import CUBE, Ndc
+from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.sizing import fewer_voxels
+from devrf.reconstruct.subject_box import subject_box
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
@@ -49,43 +46,6 @@ FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
 GOOD = "good "  # before the names of what a checkpoint holds of the last good point
-
-
-@dataclass
-class RestModel:
-    """What stage 1 leaves: the scene at rest, its surroundings (None before a plain background), its log."""
-
-    canonical: Canonical
-    shell: Shell | None
-    background: str
-    near: float
-    far: float
-    metrics: dict[str, Any]
-
-    def numbers(self) -> dict[str, Any]:
-        """All of it that is no tensor, as JSON has it: what files of models and of trainings keep.
-
-        Raises:
-            ValueError: A coarse model without an MLP, which is not kept.
-        """
-        canonical, shell, net = self.canonical, self.shell, self.canonical.net
-        if not isinstance(net, ColourNet):
-            raise ValueError("a coarse model without an MLP is not saved")
-        out: dict[str, Any] = {
-            "canonical": {name: getattr(canonical, name) for name in NUMBERS},
-            "shape": canonical.shape,
-            "channels": canonical.features.shape[3],
-            "mlp_width": net.hidden.out_features,
-            "view_frequencies": net.frequencies,
-            "deferred": canonical.deferred,
-            "ndc": asdict(canonical.ndc) if canonical.ndc is not None else None,
-            "background": self.background,
-            "near": self.near,
-            "far": self.far,
-        }
-        if shell is not None:
-            out["shell"] = {"size": shell.size, "final": shell.final, "near": shell.near, "far": shell.far}
-        return out
 
 
 def train_canonical(
@@ -116,7 +76,10 @@ def train_canonical(
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
     generator = torch.Generator().manual_seed(options.seed)
     plain = plain_of(scene.background, device)
-    aabb, hull = _box(scene, frames, rays, plain, options, generator, progress, log, checkpoint)
+    aabb, hull = subject_box(
+        scene, frames, rays, plain, options, generator,
+        lambda share, text: progress(READING + COARSE * share, text), log, checkpoint,
+    )  # fmt: skip
     decision = None
     if options.adapt:
         ndc = None if scene.ndc is None else Ndc(*scene.ndc)
@@ -161,52 +124,6 @@ def train_canonical(
         **recipe.guard.summary(),
     }
     return recipe.model(metrics)
-
-
-def _box(
-    scene: Scene,
-    frames: tuple[PosedFrame, ...],
-    rays: RaySet,
-    plain: Float[Tensor, " 3"] | None,
-    options: CanonicalOptions,
-    generator: torch.Generator,
-    progress: Progress,
-    log: TrainingLog,
-    checkpoint: Checkpoint,
-) -> tuple[Float[Tensor, "2 3"], tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None]:
-    """The box to model, and where in it the subject can be, over a box of its own, where that is known."""
-    aabb = torch.tensor(scene.aabb, dtype=torch.float32)
-    if scene.ndc is not None:
-        return CUBE, _hull_in_planes(frames, Ndc(*scene.ndc), rays, scene.background, options)
-    if plain is None:
-        return aabb, None
-    if options.box_search == "coarse":
-        kept = find_subject(
-            rays, aabb, scene.near, plain, options, generator,
-            lambda share, text: progress(READING + COARSE * share, text), log, checkpoint.part("box"),
-        )  # fmt: skip
-        near_kept = grown(kept)
-    else:
-        kept = visual_hull(frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
-        near_kept = grown(grown(kept))
-    tight = box_of(kept, aabb, options.box_margin)
-    if tight is None:
-        raise ReconstructError(
-            "nothing was found in the scene box: check poses and background (dataset.background), or train "
-            "longer (reconstruct.canonical_iterations)"
-        )
-    return tight, (near_kept, aabb)
-
-
-def _hull_in_planes(
-    frames: tuple[PosedFrame, ...], ndc: Ndc, rays: RaySet, background: str, options: CanonicalOptions
-) -> tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None:
-    """Where the subject can be by its mattes; None without, or as published, which looks everywhere."""
-    if rays.opacity is None or options.box_search == "coarse":
-        return None
-    shape = (options.hull_resolution, options.hull_resolution, options.planes)
-    kept = visual_hull(frames, CUBE, shape, background, ndc=ndc)
-    return (grown(kept), CUBE) if bool(kept.any()) else None
 
 
 class _Recipe:

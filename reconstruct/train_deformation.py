@@ -28,7 +28,7 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.watch import Watch
 

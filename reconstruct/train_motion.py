@@ -51,10 +51,10 @@ from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importanc
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
 from devrf.reconstruct.still_keys import still_keys
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 

@@ -13,8 +13,8 @@ from devrf.reconstruct.checkpoint import look_at
 from devrf.reconstruct.model_io import net_of
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import Ndc
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
-from devrf.reconstruct.train_canonical import RestModel
 
 REST_PARTS = ("density", "features", "distance", "surround", "surround distance")
 MOTION_PARTS = ("backward", "forward")

@@ -6,7 +6,7 @@ from devrf.capture.scene import Scene, load_image
 from devrf.reconstruct.metrics import Comparison
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.watch import Watch
 
 

@@ -18,7 +18,7 @@ from devrf.reconstruct import parts as parts_module
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.paired import Gain, paired_gain
 from devrf.reconstruct.parts import PARTS, Part
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 WHOLE = "whole"
 MEASURES = {"psnr_moving": "dB", "psnr": "dB", "lpips_vgg": "", "seconds": "s", "model_mb": "MB"}

@@ -37,7 +37,8 @@ from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_deformation, load_rest, save_deformation, save_rest
 from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_deformation import train_deformation
 
 UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}

@@ -20,7 +20,7 @@ from devrf.reconstruct.geometry.field import Field
 from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.pictures import spread, training
 from devrf.reconstruct.rays import pixel_directions
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 SOLID = 0.9  # opacity from which a pixel shows a surface
 GRAZING = 0.15  # cosine to the surface's normal below which its depth is not trusted: 81 degrees

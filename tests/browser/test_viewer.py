@@ -20,7 +20,7 @@ from devrf.pipelines.viewer.site import Site
 from devrf.pipelines.viewer.view import View
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_model
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 WINDOW = {"width": 640, "height": 300}
 COMPARED = 80, 80  # pixels of the middle of pictures that are compared

@@ -16,7 +16,7 @@ from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, save_motion, save_rest
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 AABB = np.array([[-1.0, -1, -1], [1, 1, 1]])
 RADIUS = 0.4

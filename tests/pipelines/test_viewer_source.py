@@ -21,7 +21,7 @@ from devrf.pipelines.viewer.source import Found, Loaded, load, look, progress
 from devrf.pipelines.viewer.standing import facts, standing
 from devrf.reconstruct.model import render_view
 from devrf.reconstruct.motion_arrows import motion_arrows, next_key
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 
 @pytest.fixture

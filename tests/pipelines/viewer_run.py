@@ -11,7 +11,7 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct.checkpoint import Checkpoint, Saved
 from devrf.reconstruct.model_io import FILE, save_motion, save_rest
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 SCENE_YAML = "name: ball <b>\noutput: run\npreset: tiny\ndataset: {format: devrf, path: data}\n"
 KEYS = 5

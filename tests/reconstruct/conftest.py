@@ -10,7 +10,8 @@ import pytest
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.options import CanonicalOptions
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.train_canonical import train_canonical
 
 RADIUS = 0.45
 TRAVEL = np.array([0.3, 0.0, 0.15])  # of the centre, from time 0 to time 1, box units

@@ -6,8 +6,8 @@ from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
-from devrf.reconstruct.train_canonical import RestModel
 
 AABB = torch.tensor([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]])
 RADIUS, TRAVEL, KEYS = 0.45, 0.3, 3

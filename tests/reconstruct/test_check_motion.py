@@ -19,7 +19,7 @@ from devrf.reconstruct.model import DynamicModel, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 GAP = 0.25  # from one of the ball's pictures to the next
 

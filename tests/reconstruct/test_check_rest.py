@@ -12,7 +12,7 @@ from devrf.capture.simulate.damage import zoomed
 from devrf.pipelines.health.at_rest import at_rest_rows
 from devrf.reconstruct.check_rest import RestFit, check_rest
 from devrf.reconstruct.displacement import Displacement
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 
 def words(scene: Scene, rest: RestModel) -> dict[str, str]:

@@ -27,8 +27,8 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.options import MotionOptions, preset
 from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.train_canonical import RestModel
 from devrf.reconstruct.train_motion import train_motion
 
 TIMES = 9

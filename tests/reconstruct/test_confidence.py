@@ -22,8 +22,8 @@ from devrf.reconstruct.evidence import Evidence
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
-from devrf.reconstruct.train_canonical import RestModel
 
 SOLID = 0.9  # opacity of pixels that surely show the ball
 

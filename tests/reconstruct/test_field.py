@@ -11,7 +11,7 @@ from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.render import segments_in
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 
 def _by_hand(model: DynamicModel, time: float | None) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,8 @@ from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.train_canonical import train_canonical
 
 REST = CanonicalOptions(
     resolution=36, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),

@@ -18,8 +18,9 @@ from devrf.pipelines.health.training import flow_rows, restart_rows
 from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.guard import MOST, SMALLER, Guard
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import _Recipe as RestRecipe
+from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import _Recipe as MotionRecipe
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.training_log import TrainingLog

@@ -13,7 +13,7 @@ from devrf.reconstruct.clocks import LearnedClock, with_clocks
 from devrf.reconstruct.late_camera import WIDE, fits_better, moved_by, offset_pictures
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions, preset
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_deformation import train_deformation
 
 TIMES, LATE = 11, 2  # pictures of each camera; pictures by which one is late

@@ -24,8 +24,8 @@ from devrf.reconstruct.model_io import (
     save_rest,
 )
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
-from devrf.reconstruct.train_canonical import RestModel
 
 AABB = torch.tensor([[-1.0, -1, -1], [1.0, 1, 1]])
 

@@ -23,7 +23,8 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_deformation import train_deformation
 
 SHORT = replace(

@@ -20,9 +20,10 @@ from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import MotionOptions, preset
 from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import fewer_voxels, levels_for, needed_resolution
 from devrf.reconstruct.still_keys import still_keys
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
 
 MOTION = MotionOptions(

@@ -17,7 +17,7 @@ from devrf.reconstruct.geometry.field import Field, field_at
 from devrf.reconstruct.geometry.seen import SeenView, agreed, look, solid
 from devrf.reconstruct.geometry.surface import apart, coloured, moved, normals_of, rested, resting, surface_of
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.train_canonical import RestModel
+from devrf.reconstruct.rest_model import RestModel
 
 pytest.importorskip("skimage")
 LEVEL = 0.5

@@ -11,7 +11,8 @@ from devrf.capture.scene import load_image, plain_colour
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch

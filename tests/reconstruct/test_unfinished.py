@@ -12,7 +12,8 @@ from tests.reconstruct.test_resuming import MOTION, SHORT
 from devrf.capture.errors import ReconstructError
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.train_canonical import RestModel, train_canonical
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.unfinished import motion_in_training, rest_in_training
 from devrf.reconstruct.watch import Watch
