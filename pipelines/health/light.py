@@ -1,6 +1,7 @@
 """Health rows about light: exposure, white balance and lamps in clips; settings of photos; levels of RAW."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ FLOOR_SHARE = 0.02  # of the range, where a file says that black is 0: sensors p
 WHITE_SHARE = 0.97  # of the white level: sensors saturate within 3 % of what their files say
 PILED_UP = 20.0  # times more values at the highest than below it: that is where the sensor saturates
 BALANCE_SHARE = 0.01  # cameras round their multipliers to less
+FEWEST_ALIKE = 3  # cameras: two may do the same by chance
+ALIKE = 2.0  # times the smallest change that the largest may be: cameras look at other parts of the scene
 EXPOSURE_STOPS = 0.1  # a third of a camera's smallest step
 
 
@@ -24,9 +27,12 @@ def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
     """Rows about the clips of the fixed cameras and all photos of an ingest folder."""
     rows: list[HealthRow] = []
     fixed = [name for name in frames.moving if (folder / "light" / f"{name}.npy").is_file()]
-    for name in fixed:
-        course = LightCourse.read(folder / "light" / f"{name}.npy")
-        rows += clip_rows(name, frames.cameras[name].source, judge_light(course))
+    found = {name: judge_light(LightCourse.read(folder / "light" / f"{name}.npy")) for name in fixed}
+    if changes_alike(found):
+        rows.append(_scene_row([light.exposure.stops for light in found.values() if light.exposure]))
+        found = {name: replace(light, exposure=None) for name, light in found.items()}
+    for name, light in found.items():
+        rows += clip_rows(name, frames.cameras[name].source, light)
     if fixed and not rows:
         rows.append(note("light of the fixed cameras", "steady"))
     for path in sorted((folder / "raw").glob("*.json")):
@@ -37,6 +43,27 @@ def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
         photos = {f.place: f.exif.exposure_stops for f in camera.used if f.exif is not None}
         rows += exposure_rows(name, photos)
     return rows
+
+
+def changes_alike(found: Mapping[str, LightFound]) -> bool:
+    """Whether all of several cameras get brighter, or all darker, by about as much: so does the scene.
+
+    When is not asked, because clocks are not known yet.
+    """
+    stops = [0.0 if light.exposure is None else light.exposure.stops for light in found.values()]
+    low, high = min(map(abs, stops), default=0.0), max(map(abs, stops), default=0.0)
+    same_way = len({s > 0 for s in stops}) == 1
+    return len(stops) >= FEWEST_ALIKE and same_way and 0 < low and high <= ALIKE * low
+
+
+def _scene_row(stops: list[float]) -> HealthRow:
+    return note(
+        "light of the scene",
+        f"all {len(stops)} fixed cameras see it change by {min(stops):+.2f} to {max(stops):+.2f} EV",
+        verdict="warn",
+        remedy="A lamp, the sun or a screen changes: keep the light as it is in the sweep. If all cameras choose their "
+        "exposure by themselves, lock it.",
+    )
 
 
 def clip_rows(name: str, source: str, light: LightFound) -> list[HealthRow]:

@@ -14,7 +14,7 @@ from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
 from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
-from devrf.pipelines.health.light import clip_rows, exposure_rows, raw_rows
+from devrf.pipelines.health.light import changes_alike, clip_rows, exposure_rows, raw_rows
 from devrf.pipelines.health.rows import HealthRow
 
 LEVELS = {"black": (512, 512, 512, 512), "white": 16383}
@@ -57,6 +57,24 @@ def test_a_photo_unlike_the_others_is_named(tmp_path, file, check, says, verdict
     )
     assert isinstance(row.value, str) and "1 of 4 files" in row.value
     assert says in row.value and row.value.endswith("IMG_3.dng")
+
+
+@pytest.mark.parametrize(
+    ("stops", "alike"),
+    [
+        ((-0.15, -0.12, -0.11, -0.12), True),
+        ((-0.15, -0.12, 0.11, -0.12), False),  # one the other way: its own doing
+        ((-0.15, -0.12, None, -0.12), False),
+        ((-0.15, -0.12, -1.5, -0.12), False),
+        ((-0.15, -0.12), False),  # two may agree by chance
+        ((None, None, None), False),
+        ((), False),
+    ],
+)
+def test_light_that_all_cameras_see_change_is_the_scene_s(stops, alike):
+    changes = [None if s is None else Change(s, 0.5, 1.2) for s in stops]
+    found = {f"cam{n}": LightFound(None, change, None, 1.0) for n, change in enumerate(changes)}
+    assert changes_alike(found) == alike
 
 
 def test_exposure_of_photos_by_their_settings():
