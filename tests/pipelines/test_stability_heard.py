@@ -48,6 +48,17 @@ def test_precision_asks_the_cases_with_complaints() -> None:
     assert found.alarms == ("rig: scale",)
 
 
+def test_a_complaint_before_the_axis_breaks_is_early() -> None:
+    """Noticed at 1, broken at 2; of `whole`, which never breaks, the same complaint is no early one."""
+    found = known(
+        case("early", 1, 24.8, True), case("early", 2, 20, True),
+        case("whole", 1, 24.8, True), case("whole", 2, 24.8, True),
+    )  # fmt: skip
+    assert found.unfounded == ("early 1, seed 0", "whole 1, seed 0", "whole 2, seed 0")
+    assert found.early == ("early 1, seed 0",)
+    assert (found.precision, found.precision_or_early) == (0.25, 0.5)
+
+
 def test_damage_that_training_mended_is_no_false_alarm() -> None:
     """It is noticed, but no case of precision; together with another complaint it is one."""
     ran_away = "times that training ran away and went back"

@@ -3,7 +3,8 @@
 Recall asks the axes: of those that break, at how many does the pipeline speak up at or before the failure point?
 Precision asks the cases: of those in which something new is said, in how many has the result really suffered? A case
 that was stopped has said so, and has. Where all that is new is that training mended something, the damage is real, and
-an unharmed result is what mending is for: such a case is not asked.
+an unharmed result is what mending is for: such a case is not asked. A complaint below the failure point of an axis is
+what recall asks for; where the result has not suffered yet, it counts against precision, and is named early.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,6 +30,7 @@ class Heard:
         spoken: Cases in which something is said that the undisturbed case does not say, more than that training
             mended something: "axis severity, seed".
         unfounded: Those of them that lost less than `SUFFERED_DB`.
+        early: Those of these whose axis breaks at a greater severity.
         alarms: What is said of the undisturbed cases themselves.
     """
 
@@ -36,6 +38,7 @@ class Heard:
     missed: tuple[str, ...]
     spoken: tuple[str, ...]
     unfounded: tuple[str, ...]
+    early: tuple[str, ...]
     alarms: tuple[str, ...]
 
     @property
@@ -47,6 +50,12 @@ class Heard:
     def precision(self) -> float | None:
         """Share of the cases with complaints that suffered; None where there are none."""
         return 1 - len(self.unfounded) / len(self.spoken) if self.spoken else None
+
+    @property
+    def precision_or_early(self) -> float | None:
+        """The same, a complaint before the axis breaks counted as right."""
+        wrong = len(self.unfounded) - len(self.early)
+        return 1 - wrong / len(self.spoken) if self.spoken else None
 
 
 def heard(
@@ -63,17 +72,23 @@ def heard(
     broken = tuple(name for name in results if found[name].failure is not None)
     cases = [r for of_axis in results.values() for r in of_axis]
     spoken = [r for r in cases if _warns(r, of_seed[r.seed])]
+    unfounded = [r for r in spoken if not _suffered(r, of_seed[r.seed])]
     return Heard(
         broken=broken,
         missed=tuple(name for name in broken if not _in_time(found[name])),
         spoken=tuple(_called(r) for r in spoken),
-        unfounded=tuple(_called(r) for r in spoken if not _suffered(r, of_seed[r.seed])),
+        unfounded=tuple(map(_called, unfounded)),
+        early=tuple(_called(r) for r in unfounded if _breaks_later(r, found[r.axis])),
         alarms=tuple(dict.fromkeys(words for r in undisturbed for words in said(r, None))),
     )
 
 
 def _in_time(found: Points) -> bool:
     return found.failure is not None and found.notice is not None and found.notice <= found.failure
+
+
+def _breaks_later(result: Result, found: Points) -> bool:
+    return found.failure is not None and found.failure > result.severity
 
 
 def _warns(result: Result, undisturbed: Result) -> bool:

@@ -72,7 +72,8 @@ def _heard(known: Heard) -> str:
         + (f" Missed: {', '.join(known.missed)}." if known.missed else ""),
         f"Precision: of {len(known.spoken)} cases with a complaint that training did not mend, "
         f"{len(known.spoken) - len(known.unfounded)} lost {SUFFERED_DB:g} dB or more."
-        + (f" The others: {'; '.join(known.unfounded)}." if known.unfounded else ""),
+        + (f" The others: {'; '.join(known.unfounded)}." if known.unfounded else "")
+        + (f" Early, because their axes break further on: {'; '.join(known.early)}." if known.early else ""),
         f"Said of the undisturbed scene: {'; '.join(known.alarms) or 'nothing'}.",
     ]
     return "".join(f"<p>{text(line)}</p>" for line in lines)

@@ -135,7 +135,8 @@ def run_stability(
         left_out=left_out,
         axes={name: {"what": a.what, "unit": a.unit} for name, a in AXES.items() if name in results},
         points={name: asdict(p) for name, p in found.items()},
-        heard=asdict(known) | {"recall": known.recall, "precision": known.precision},
+        heard=asdict(known)
+        | {name: getattr(known, name) for name in ("recall", "precision", "precision_or_early")},
         cases=[asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
     )
     say_files(talk, json_path)
@@ -200,6 +201,7 @@ def _heard_rows(known: Heard) -> list[Row]:
     """Recall, precision and false alarms, and what keeps them from being perfect."""
     missed = f"nothing is said in time of {', '.join(known.missed)}" if known.missed else None
     lost = f"less than {SUFFERED_DB:g} dB lost: {'; '.join(known.unfounded)}" if known.unfounded else None
+    early = f"before the axis breaks: {'; '.join(known.early)}" if known.early else None
     said_anyway = f"said of the undisturbed scene: {'; '.join(known.alarms)}" if known.alarms else None
     recall = Row("stability/recall", known.recall, "", why=missed if known.broken else "nothing breaks")
     precision = Row(
@@ -208,6 +210,7 @@ def _heard_rows(known: Heard) -> list[Row]:
     return [
         with_goal(recall, HEARD_GOAL),
         with_goal(precision, HEARD_GOAL),
+        Row("stability/precision, early or hurt", known.precision_or_early, "", why=early),
         Row("stability/undisturbed/complaints", float(len(known.alarms)), "", why=said_anyway),
     ]
 
