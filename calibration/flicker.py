@@ -67,12 +67,15 @@ class LightFound:
         exposure: The largest change of exposure, or None where it is below `EXPOSURE_STOPS` or within the noise.
         colour: The largest change of R/G or B/G, or None where both are below `COLOUR_STOPS` or within the noise.
         known: Share of the frames in which the light is known.
+        left: The largest change that gains do not make up for, log2: the median over what stands still, which a
+            curve that is not sRGB, a lamp that moves or clipping on the way makes differ from place to place.
     """
 
     flicker: Flicker | None
     exposure: Change | None
     colour: Change | None
     known: float
+    left: float = 0.0
 
     @property
     def steady(self) -> bool:
@@ -99,6 +102,7 @@ def judge_light(course: LightCourse) -> LightFound:
         _change(time_s, stops.mean(axis=-1), EXPOSURE_STOPS),
         max((c for c in colours if c is not None), key=lambda change: abs(change.stops), default=None),
         share,
+        float(median_filter(course.left[known], SMOOTH_FRAMES, mode="nearest").max()),
     )
 
 

@@ -30,6 +30,8 @@ AGREE_STOPS = 0.15  # cells agree within this: lamps differ by 10 % between rows
 AGREE_SHARE = 0.1  # ... and this share of the change: a camera's curve is not exactly sRGB
 FEWEST_CELLS = 20  # a median of fewer says nothing
 FEWEST_AGREEING = 0.5  # of the cells: a subject that fills the picture hides the light
+COLUMNS = 6 + BANDS
+NOTHING = np.full(3, np.nan), np.nan, np.full(BANDS, np.nan)  # what is known of the light where it is hidden
 
 
 @dataclass(frozen=True)
@@ -40,17 +42,19 @@ class LightCourse:
         index: Numbers of the frames [n].
         time_s: Their times [n], seconds.
         stops: Light of R, G, B against the first frame [n, 3], log2; NaN where what moves hides it.
-        bands: The same of the grey picture by bands of rows in the order the sensor reads them [n, bands].
+        left: What `stops` do not explain [n], log2: the median over still cells and channels; NaN like `stops`.
+        bands: As `stops`, of the grey picture by bands of rows in the order the sensor reads them [n, bands].
     """
 
     index: Int[np.ndarray, " n"]
     time_s: Float[np.ndarray, " n"]
     stops: Float[np.ndarray, "n 3"]
+    left: Float[np.ndarray, " n"]
     bands: Float[np.ndarray, "n bands"]
 
     def write(self, path: Path) -> None:
-        """Write a table [n, 5 + bands]: frame, seconds, stops of R, G, B, stops of the bands."""
-        np.save(path, np.column_stack([self.index, self.time_s, self.stops, self.bands]))
+        """Write a table [n, 6 + bands]: frame, seconds, stops of R, G, B, what they leave, stops of the bands."""
+        np.save(path, np.column_stack([self.index, self.time_s, self.stops, self.left, self.bands]))
 
     @staticmethod
     def read(path: Path) -> "LightCourse":
@@ -61,8 +65,8 @@ class LightCourse:
         """
         try:
             table = read_npy(path)
-            if table.ndim != 2 or table.shape[1] != 5 + BANDS:
-                raise ValueError(f"a table {table.shape}, expected {5 + BANDS} columns")
+            if table.ndim != 2 or table.shape[1] != COLUMNS:
+                raise ValueError(f"a table {table.shape}, expected {COLUMNS} columns")
         except (ArrayError, ValueError) as error:
             raise CaptureError(f"{path}: cannot be read ({error}); run again with --from ingest") from None
         return _course(table)
@@ -80,14 +84,12 @@ class LightMeter:
         cells = cv2.resize(cv2.LUT(small, LINEAR_OF_LEVEL), CELLS[::-1], interpolation=cv2.INTER_AREA)
         if self._first is None and _comparable(cells).sum() >= FEWEST_CELLS:
             self._first = cells
-        stops, bands = np.full(3, np.nan), np.full(BANDS, np.nan)
-        if self._first is not None:
-            stops, bands = _against(self._first, cells)
-        self._rows.append(np.concatenate([[index, time_s], stops, bands]))
+        stops, left, bands = NOTHING if self._first is None else _against(self._first, cells)
+        self._rows.append(np.concatenate([[index, time_s], stops, [left], bands]))
 
     def course(self) -> LightCourse:
         """What was measured."""
-        table = np.array(self._rows).reshape(-1, 5 + BANDS)
+        table = np.array(self._rows).reshape(-1, COLUMNS)
         return _course(table)
 
 
@@ -111,7 +113,7 @@ def highlight_faults(shares: Sequence[float]) -> list[Fault]:
 
 
 def _course(table: Float[np.ndarray, "n columns"]) -> LightCourse:
-    return LightCourse(table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 5:])
+    return LightCourse(table[:, 0].astype(np.int64), table[:, 1], table[:, 2:5], table[:, 5], table[:, 6:])
 
 
 def _comparable(cells: Float[np.ndarray, "rows columns 3"]) -> Bool[np.ndarray, "rows columns"]:
@@ -120,22 +122,22 @@ def _comparable(cells: Float[np.ndarray, "rows columns 3"]) -> Bool[np.ndarray, 
 
 def _against(
     first: Float[np.ndarray, "rows columns 3"], cells: Float[np.ndarray, "rows columns 3"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, " bands"]]:
-    """Stops of R, G, B over the picture and of grey by bands, by the cells that agree with most."""
-    nothing = np.full(3, np.nan), np.full(BANDS, np.nan)
+) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " bands"]]:
+    """Stops of R, G, B over the picture, what they leave, and grey by bands, by the cells that agree with most."""
     usable = _comparable(first) & (cells.max(axis=-1) < NEAR_WHITE)
     if usable.sum() < FEWEST_CELLS:
-        return nothing
+        return NOTHING
     ratio = np.log2(np.maximum(cells, 1e-6) / np.maximum(first, 1e-6)).astype(np.float64)
     grey = ratio.mean(axis=-1)
     middle = float(np.median(grey[usable]))
     agrees = usable & (np.abs(grey - middle) <= AGREE_STOPS + AGREE_SHARE * abs(middle))
     if agrees.sum() < max(FEWEST_CELLS, FEWEST_AGREEING * usable.sum()):
-        return nothing
+        return NOTHING
     by_band = np.sort(
         np.where(agrees, grey, np.inf).reshape(BANDS, -1), axis=-1
     )  # a band is whole rows of cells
     last = np.arange(BANDS), np.maximum(agrees.reshape(BANDS, -1).sum(axis=-1) - 1, 0)
     lower, upper = by_band[last[0], last[1] // 2], by_band[last[0], (last[1] + 1) // 2]
     bands = np.where(np.isfinite(upper), (lower + upper) / 2, np.nan)
-    return np.median(ratio[agrees], axis=0), bands
+    stops = np.median(ratio[agrees], axis=0)
+    return stops, float(np.median(np.abs(ratio[agrees] - stops))), bands

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from devrf.calibration.flicker import LightFound, judge_light
+from devrf.calibration.flicker import EXPOSURE_STOPS, LightFound, judge_light
 from devrf.capture.frames import FrameSet, places
 from devrf.capture.light import CLIPPED_SHARE, LightCourse
 from devrf.capture.raw_set import read_raw_sidecar
@@ -20,7 +20,7 @@ PILED_UP = 20.0  # times more values at the highest than below it: that is where
 BALANCE_SHARE = 0.01  # cameras round their multipliers to less
 FEWEST_ALIKE = 3  # cameras: two may do the same by chance
 ALIKE = 2.0  # times the smallest change that the largest may be: cameras look at other parts of the scene
-EXPOSURE_STOPS = 0.1  # a third of a camera's smallest step
+PHOTO_STOPS = 0.1  # a third of a camera's smallest step
 
 
 def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
@@ -29,10 +29,11 @@ def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
     fixed = [name for name in frames.moving if (folder / "light" / f"{name}.npy").is_file()]
     found = {name: judge_light(LightCourse.read(folder / "light" / f"{name}.npy")) for name in fixed}
     if changes_alike(found):
-        rows.append(_scene_row([light.exposure.stops for light in found.values() if light.exposure]))
+        rows.append(_scene_row([light for light in found.values() if light.exposure]))
         found = {name: replace(light, exposure=None) for name, light in found.items()}
     for name, light in found.items():
-        rows += clip_rows(name, frames.cameras[name].source, light)
+        camera = frames.cameras[name]
+        rows += clip_rows(name, camera.source, light, trains=camera.role != "test")
     if fixed and not rows:
         rows.append(note("light of the fixed cameras", "steady"))
     for path in sorted((folder / "raw").glob("*.json")):
@@ -56,38 +57,47 @@ def changes_alike(found: Mapping[str, LightFound]) -> bool:
     return len(stops) >= FEWEST_ALIKE and same_way and 0 < low and high <= ALIKE * low
 
 
-def _scene_row(stops: list[float]) -> HealthRow:
-    return note(
+def _scene_row(found: list[LightFound]) -> HealthRow:
+    stops = [light.exposure.stops for light in found if light.exposure is not None]
+    return _light_row(
         "light of the scene",
         f"all {len(stops)} fixed cameras see it change by {min(stops):+.2f} to {max(stops):+.2f} EV",
-        verdict="warn",
-        remedy="A lamp, the sun or a screen changes: keep the light as it is in the sweep. If all cameras choose their "
+        max(light.left for light in found),
+        "A lamp, the sun or a screen changes: keep the light as it is in the sweep. If all cameras choose their "
         "exposure by themselves, lock it.",
     )
 
 
-def clip_rows(name: str, source: str, light: LightFound) -> list[HealthRow]:
-    """Rows about one clip; none where its light is steady."""
+def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) -> list[HealthRow]:
+    """Rows about one clip; none where its light is steady.
+
+    Args:
+        name: Of the camera.
+        source: Its clip.
+        light: What changes in it.
+        trains: Whether gains are to make up for it; pictures of test cameras are compared as they were filmed.
+    """
     rows = []
+    left = light.left if trains else None
     if light.known < 0.5:
         rows.append(note(f"light of {name}", "not measured: what moves fills most of the picture"))
     if light.exposure is not None:
         rows.append(
-            note(
+            _light_row(
                 f"exposure of {name}",
                 f"{light.exposure.stops:+.2f} EV {_when(light.exposure.from_s, light.exposure.to_s)}",
-                verdict="warn",
-                remedy=f"{source}: exposure is automatic; set shutter, gain and aperture by hand and lock them.",
+                left,
+                f"{source}: exposure is automatic; set shutter, gain and aperture by hand and lock them.",
             )
         )
     if light.colour is not None:
         share = 100 * (2**light.colour.stops - 1)
         rows.append(
-            note(
+            _light_row(
                 f"white balance of {name}",
                 f"red or blue against green {share:+.0f} % {_when(light.colour.from_s, light.colour.to_s)}",
-                verdict="warn",
-                remedy=f"{source}: white balance is automatic; set it by hand and lock it.",
+                left,
+                f"{source}: white balance is automatic; set it by hand and lock it.",
             )
         )
     if light.flicker is not None:
@@ -102,6 +112,16 @@ def clip_rows(name: str, source: str, light: LightFound) -> list[HealthRow]:
             )
         )
     return rows
+
+
+def _light_row(check: str, change: str, left: float | None, remedy: str) -> HealthRow:
+    """A change of light: healthy where gains make up for it, so that no more is left than a steady clip may change."""
+    if left is None:
+        return note(check, f"{change}; test pictures stay as they were filmed", verdict="warn", remedy=remedy)
+    share = 100 * (2**left - 1)
+    if left <= EXPOSURE_STOPS:
+        return note(check, f"{change}; gains make up for it: {share:.1f} % is left")
+    return note(check, f"{change}; gains leave {share:.0f} %", verdict="warn", remedy=remedy)
 
 
 def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
@@ -160,7 +180,7 @@ def exposure_rows(name: str, stops: Mapping[str, float | None]) -> list[HealthRo
     """A row about a folder of photos whose settings give them unequal light; none where all are alike or unknown."""
     known = {photo: value for photo, value in stops.items() if value is not None}
     middle = float(np.median(list(known.values()))) if known else 0.0
-    off = [photo for photo, value in known.items() if abs(value - middle) > EXPOSURE_STOPS]
+    off = [photo for photo, value in known.items() if abs(value - middle) > PHOTO_STOPS]
     if not off:
         return []
     span = max(known.values()) - min(known.values())

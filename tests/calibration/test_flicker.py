@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float, UInt8
 
-from devrf.calibration.flicker import judge_light, steady_gains
+from devrf.calibration.flicker import EXPOSURE_STOPS, judge_light, steady_gains
 from devrf.capture.light import LightCourse, LightMeter
 from devrf.capture.srgb import LINEAR_OF_LEVEL, srgb_from_linear
 
@@ -97,8 +97,16 @@ def test_automatic_white_balance():
     found = judge_light(course)
     assert found.colour is not None and found.colour.stops == pytest.approx(-0.16, abs=0.006)
     assert found.exposure is None  # the mean of the three changes by 0.02 stops
+    assert found.left < EXPOSURE_STOPS
     gains = steady_gains(course)
     assert gains is not None and spread(pictures, gains) < 0.003
+
+
+def test_what_gains_leave_of_light_that_changes_from_place_to_place():
+    """A lamp that sinks: what falls down the picture by 0.4 stops differs from its middle by 0.1 in the median."""
+    falls = np.linspace(-0.2, 0.2, 12) * np.clip(TIME_S - 2.0, 0, 1)[:, None]
+    found = judge_light(measure(film(np.exp2(falls - 0.5 * (falls != 0))[..., None] * np.ones(3)), TIME_S))
+    assert found.exposure is not None and found.left == pytest.approx(0.1, abs=0.036)  # between rows
 
 
 @pytest.mark.parametrize(("lamp_hz", "fps"), [(100.0, 29.97), (120.0, 25.0), (100.2, 24.0)])

@@ -104,15 +104,27 @@ def test_rows_of_clips():
     exposure, colour, lamps = clip_rows(
         "cam1",
         "cam1.mp4",
-        LightFound(Flicker(100.0, 9.92, 0.105), Change(0.4, 2.1, 5.0), Change(-0.16, 3.0, 3.05), 1.0),
+        LightFound(Flicker(100.0, 9.92, 0.105), Change(0.4, 2.1, 5.0), Change(-0.16, 3.0, 3.05), 1.0, 0.06),
     )
-    assert exposure.value == "+0.40 EV between 2.10 and 5.00 s" and "cam1.mp4" in exposure.remedy
-    assert colour.value == "red or blue against green -10 % at 3.00 s"
+    assert (
+        exposure.value == "+0.40 EV between 2.10 and 5.00 s; gains leave 4 %"
+        and "cam1.mp4" in exposure.remedy
+    )
+    assert colour.value == "red or blue against green -10 % at 3.00 s; gains leave 4 %"
     assert (
         str(lamps.value).startswith("flicker by 10 % on mains of 50 Hz") and "1/50 or 1/100 s" in lamps.remedy
     )
     (hidden,) = clip_rows("cam1", "cam1.mp4", LightFound(None, None, None, 0.2))
     assert hidden.verdict == "ok" and "not measured" in str(hidden.value)
+
+
+def test_light_that_gains_make_up_for_is_no_warning_but_in_test_pictures():
+    """They are compared as they were filmed."""
+    light = LightFound(None, Change(0.4, 2.1, 5.0), None, 1.0, left=0.02)
+    (row,) = clip_rows("cam1", "cam1.mp4", light)
+    assert row.verdict == "ok" and str(row.value).endswith("gains make up for it: 1.4 % is left")
+    (row,) = clip_rows("cam1", "cam1.mp4", light, trains=False)
+    assert row.verdict == "warn" and "as they were filmed" in str(row.value) and "lock" in row.remedy
 
 
 def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
@@ -163,6 +175,7 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     out = tmp_path / "run" / "ingest"
     rows = {row["check"]: row for row in json.loads((out / "health.json").read_text())["rows"]}
     assert rows["exposure of cam0"]["value"].startswith("+0.4")
+    assert "gains make up for it" in rows["exposure of cam0"]["value"]
     assert "red or blue against green" in rows["white balance of cam1"]["value"]
     assert "mains of 60 Hz" in rows["lamps seen by cam2"]["value"]
     about_light = ("exposure of", "white balance of", "lamps seen by", "highlights", "light of")
