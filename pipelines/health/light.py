@@ -29,7 +29,7 @@ def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
     fixed = [name for name in frames.moving if (folder / "light" / f"{name}.npy").is_file()]
     found = {name: judge_light(LightCourse.read(folder / "light" / f"{name}.npy")) for name in fixed}
     if changes_alike(found):
-        rows.append(_scene_row([light for light in found.values() if light.exposure]))
+        rows.append(_scene_row(list(found.values())))
         found = {name: replace(light, exposure=None) for name, light in found.items()}
     for name, light in found.items():
         camera = frames.cameras[name]
