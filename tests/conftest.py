@@ -16,6 +16,8 @@ import pytest
 if TYPE_CHECKING:
     from devrf.capture.scene import Scene, Split
 
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before a test imports torch; devrf does the same
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests

@@ -162,9 +162,9 @@ def _command(task: Task) -> list[str]:
 
 
 def _environment(task: Task, gpu: int | None) -> dict[str, str]:
-    """Threads for its share of the cores. OpenMP's wait asleep, or two trainings side by side slow each other."""
+    """Threads for its share of the cores."""
     threads = str(task.threads)
-    ours = {"OMP_NUM_THREADS": threads, "OPENCV_FOR_THREADS_NUM": threads, "OMP_WAIT_POLICY": "PASSIVE"}
+    ours = {"OMP_NUM_THREADS": threads, "OPENCV_FOR_THREADS_NUM": threads}
     if gpu is not None:
         seen = os.environ.get(VISIBLE_GPUS)
         ours[VISIBLE_GPUS] = seen.split(",")[gpu].strip() if seen else str(gpu)
