@@ -183,10 +183,16 @@ Command = Callable[..., CommandResult]
 
 @pytest.fixture(scope="session")
 def devrf() -> Command:
-    """Call the command line in this process, as below its supervisor: `devrf("run", scene, "--until", "ingest")`."""
+    """Call the command line in this process, as below its supervisor: `devrf("run", scene, "--until", "ingest")`.
+
+    Stages read nothing that they do not declare (tests/declared.py).
+    """
+    from tests.declared import watch
     from typer.testing import CliRunner
 
     from devrf.pipelines.cli import app
+
+    watched = watch()
 
     def call(*arguments: str | Path) -> CommandResult:
         start = time.monotonic()
@@ -194,6 +200,7 @@ def devrf() -> Command:
         seconds, err = time.monotonic() - start, result.stderr
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             err += "".join(traceback.format_exception(result.exception))
+        assert watched.undeclared() == []
         return CommandResult(result.exit_code, result.stdout, err, seconds)
 
     return call
@@ -239,3 +246,18 @@ def example_run(devrf_process: Command, tmp_path_factory: pytest.TempPathFactory
     result = devrf_process("run", folder, "--preset", "tiny", "--set", "output=run")
     assert result.code == 0, result.said
     return ExampleRun(folder / "scene.yaml", run_dir)
+
+
+@pytest.fixture(scope="session")
+def small_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
+    """The pipeline, run once in this process on a session that takes seconds."""
+    from tests.end_to_end.small_session import write_small_session
+
+    from devrf.pipelines.stages import render
+
+    scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("small"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(render.SIZES, "tiny", (12, 12.0, 8_000))
+        result = devrf("run", scene, "--device", "cpu")
+    assert result.code == 0, result.said
+    return ExampleRun(scene, scene.parent / "run")
