@@ -54,7 +54,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     What looks at a run of the whole example belongs to the full tier.
     """
     for item in items:
-        runs = [name for name in RUNS if name in getattr(item, "fixturenames", ())]
+        assert isinstance(item, pytest.Function)
+        used = [*item.fixturenames, *(item.callspec.params.values() if hasattr(item, "callspec") else ())]
+        runs = [name for name in RUNS if name in used]
         item.add_marker(pytest.mark.xdist_group(runs[0] if runs else item.path.stem))
         if "example_run" in runs:
             item.add_marker(pytest.mark.full)
