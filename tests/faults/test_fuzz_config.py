@@ -277,7 +277,7 @@ def test_configurations(
     run: Fuzzer,
     folder: Path,
     data_set: None,
-    devrf: Command,
+    devrf_process: Command,
     kind: str,
     faults: Literal["small", "full"],
     figures: Figures,
@@ -299,7 +299,7 @@ def test_configurations(
         codes[str(outcome.code)] += 1
         fault = outcome.fault(allowed)
         if fault is None and codes.total() % every == 0:
-            again = devrf(*arguments)
+            again = devrf_process(*arguments)
             if again.code != outcome.code or "Traceback" in again.said:
                 fault = f"in a process of its own: exit code {again.code}\n{again.said[-1000:]}"
         assert fault is None, f"{fault}\n--- it said\n{outcome.said[-3000:]}\n--- scene.yaml\n{text}"

@@ -62,6 +62,7 @@ def _error(scene: Scene, model: DynamicModel) -> float:
     return float(np.mean([(a - b) ** 2 for a, b in pairs]))
 
 
+@pytest.mark.full
 def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel, tmp_path: Path) -> None:
     scene, motion = _darker(ball.scene, tmp_path), _true_motion(ball, rest)
     before = {name: getattr(rest.canonical, name).clone() for name in ("density", "features", "distance")}
@@ -90,6 +91,7 @@ def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
         assert kept.model is not None and kept.decision is None
 
 
+@pytest.mark.full
 def test_a_motion_too_large_for_the_device_is_taken_in_parts(
     ball, rest: RestModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

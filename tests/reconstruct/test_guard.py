@@ -142,6 +142,7 @@ def test_cameras_that_take_turns_may_differ(ball, rest: RestModel, tmp_path: Pat
     assert metrics["restarts"] == metrics["keys_left"] == 0
 
 
+@pytest.mark.full
 def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     ball, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -158,6 +159,7 @@ def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     assert again.metrics["restarts"] == caught.metrics["restarts"]
 
 
+@pytest.mark.full
 def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestModel, tmp_path: Path) -> None:
     _, good = train_motion(ball.scene, rest, {}, MOTION)
     assert good["restarts"] == good["keys_left"] == 0
@@ -179,6 +181,7 @@ def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> No
     assert (tuned.gain_db or 0) > -3  # no more than doubles the error: else it would have gone back again
 
 
+@pytest.mark.full
 def test_losses_that_double_by_chance_change_nothing(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,6 +208,7 @@ def test_a_motion_that_is_no_number_is_not_kept(
     assert metrics["restarts"] == 1 and motion.backward.isfinite().all()
 
 
+@pytest.mark.full
 def test_what_smaller_steps_do_not_help_ends_with_a_message(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,7 @@ def _peak(scene: Scene, options: CanonicalOptions, folder: Path) -> int:
     return json.loads(done.stdout)
 
 
+@pytest.mark.full
 def test_a_limit_is_kept_by_a_real_training(ball, tmp_path: Path) -> None:
     """At most a tenth above what was predicted where nothing is to be done, and below the limit where there is."""
     wide = replace(REST, resolution=128, iterations=8, occupancy_every=2, coarse_iterations=4, mlp_width=64)

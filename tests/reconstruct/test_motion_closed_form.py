@@ -36,6 +36,7 @@ REST = CanonicalOptions(
 )  # fmt: skip
 
 
+@pytest.mark.full
 def test_one_rigid_step_is_recovered_to_a_tenth_of_a_voxel(ball, tmp_path: Path) -> None:
     """The published losses, schedule in small; the pictures are the model's own, so nothing else is wrong."""
     rest = train_canonical(ball.scene, REST)

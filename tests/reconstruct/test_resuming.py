@@ -79,12 +79,14 @@ def test_scene_at_rest(ball, tmp_path: Path, deferred: bool) -> None:
     _assert_same_rest(ball.scene, replace(SHORT, deferred=deferred), tmp_path, deaths)
 
 
+@pytest.mark.full
 def test_search_of_the_box_by_a_coarse_model(ball, tmp_path: Path) -> None:
     options = replace(SHORT, box_search="coarse", coarse_iterations=350, coarse_rays=512)
     deaths = {("box", done) for done in (1, 100, 249, 350)} | {("", 3), ("", 20)}
     _assert_same_rest(ball.scene, options, tmp_path, deaths)
 
 
+@pytest.mark.full
 def test_surroundings(ball, tmp_path: Path) -> None:
     """The coarse model of everything grows three times, by a quarter of its iterations."""
     scene = replace(ball.scene, background="shell", aabb=np.array([[-0.7] * 3, [0.7] * 3]), far=8.0)
@@ -92,6 +94,7 @@ def test_surroundings(ball, tmp_path: Path) -> None:
     _assert_same_rest(scene, replace(SHORT, coarse_iterations=24), tmp_path, deaths)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("windows", [None, [(0, 1), (1, 3)]], ids=["at once", "in parts"])
 def test_motion_and_fine_tuning(
     ball, rest: RestModel, tmp_path: Path, windows: list | None, monkeypatch: pytest.MonkeyPatch
@@ -112,6 +115,7 @@ def test_motion_and_fine_tuning(
     assert _timeless(metrics) == _timeless(metrics_again)
 
 
+@pytest.mark.full
 def test_without_time_it_does_a_step_and_goes_on(ball, tmp_path: Path) -> None:
     options = replace(SHORT, iterations=6)
     undisturbed = train_canonical(ball.scene, options)
@@ -175,6 +179,7 @@ save_file(_tensors(model), folder / "model")
 """
 
 
+@pytest.mark.full
 def test_killed_by_the_system(ball, tmp_path: Path) -> None:
     """SIGKILL, at whatever the process is doing after its first checkpoint."""
     (tmp_path / "scene").write_bytes(pickle.dumps(ball.scene))
