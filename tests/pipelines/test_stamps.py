@@ -135,7 +135,6 @@ def test_keys_are_found_wherever_they_are_read(tmp_path: Path, monkeypatch: pyte
         "capture.cameras",
         "capture.test_cameras",
         "flow.method",
-        "flow.preset",
         "flow.weights",
     }
 

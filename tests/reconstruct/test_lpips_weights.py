@@ -1,4 +1,4 @@
-"""LPIPS weights: from torchvision and the package `lpips` the same numbers as from ours; from wrong files, a clear message."""
+"""LPIPS weights: of both layouts the same numbers; from wrong files, a clear message."""
 
 import pickle
 import shutil
