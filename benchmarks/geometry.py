@@ -13,13 +13,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image
 from scipy.spatial import KDTree
+from tests.glb import read_glb
 
 from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.camera import Camera
-from devrf.capture.formats import gltf, read_scene
-from devrf.capture.formats.ply import read_positions
+from devrf.capture.formats import read_scene
 from devrf.capture.scene import Scene
 from devrf.capture.simulate.objects import make_object
 from devrf.capture.simulate.scenes import Mesh, room
@@ -45,7 +46,7 @@ def main() -> None:
         folder = run / "export" / name
         for entry in json.loads((folder / "export.json").read_text())["files"]:
             file = entry.get("file") or entry["files"][0]
-            away = truth.distances(read_positions(folder / file), entry["time_s"])
+            away = truth.distances(trimesh.load(folder / file, process=False).vertices, entry["time_s"])
             case = f"geometry/{name}/{entry['time']:.2f}"
             rows += [
                 Row(f"{case}/median", 1e3 * float(np.median(away)), "mm"),
@@ -110,7 +111,7 @@ def _samples(vertices: np.ndarray, faces: np.ndarray, count: int | None = None) 
 
 def _draw(run: Path, scene: Scene) -> None:
     """The animated mesh above what the test camera saw, at a few times."""
-    mesh = gltf.read_glb(run / "export/glb/scene.glb")
+    mesh = read_glb(run / "export/glb/scene.glb")
     facts = json.loads((run / "export/glb/export.json").read_text())
     seen = [f for f in scene.dynamic if f.split == "test"]
     columns = []

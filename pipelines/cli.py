@@ -138,9 +138,7 @@ def batch(
     allow_unhealthy: Annotated[
         bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
     ] = False,
-    out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json and batch.html")] = Path(
-        "batch"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json")] = Path("batch"),
     store: Annotated[
         str | None,
         typer.Option(

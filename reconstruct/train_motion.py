@@ -59,6 +59,9 @@ from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
+LIVE_EVERY = (
+    10  # iterations between rebuilds of where the moving scene may be; 3 voxels more cover its way meanwhile
+)
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 JUDGED = 512  # rays by which it is seen whether a key has become worse: the same before and after
 WORSE = 1.26  # 1 dB: by how much worse a key may fit them than before; steps a third as large do a third of the harm
@@ -252,7 +255,8 @@ class _Recipe:
     def lr(self) -> float:
         """Learning rate of the present level."""
         levels = len(self.options.levels)
-        return self.guard.rate * self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
+        lr = self.options.learning_rate * self.options.lr
+        return self.guard.rate * lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
 
     def state(self) -> State:
         """Everything that the next key depends on."""
@@ -401,7 +405,7 @@ class _Recipe:
         o, motion, key = self.options, self.window, self.key
         batch = self._draw()
         tau = self._tau(batch.frame)
-        if self.live is None or self.step_of_key % o.live_every == 0:
+        if self.live is None or self.step_of_key % LIVE_EVERY == 0:
             taus = self._tau(self.pictures).unique()
             self.live = live_distance(self.rest, motion, torch.cat([taus, taus.new_tensor([key])]), 3)
         self.step_of_key += 1

@@ -29,7 +29,6 @@ TRAINED = ("canonical", "deformation")  # stages that train
 # Bytes on disk for each pixel of a picture
 STORED = 0.4  # out of a clip: 0.22 to 0.36 at 1080p (docs/ingest.md)
 DEVELOPED = 2.0  # of a developed RAW photo, a PNG: 3 bytes of colour, of which it saves a third
-LINEAR = 6.0  # more, where the photo is kept in linear light: 16 bits, whose noise no PNG makes smaller
 USUAL_FPS = 30.0  # where a file announces neither the number of its pictures nor their rate
 UNKNOWN_S = 60.0  # length of a clip that announces none
 
@@ -258,7 +257,7 @@ def _photos(folder: Path, role: Role, session: CaptureSession) -> Source:
     raw = is_raw(photos[0])
     each = sum(photo.stat().st_size for photo in photos) / len(photos)
     if raw:
-        each = (DEVELOPED + (LINEAR if session.raw.keep_linear else 0)) * pixels
+        each = DEVELOPED * pixels
     most = len(photos) if role == "sweep" else MAX_BOARD_FRAMES
     count = len(photos)
     return Source(role, "raw" if raw else "photos", first.width, first.height, count, min(count, most), each)

@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from devrf.flow.methods import Preset, mistake
+from devrf.flow.methods import mistake
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
@@ -171,8 +171,6 @@ class RawConfig(_Section):
     white_balance: Annotated[WhiteBalance, BeforeValidator(_white_balance)] = "auto"
     """Multipliers [r, g, b, g2] for all RAW photos, above 0, at most 100; auto: daylight by the sensor of each
     folder's first photo."""
-    keep_linear: bool = False
-    """Keep RAW photos in linear light with 16 bits too."""
 
 
 class MattesConfig(_Section):
@@ -302,8 +300,6 @@ class StaticPosesConfig(_Section):
     """Folder of masks of what moves or reflects in the sweep, black is ignored: `IMG_1.jpg.png` or `IMG_1.png` by
     photo, `000012.png` or `12.png` by frame of a film; of the picture's size, upright. Pictures without one are
     used whole."""
-    check_seed: bool = False
-    """Map with another seed too, and report how far the poses move."""
     time_minutes: float | None = Field(default=30.0, gt=0)
     """Time for this stage; pairs (farthest first), pictures and mappers that do not fit into it are left out and
     named. null: no limit."""
@@ -365,14 +361,12 @@ class FlowConfig(_Section):
 
     method: str = "dis"
     """Estimator: dis, raft, or one that an installed package adds."""
-    preset: Preset | None = None
-    """Of dis; default: medium."""
     weights: PathText | None = None
     """For raft: the authors' checkpoint or torchvision's state dict, small or large."""
 
     @model_validator(mode="after")
     def _usable(self) -> "FlowConfig":
-        if wrong := mistake(self.method, self.weights, self.preset):
+        if wrong := mistake(self.method, self.weights):
             raise ValueError(wrong)
         return self
 

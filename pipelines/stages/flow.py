@@ -95,7 +95,7 @@ def _unfinished(context: StageContext) -> Path:
 def _estimator(context: StageContext) -> FlowEstimator:
     flow = context.config.flow
     weights = context.config.path(context.scene_dir, flow.weights) if flow.weights else None
-    return create_estimator(flow.method, weights, context.device, flow.preset)
+    return create_estimator(flow.method, weights, context.device)
 
 
 def _stands_still(frames: Sequence[PosedFrame]) -> bool:

@@ -126,7 +126,6 @@ def _options(config: StaticPosesConfig, allowance: Allowance) -> SweepOptions:
     limits = [m for m in (config.time_minutes, None if left_s is None else left_s / 60) if m is not None]
     return SweepOptions(
         config.mapper,
-        config.check_seed,
         min(limits, default=None),
         allowance.at_once,
         allowance.side_px or MAX_IMAGE_SIZE,

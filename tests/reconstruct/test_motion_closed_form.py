@@ -31,7 +31,7 @@ STEP = np.array(
 )  # one picture to the next, box units: more than a voxel, within reach of the rates
 REST = CanonicalOptions(
     resolution=36, iterations=150, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),
-    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20,
+    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
     hull_resolution=40,
 )  # fmt: skip
 

@@ -18,11 +18,11 @@ EVERYTHING = Options(
 NOT_PARTS = {  # sizes, effort, and machinery without which there is no training
     CanonicalOptions: {
         "resolution", "iterations", "rays", "rays_given", "samples", "channels", "planes", "shell_resolution",
-        "stepsize", "alpha_init", "lr_mlp", "parts", "coarse_rays", "coarse_size", "hull_resolution", "box_margin",
+        "learning_rate", "parts", "coarse_rays", "coarse_size", "hull_resolution",
         "occupancy_every", "seed",
     },
     MotionOptions: {
-        "rays", "rays_given", "resolution", "most_keys", "live_every", "fine_tuning_given", "fine_tuning_lr", "seed",
+        "rays", "rays_given", "resolution", "most_keys", "learning_rate", "fine_tuning_given", "seed",
     },
 }  # fmt: skip
 

@@ -12,7 +12,6 @@ from tests.reconstruct.conftest import around, look_at
 from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.ply import read_positions
 from devrf.capture.formats.splat_ply import write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
@@ -253,4 +252,3 @@ def test_a_splat_file_opens_in_plyfile(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.stack([vertex[f"scale_{k}"] for k in range(3)], 1), g.log_scales.numpy())
     unit = np.stack([vertex[f"rot_{k}"] for k in range(4)], 1)
     np.testing.assert_allclose(unit, torch.nn.functional.normalize(g.quats, dim=1).numpy(), atol=1e-6)
-    np.testing.assert_allclose(read_positions(path), g.places.numpy())

@@ -23,7 +23,7 @@ from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row, with_goal
 
 PAIRS, WEIGHTS = "middlebury_flow", "weights/raft-small.pth"
-METHODS = ("dis ultrafast", "dis fast", "dis medium", "raft small")
+METHODS = ("dis medium", "raft small")
 GOAL_PX = {
     ("RubberWhale", "dis medium"): 0.23,
     ("RubberWhale", "raft small"): 0.33,
@@ -115,8 +115,8 @@ def _pairs(cases: Cases) -> Iterator[tuple[str, Path]]:
 
 def _estimator(cases: Cases, method: str) -> FlowEstimator | None:
     """None where its weights are not there."""
-    if method.startswith("dis "):
-        return create_estimator("dis", preset=method.split()[1])  # type: ignore[arg-type]
+    if method == "dis medium":
+        return create_estimator("dis")
     weights = None if cases.data is None else cases.data / WEIGHTS
     return create_estimator("raft", weights) if weights is not None and weights.is_file() else None
 
