@@ -397,9 +397,6 @@ class ReconstructConfig(_Section):
     """Key times of the motion; never more than a camera has pictures."""
     learning_rate: float = Field(default=1.0, gt=0, le=1000)
     """Learning rates of both trainings, relative to the preset's; smaller where a training diverges."""
-    learn_clocks: bool = False
-    """Learn an offset of each camera's clock between the levels of the motion, within what `sync` leaves open;
-    experimental."""
     adapt: bool | None = None
     """Decide by the scene how many voxels, key times and levels it needs and whether fine-tuning pays, where not
     given here."""

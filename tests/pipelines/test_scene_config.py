@@ -8,6 +8,7 @@ import pytest
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.error import ConfigError
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 
@@ -207,6 +208,12 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
 def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> None:
     found = mistakes(folder, f"name: x\ncapture: {capture}")
     assert any(expected in line for line in found), found
+
+
+@pytest.mark.parametrize("key", GONE)
+def test_keys_that_are_gone_are_named_so(folder: Path, key: str) -> None:
+    """As one mistake; a name in the table is no key."""
+    assert mistakes(folder, GOOD, (f"{key}=1",)) == [f"--set {key}: {GONE[key]}"]
 
 
 def test_every_mistake_at_once(folder: Path) -> None:

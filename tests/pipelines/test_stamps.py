@@ -86,7 +86,7 @@ def test_every_byte_of_every_file_runs_what_depends_on_it(
 
 # --- what the stages say of themselves is what their code does ---
 
-MOTION = ("motion_iterations", "fine_tuning_iterations", "key_times", "learn_clocks")
+MOTION = ("motion_iterations", "fine_tuning_iterations", "key_times")
 READ_BUT_NOT_A_KEY = {
     "ingest": {"capture.rest"},  # a session carries it for `check`
     "canonical": {
