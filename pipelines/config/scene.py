@@ -408,8 +408,8 @@ class BudgetConfig(_Section):
     """What a run may use."""
 
     memory_gb: float | None = Field(default=None, gt=0)
-    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, or are
-    refused. Default: what the machine and its cgroups leave, less a tenth."""
+    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, and
+    a run that takes more is ended. Default: what the machine and its cgroups leave, less a tenth."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
     """Most of a GPU's memory to take: training is fitted to it, rendering and RAFT try again with less at once,
     else the stage ends with a message. Never tried on a GPU."""
