@@ -115,7 +115,7 @@ def run(
         found = job.standings()
         if dry:
             dry_run(job, found)
-        run_command.check(job, found, device, in_full=dry)
+        run_command.check(job, found, device)
     if not dry:
         run_command.carry_out(job)
 

@@ -102,7 +102,6 @@ class MotionOptions:
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
         find_late_camera: Look for a camera whose clock is wrong once the motion is trained (`late_camera.py`).
-        learn_clocks: Learn an offset of each camera's clock before the motion (`clocks.py`).
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
         seed: Of every random draw.
@@ -129,7 +128,6 @@ class MotionOptions:
     fine_tuning: int = 0
     fine_tuning_given: bool = False
     find_late_camera: bool = False
-    learn_clocks: bool = False
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
@@ -288,7 +286,6 @@ def preset(
     fine_tuning_iterations: int | None = None,
     key_times: int | None = None,
     learning_rate: float = 1.0,
-    learn_clocks: bool = False,
     adapt: bool | None = None,
     seed: int = 0,
 ) -> Options:
@@ -304,7 +301,6 @@ def preset(
         fine_tuning_iterations: Of the scene at rest, once its motion is known.
         key_times: How many, where it is not to be decided by the scene.
         learning_rate: Of both stages, relative to the preset's.
-        learn_clocks: Whether offsets of the cameras' clocks are learned, too.
         adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
     """
@@ -354,8 +350,6 @@ def preset(
         motion,
         learning_rate=learning_rate,
         keys=key_times,
-        learn_clocks=learn_clocks,
-        find_late_camera=motion.find_late_camera and not learn_clocks,
         seed=seed,
     )
     return Options(canonical, motion)

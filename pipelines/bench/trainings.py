@@ -21,7 +21,7 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row
-from devrf.pipelines.clocks_in_use import clock_stds
+from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
@@ -149,7 +149,7 @@ class Bench:
                 progress,
                 checkpoint,
                 watch,
-                clock_stds(self.run.run_dir),
+                reference_camera(self.run.run_dir),
             )
             files = save_deformation(folder, motion, tuned, rest.canonical.voxel)
             model = DynamicModel(rest, *load_deformation(folder, self.run.device))

@@ -391,9 +391,6 @@ class ReconstructConfig(_Section):
     """Key times of the motion; never more than a camera has pictures."""
     learning_rate: float = Field(default=1.0, gt=0, le=1000)
     """Learning rates of both trainings, relative to the preset's; smaller where a training diverges."""
-    learn_clocks: bool = False
-    """Learn an offset of each camera's clock between the levels of the motion, within what `sync` leaves open;
-    experimental."""
     adapt: bool | None = None
     """Decide by the scene how many voxels, key times and levels it needs and whether fine-tuning pays, where not
     given here."""
@@ -405,8 +402,8 @@ class BudgetConfig(_Section):
     """What a run may use."""
 
     memory_gb: float | None = Field(default=None, gt=0)
-    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, or are
-    refused. Default: what the machine and its cgroups leave, less a tenth."""
+    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, and
+    a run that takes more is ended. Default: what the machine and its cgroups leave, less a tenth."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
     """Most of a GPU's memory to take: training is fitted to it, rendering and RAFT try again with less at once,
     else the stage ends with a message. Never tried on a GPU."""

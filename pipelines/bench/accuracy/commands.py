@@ -36,7 +36,7 @@ def calibration(
 
 def sync(
     data: DataOption = None,
-    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "flash,learned,motion,sound")] = None,
+    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "flash,motion,sound")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for what the parts make; default: bench-sync")
     ] = None,

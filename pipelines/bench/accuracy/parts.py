@@ -4,7 +4,6 @@ from devrf.pipelines.bench.accuracy import flow_pairs, sync_flash, sync_motion, 
 from devrf.pipelines.bench.accuracy.boards import boards
 from devrf.pipelines.bench.accuracy.cases import Part
 from devrf.pipelines.bench.accuracy.colour import colour
-from devrf.pipelines.bench.accuracy.learned_offsets import learned
 from devrf.pipelines.bench.accuracy.rigs import rigs
 from devrf.pipelines.bench.accuracy.sweeps import sweeps
 
@@ -16,7 +15,6 @@ CALIBRATION: dict[str, Part] = {
 }
 SYNC: dict[str, Part] = {
     "flash": sync_flash.rows,
-    "learned": learned,
     "motion": sync_motion.rows,
     "sound": sync_sound.rows,
 }
