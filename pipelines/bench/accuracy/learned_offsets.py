@@ -14,7 +14,7 @@ from devrf.capture.scene import Scene
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.pipelines.bench.accuracy.cases import Cases
-from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.bench.trainings import Bench
 from devrf.pipelines.cli_options import configured
 from devrf.pipelines.runner.plan import Choice
@@ -56,9 +56,9 @@ def learned(cases: Cases) -> list[Row]:
         rows.append(Row(f"sync/learned/{case}/test psnr", psnr[case], "dB"))
         if learn:
             left = _left_ms(errors, result["train"]["clocks"])
-            rows.append(_at_most(f"sync/learned/{case}/largest clock error", left, "ms", LEFT_MS))
+            rows.append(Row(f"sync/learned/{case}/largest clock error", left, "ms").at_most(LEFT_MS))
             lost = psnr["true clocks"] - psnr[case]
-            rows.append(_at_most(f"sync/learned/{case}/psnr lost", lost, "dB", LEFT_DB))
+            rows.append(Row(f"sync/learned/{case}/psnr lost", lost, "dB").at_most(LEFT_DB))
     ratio = seconds["true clocks, learned"] / seconds["true clocks"]
     return [*rows, Row("sync/learned/seconds, of those without", ratio, "")]
 
@@ -79,7 +79,3 @@ def _speed(bench: Bench) -> Row:
 
 def _left_ms(errors_s: Mapping[str, float], clocks: Mapping[str, Mapping[str, Any]]) -> float:
     return max(1000 * abs(errors_s.get(name, 0.0) + clock["offset_s"]) for name, clock in clocks.items())
-
-
-def _at_most(name: str, value: float, unit: str, goal: float) -> Row:
-    return with_goal(Row(name, value, unit), goal, low_is_good=True)
