@@ -19,7 +19,7 @@ from pathlib import Path
 
 from lines import PRODUCT, of_folder
 
-from devrf.pipelines.bench.rows import Row, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row, write_rows
 from devrf.pipelines.stages.evaluate import versions
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -59,7 +59,7 @@ def _lines() -> list[Row]:
         "tests": (of_folder(ROOT / "tests")[0], 31_000),
     }
     rows = [(Row(f"lean/{name}", n, "lines"), goal) for name, (n, goal) in counted.items()]
-    return [with_goal(row, goal, low_is_good=True) for row, goal in rows]
+    return [row.at_most(goal) for row, goal in rows]
 
 
 def _starts(scene: Path) -> list[Row]:
@@ -68,8 +68,8 @@ def _starts(scene: Path) -> list[Row]:
     fresh = [*PROGRAM, "run", str(scene), "--preset", "tiny", "--quiet"]
     fresh_s = statistics.median([_seconds(fresh) for _ in range(1 + STARTS)][1:])
     return [
-        with_goal(Row("lean/help", help_s, "s"), 0.4, low_is_good=True),
-        with_goal(Row("lean/nothing_stale", fresh_s, "s"), 1.0, low_is_good=True),
+        Row("lean/help", help_s, "s").at_most(0.4),
+        Row("lean/nothing_stale", fresh_s, "s").at_most(1.0),
     ]
 
 
@@ -92,7 +92,7 @@ def _beside(scene: Path) -> list[Row]:
         alone_s = _seconds(trainings)
         with _busy():
             beside_s = _seconds(trainings)
-    return [with_goal(Row("lean/beside_over_alone", beside_s / alone_s, "times"), 2.2, low_is_good=True)]
+    return [Row("lean/beside_over_alone", beside_s / alone_s, "times").at_most(2.2)]
 
 
 @contextmanager

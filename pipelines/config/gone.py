@@ -9,6 +9,6 @@ GONE: dict[str, str] = {
     "capture.raw.keep_linear": "pictures in linear light are no longer kept; remove the key, and develop the RAW files "
     "with another program where they are needed",
     "flow.preset": "DIS has one setting, the most accurate one (medium); remove the key",
-    "reconstruct.learn_clocks": "`tiny` and `fast` look for a camera whose clock is wrong by themselves; remove the key",
+    "reconstruct.learn_clocks": "`tiny` and `fast` find a camera whose clock is wrong by themselves; remove the key",
 }
 """Dotted key -> what does its work now, and what to do."""

@@ -23,7 +23,6 @@ from devrf.reconstruct.splats.gaussians import (
     flattened,
     pixel_sizes,
     quats_of,
-    render_gaussians,
     rotations,
     tiles_of,
     transformed,
@@ -36,6 +35,13 @@ from devrf.reconstruct.splats.packed import pack, size_at_most
 SIZE = (30, 21)
 BEHIND = torch.tensor([0.2, 0.5, 0.9])
 FACING = Camera(*SIZE, np.array([[30.0, 0, 15], [0, 33, 10], [0, 0, 1]]), np.eye(4)[:3])
+
+
+def render_gaussians(gaussians: Gaussians, camera: Camera, behind: torch.Tensor) -> torch.Tensor:
+    """A picture; differentiable."""
+    flat, depth, spread = flattened(gaussians, camera)
+    size = (camera.width, camera.height)
+    return splat(flat, *tiles_of(flat.detach(), depth.detach(), spread.detach(), size), size, behind)
 
 
 def some(count: int, seed: int = 0) -> Gaussians:
