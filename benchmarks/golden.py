@@ -158,8 +158,8 @@ def differences(
         for one, other, kind in ((was, now, "gone"), (now, was, "new")):
             patterns = listed.get(kind, {})
             if name not in other and not any(fnmatch.fnmatchcase(f"{case}/{name}", p) for p in patterns):
-                there = [_text(one[name]), kind] if kind == "gone" else [kind, _text(one[name])]
-                found.append(Difference(f"{case}/{name}", *there, "listed, if on purpose"))
+                texts = (_text(one[name]), kind) if kind == "gone" else (kind, _text(one[name]))
+                found.append(Difference(f"{case}/{name}", texts[0], texts[1], "listed, if on purpose"))
         if name in was and name in now:
             bound = bound_of(name, was[name], spread.get(name, 0.0))
             off = _distance(was[name], now[name])
@@ -239,15 +239,17 @@ class Golden:
 
     def spread(self, case: Case, values: Values) -> dict[str, float]:
         """Standard deviation of the quality over three seeds; runs what is not there yet."""
+        if case.again is None:
+            return {}
         folder, of_seeds = self.work / case.name, [values]
-        for seed in SEEDS if case.again else ():
+        for seed in SEEDS:
             runs = case.again_runs.format(seed=seed)
             if "*" not in runs and not (folder / runs).exists():
                 shutil.copytree(folder / case.runs, folder / runs)  # stages before the trainings are the same
             text = case.again.replace("{command}", list(case.commands.values())[-1])
             self._call(case, folder, self._arguments(text, folder, seed))
             of_seeds.append(_of_runs(folder, runs))
-        names = [name for name in values if re.search(r"\.(psnr|ssim)$", name)] if case.again else []
+        names = [name for name in values if re.search(r"\.(psnr|ssim)$", name)]
         found = {name: [v[name] for v in of_seeds if v.get(name) is not None] for name in names}
         return {name: round(statistics.stdev(v), 5) for name, v in found.items() if len(v) == len(of_seeds)}
 

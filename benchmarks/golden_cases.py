@@ -98,7 +98,7 @@ def _changed(whole: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     scene = copy.deepcopy(whole)
     for key, value in changes.items():
         *sections, last = key.split(".")
-        inner = scene
+        inner: Any = scene
         for section in sections:
             inner = inner[section]
         inner[int(last) if last.isdigit() else last] = value
