@@ -1,6 +1,7 @@
 # Two commands do all the set-up on a machine with only Python >= 3.10 and make:
 #   make demo    run the example session, print where to look
-#   make test    format, lint, types, tests; those in a browser need Chromium (apt-get install chromium)
+#   make test    format, lint, types, and the quick tests; those in a browser need Chromium (apt-get install chromium)
+# make test-full the same with every test: what continuous integration runs; WORKERS=4: as many tests at once
 # make venv      only make the environment; make clean: remove what these made
 # make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
 
@@ -10,16 +11,24 @@ BIN := $(VENV)/bin
 DEMO := examples/waving-sheet
 DEMO_OUT := $(DEMO)/runs
 
-.PHONY: demo test docs docs-serve venv clean
+WORKERS ?= 2
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --no-loadscope-reorder
+
+.PHONY: demo checks test test-full docs docs-serve venv clean
 
 demo: $(VENV)/.installed
 	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny
 
-test: $(VENV)/.installed-dev
+checks: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
-	$(BIN)/python -m pytest
+
+test: checks
+	$(PYTEST) -m "not full"
+
+test-full: checks
+	$(PYTEST)
 
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -37,9 +46,9 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt | $(VENV)/.python
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
-$(VENV)/.installed-dev: $(VENV)/.installed
+$(VENV)/.installed-dev: pyproject.toml setup.py constraints.txt | $(VENV)/.python
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,docs,export,ray,simulate,viewer]'
-	touch $@
+	touch $(VENV)/.installed $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[docs]'

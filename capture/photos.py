@@ -44,7 +44,6 @@ class _Photo:
         exif: Its tags, or None.
         gamma: Of its curve, where the file names one.
         clipped: Share at white; None of RAW photos, whose sidecar has it.
-        linear: The picture in linear light, relative to the ingest folder, or None.
     """
 
     name: str
@@ -56,7 +55,6 @@ class _Photo:
     exif: Exif | None = None
     gamma: float | None = None
     clipped: float | None = None
-    linear: str | None = None
 
 
 def extract_folder(
@@ -90,9 +88,8 @@ def extract_folder(
     records = []
     for i, photo in enumerate(photos):
         used = i in chosen
-        for file in (photo.file, photo.linear):
-            if file is not None and not used:
-                (out / file).unlink()
+        if not used:
+            (out / photo.file).unlink()
         kept = photo.file if used else None
         records.append(FrameRecord(i, None, photo.sharpness, used, kept, photo.exif, photo.name))
     focals = [p.exif.focal_px for p in photos if p.exif is not None and p.exif.focal_px is not None]
@@ -128,7 +125,7 @@ def _put(
             photo = developed[i]
             size, grey = (photo.width, photo.height), photo.grey
             level = float(np.median(grey))
-            yield _Photo(picture.name, photo.file, size, sharpness(grey), level, linear=photo.linear)
+            yield _Photo(picture.name, photo.file, size, sharpness(grey), level)
             continue
         info, rgb = probe_picture(picture), read_picture(picture)
         file = f"frames/{name}/{copy_upright(info, out / 'frames' / name, f'{i:06d}')}"

@@ -6,11 +6,9 @@ leads to a function of `(weights: Path | None, device: str)` that gives a `FlowE
 
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Literal
 
 GROUP = "devrf.flow"
 BUILT_IN = ("dis", "raft")
-Preset = Literal["ultrafast", "fast", "medium"]  # of DIS
 
 
 def methods() -> tuple[str, ...]:
@@ -18,8 +16,8 @@ def methods() -> tuple[str, ...]:
     return (*BUILT_IN, *sorted(installed().keys() - set(BUILT_IN)))
 
 
-def mistake(method: str, weights: str | Path | None, preset: str | None = None) -> str | None:
-    """What is wrong with a choice: a method that is not there, weights or a preset that it lacks or cannot use.
+def mistake(method: str, weights: str | Path | None) -> str | None:
+    """What is wrong with a choice: a method that is not there, weights that it lacks or cannot use.
 
     No method is ever replaced by another in silence: no two give the same.
     """
@@ -34,8 +32,6 @@ def mistake(method: str, weights: str | Path | None, preset: str | None = None) 
         return (
             f"weights {str(weights)!r} are of no use; method dis needs none: remove them, or set method: raft"
         )
-    if method != "dis" and preset is not None:
-        return f"preset {preset!r} is of no use; only method dis has presets: remove it"
     return None
 
 

@@ -30,10 +30,7 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
         board_clips=paths(board.clips) if board else {},
         joint_clips=paths(board.joint_clips) if board else {},
         white=paths(capture.white),
-        raw=RawOptions(
-            None if capture.raw.white_balance == "auto" else capture.raw.white_balance,
-            capture.raw.keep_linear,
-        ),
+        raw=RawOptions(None if capture.raw.white_balance == "auto" else capture.raw.white_balance),
         range_s=capture.range_s,
         rest=capture.rest,
     )

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +18,19 @@ if TYPE_CHECKING:
     from devrf.capture.scene import Scene, Split
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before a test imports torch; devrf does the same
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers have the cores already
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
+RUNS = ("example_run", "small_run")  # fixtures that take minutes: made once in all, by one worker
+FIRST = (
+    "end_to_end",
+    "browser",
+    "faults",
+    "pipelines",
+)  # longest first, so that no worker ends long after the others
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -35,6 +45,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--figures", type=Path, metavar="FILE", help="append what the tests measured, as JSON lines"
     )
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups and `-m` the markers
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give each worker whole files, and all tests of one long run to one worker; longest first.
+
+    What looks at a run of the whole example belongs to the full tier.
+    """
+    for item in items:
+        assert isinstance(item, pytest.Function)
+        used = [*item.fixturenames, *(item.callspec.params.values() if hasattr(item, "callspec") else ())]
+        runs = [name for name in RUNS if name in used]
+        item.add_marker(pytest.mark.xdist_group(runs[0] if runs else item.path.stem))
+        if "example_run" in runs:
+            item.add_marker(pytest.mark.full)
+
+    def rank(item: pytest.Item) -> int:
+        folder = item.path.relative_to(REPOSITORY / "tests").parts[0]
+        return FIRST.index(folder) if folder in FIRST else len(FIRST)
+
+    items.sort(key=rank)
 
 
 @pytest.fixture(scope="session")
@@ -154,7 +185,32 @@ Command = Callable[..., CommandResult]
 
 @pytest.fixture(scope="session")
 def devrf() -> Command:
-    """Call the real command line in a process of its own: `devrf("run", scene, "--until", "ingest")`."""
+    """Call the command line in this process, as below its supervisor: `devrf("run", scene, "--until", "ingest")`.
+
+    Stages read nothing that they do not declare (tests/declared.py).
+    """
+    from tests.declared import watch
+    from typer.testing import CliRunner
+
+    from devrf.pipelines.cli import app
+
+    watched = watch()
+
+    def call(*arguments: str | Path) -> CommandResult:
+        start = time.monotonic()
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        seconds, err = time.monotonic() - start, result.stderr
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            err += "".join(traceback.format_exception(result.exception))
+        assert watched.undeclared() == []
+        return CommandResult(result.exit_code, result.stdout, err, seconds)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def devrf_process() -> Command:
+    """The same in a process of its own, where a test is about processes: signals, memory, what libraries print."""
 
     def call(*arguments: str | Path, limit_s: float = RUN_LIMIT_S) -> CommandResult:
         start = time.monotonic()
@@ -179,7 +235,7 @@ class ExampleRun:
 
 
 @pytest.fixture(scope="session")
-def example_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
+def example_run(devrf_process: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
     """The pipeline, run once on a copy of the example session; many tests look at what it left.
 
     `DEVRF_EXAMPLE_RUN` names a folder that is kept and used again, to work on such tests.
@@ -189,6 +245,21 @@ def example_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Exa
     if not folder.exists():
         shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("runs"))
     run_dir = folder / "run"
-    result = devrf("run", folder, "--preset", "tiny", "--set", "output=run")
+    result = devrf_process("run", folder, "--preset", "tiny", "--set", "output=run")
     assert result.code == 0, result.said
     return ExampleRun(folder / "scene.yaml", run_dir)
+
+
+@pytest.fixture(scope="session")
+def small_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
+    """The pipeline, run once in this process on a session that takes seconds."""
+    from tests.end_to_end.small_session import write_small_session
+
+    from devrf.pipelines.stages import render
+
+    scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("small"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(render.SIZES, "tiny", (12, 12.0, 8_000))
+        result = devrf("run", scene, "--device", "cpu")
+    assert result.code == 0, result.said
+    return ExampleRun(scene, scene.parent / "run")

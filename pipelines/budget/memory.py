@@ -31,16 +31,11 @@ def allowed_bytes(config: SceneConfig) -> int:
     return max(0, there if budget is None else min(there, int(budget * GB)))
 
 
-def bound_by_budget(config: SceneConfig, allowed: int) -> bool:
-    """Whether it is the budget that allows no more, and not what the machine has left."""
-    budget = config.budget.memory_gb
-    return budget is not None and allowed >= int(budget * GB)
-
-
 def memory_bound(config: SceneConfig, allowed: int) -> str:
     """What allows no more than `allowed` bytes, and how there can be more, for messages."""
-    if bound_by_budget(config, allowed):
-        return f"budget.memory_gb is {config.budget.memory_gb:g}; raise it"
+    budget = config.budget.memory_gb
+    if budget is not None and allowed >= int(budget * GB):
+        return f"budget.memory_gb is {budget:g}; raise it"
     return f"{size_text(allowed)} are left on this machine; close other programs, take a larger machine"
 
 

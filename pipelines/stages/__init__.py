@@ -208,7 +208,6 @@ STAGES = (
             "reconstruct.fine_tuning_iterations",
             "reconstruct.key_times",
             "reconstruct.learning_rate",
-            "reconstruct.learn_clocks",
             "reconstruct.adapt",
             "reconstruct.seed",
         ),

@@ -29,8 +29,9 @@ RUNNER_FILES = (
     "cli_options",
     "run_command",
     "budget.allowance",
+    "budget.at_once",
     "budget.memory",
-    "budget.need",
+    "budget.raw_files",
 )
 NO_RESULTS = ("jaxtyping",)  # libraries that check, and compute nothing
 

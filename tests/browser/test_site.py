@@ -45,10 +45,13 @@ def address(site: Path) -> Iterator[str]:
 
 
 def test_nothing_on_any_page_comes_from_a_network(site: Path) -> None:
-    for file in [*site.rglob("*.html"), *site.rglob("*.css")]:
+    pages, styles = list(site.rglob("*.html")), list(site.rglob("*.css"))
+    assert len(pages) > len(list((REPOSITORY / "docs").glob("*.md"))) and styles
+    for file in [*pages, *styles]:
         loaded = re.findall(
             r"<(?:script|img|link|iframe|source)\b[^>]*?(?:src|href)=[\"']?([^\"' >]+)", file.read_text()
         )
+        assert loaded or file in styles, file.name
         loaded += re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", file.read_text())
         assert not [url for url in loaded if url.startswith(("http", "//"))], file.name
 

@@ -142,6 +142,7 @@ def test_a_chessboard_described_turned_or_by_its_squares_is_found(tmp_path, told
         assert settled.corrections == (("squares", f"[{settled.squares[0]}, {settled.squares[1]}]"),)
 
 
+@pytest.mark.full
 def test_corners_are_refined_where_that_makes_them_smoother(data_dir):
     """A quarter less noise on small sharp squares; nothing lost on large blurred ones."""
     for name, squares in (
@@ -157,6 +158,7 @@ def test_corners_are_refined_where_that_makes_them_smoother(data_dir):
             assert misfit(spec, ids, xy) < 0.75 * misfit(spec, ids, raw.astype(np.float64))
 
 
+@pytest.mark.full
 def test_misread_corners_are_refused_and_looked_for_again(data_dir):
     """Photo 7 of cam04: the board is cut by the picture's edge, and a row of corners is taken from a shirt."""
     file = data_dir / "pose2sim_single/calibration/intrinsics/int_cam04_img/cam04_07_int.jpg"
@@ -169,6 +171,7 @@ def test_misread_corners_are_refused_and_looked_for_again(data_dir):
     assert misfit(spec, ids, xy) < 0.5
 
 
+@pytest.mark.full
 def test_the_same_picture_gives_the_same_corners(data_dir):
     """OpenCV's chessboard detector draws random numbers: of this photo it misreads the board now and then."""
     file = data_dir / "pose2sim_single/calibration/intrinsics/int_cam01_img/cam01_05_int.jpg"
@@ -178,6 +181,7 @@ def test_the_same_picture_gives_the_same_corners(data_dir):
     np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.full
 def test_real_chessboards_are_found(data_dir):
     """A photo without the 9x6 board, one blurred, one of another camera."""
     names = ("cam_0_frame_000.jpg", "cam_0_frame_300.jpg", "cam_2_frame_1070.jpg")

@@ -56,6 +56,7 @@ def test_the_minimum_and_its_doubt_are_opencvs():
     assert (ratio > 0.95).all() and (ratio < 1 + 4 / np.sqrt(38)).all()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("common_px", [0.0, 0.3])
 def test_two_standard_deviations_hold_the_focal_length(common_px):
     """Corners that err alone, and such that err together with their view.

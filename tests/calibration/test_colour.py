@@ -264,6 +264,7 @@ def test_a_camera_that_sees_none_of_the_points(swept):
 # --- points that fixed cameras see ---
 
 
+@pytest.mark.full
 def test_cameras_against_each_other():
     looks = {"cam0": np.eye(3), "cam1": 0.6 * np.eye(3), "cam2": np.diag([1.25, 1.0, 0.7])}
     stands = {"cam0": room.camera(0.55), "cam1": room.camera(0.75, -1.3), "cam2": room.camera(0.95, -1.7)}

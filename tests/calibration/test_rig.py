@@ -241,6 +241,7 @@ def test_rig_from_board(gap_s):
     assert found.gap_ms[1] <= 1e3 * gap_s + 1e-6
 
 
+@pytest.mark.full
 def test_a_wrong_board_view_is_dropped():
     truth = above(3)
     views = board_session(truth)
@@ -262,6 +263,7 @@ def test_cameras_without_a_common_board_are_named():
         rig_from_board(views, SPEC, known, known)
 
 
+@pytest.mark.full
 def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
     """A metre is 1.25 units of the sweep; the board route knows only metres, the sweep's only its unit."""
     model, look = sweep

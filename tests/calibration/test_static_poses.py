@@ -50,6 +50,7 @@ def test_what_is_left_on_disk(corner):
     assert not list(out.glob("work-*"))
 
 
+@pytest.mark.full
 def test_the_same_pictures_give_the_same_model(corner, tmp_path):
     again = corner.corner.recover(tmp_path)
     for a, b in zip(corner.model.cameras, again.cameras, strict=True):

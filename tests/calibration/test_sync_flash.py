@@ -54,6 +54,7 @@ def test_flashes_to_a_fraction_of_a_frame(tmp_path):
     assert result.loops and abs(result.loops[0].closure_s) < 2e-3
 
 
+@pytest.mark.full
 def test_unknown_readout_is_found_by_several_flashes(tmp_path):
     """The prior for the readout is 23 ms, the truth 14: one flash may be off by the difference, (23 - 14) ms;
     four that hit different rows are not."""
@@ -63,6 +64,7 @@ def test_unknown_readout_is_found_by_several_flashes(tmp_path):
     assert abs(found.delay_s - OFFSETS_S[1]) < min(3e-3, 3 * found.std_s)
 
 
+@pytest.mark.full
 def test_a_lamp_switched_on(tmp_path):
     """A single step: known to the readout's doubt (15 % of a frame, 5 ms) and the exposure's ramp."""
     result = synchronise(
@@ -92,6 +94,7 @@ def test_stated_doubt_covers_the_error():
     assert inside >= 54
 
 
+@pytest.mark.full
 def test_a_flash_that_one_camera_did_not_see(tmp_path):
     courses = clips(tmp_path, OFFSETS_S[:2])
     path = film_flashes(tmp_path / "cam2.mp4", RollingShutter(OFFSETS_S[2]), (), seed=2)
@@ -101,6 +104,7 @@ def test_a_flash_that_one_camera_did_not_see(tmp_path):
     assert any(n.startswith("camera cam2: saw no flash") for n in result.notes)
 
 
+@pytest.mark.full
 def test_lamps_that_blink_are_no_flash(tmp_path):
     courses = clips(tmp_path, OFFSETS_S[:2], flashes_s=list(np.arange(0.2, 3.8, 0.4)))
     result = synchronise({n: SPANS[n] for n in courses}, {}, {}, "flash", extras=Extras(courses))

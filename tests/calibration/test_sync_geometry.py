@@ -53,6 +53,7 @@ def test_motion_across_epipolar_lines_shows_the_delay():
     assert whole is not None and accepted(whole) and abs(whole.delay_s - 0.0312) < 0.02  # half a frame
 
 
+@pytest.mark.full
 def test_motion_along_epipolar_lines_shows_nothing():
     """The cameras stand side by side and the poster swings sideways: any delay fits."""
     views = {"cam0": poster("sideways", 0.0, 0.0), "cam1": poster("sideways", 0.0312, 0.3, seed=1)}
@@ -78,6 +79,7 @@ def example_view(name: str, shift_s: float = 0.0) -> TimedPictures:
     return TimedPictures(camera, grey, truth["offset_s"] + shift_s + (1 + 1e-6 * truth["drift_ppm"]) * file_s)
 
 
+@pytest.mark.full
 def test_right_clocks_pass_and_a_late_one_is_found_and_replaced():
     """cam2 is stated 40 ms late. Its truth is found within the goal of 3 ms, and three standard deviations."""
     views = {
@@ -101,6 +103,7 @@ def test_right_clocks_pass_and_a_late_one_is_found_and_replaced():
     assert used["cam2"].method == "geometry" and used["cam2"].offset_s == pytest.approx(0.46, abs=3e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("stride", [1, 2])
 def test_real_views_from_opposite_sides_within_half_a_frame(data_dir, stride):
     """Hardware-synchronised cameras 148 degrees apart, a man moves: copies that begin at other frames."""

@@ -117,6 +117,7 @@ def test_claps_are_heard_when_the_truth_says(session: Path) -> None:
             assert 0 <= onset_s - file_s < 0.001  # the burst needs 0.4 ms to grow
 
 
+@pytest.mark.full
 def test_same_seed_same_session(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     options = SessionOptions(sweep_frames=2, fps=5, duration_s=0.5, spp=4, board=False, claps=1)

@@ -22,6 +22,7 @@ SMALL = SessionOptions(
 )
 
 
+@pytest.mark.full
 def test_clips_are_kept_and_the_sweep_can_be_restless(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     for name, options, kept in (
@@ -37,6 +38,7 @@ def test_clips_are_kept_and_the_sweep_can_be_restless(tmp_path: Path) -> None:
     assert np.abs(before - after).max() > 40  # grey levels: the sheet is elsewhere
 
 
+@pytest.mark.full
 def test_a_clip_is_the_same_whatever_is_made_beside_it(tmp_path: Path) -> None:
     """Noise, light paths and microphones of one clip do not hang on which others are kept, or on what they show."""
     pytest.importorskip("mitsuba")
@@ -73,6 +75,7 @@ def test_lamp_and_background_move_with_the_object_and_rest_with_it() -> None:
         assert np.sign(way[0, 1]) == -np.sign(mesh.vertices[:, 1].mean())  # away from the wall
 
 
+@pytest.mark.full
 def test_what_is_clear_lets_through_and_what_shines_changes_nothing_around_it() -> None:
     pytest.importorskip("mitsuba")
     camera = fixed_cameras(np.random.default_rng(1), 1, (48, 36), SMALL)[0].camera

@@ -52,6 +52,7 @@ def test_it_is_textured_in_several_colours(model: Model) -> None:
     assert np.median([part.rest.texture.std((0, 1)).mean() for part in model]) > 15
 
 
+@pytest.mark.full
 def test_motion_scale_and_seed() -> None:
     for kind in MODELS.values():
         still = kind.build(np.random.default_rng(0), 0.0)

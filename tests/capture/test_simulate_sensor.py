@@ -45,6 +45,7 @@ def _true_corners(camera: Camera, world_from_board: np.ndarray, ids: np.ndarray)
     return camera.project(points @ world_from_board[:3, :3].T + world_from_board[:3, 3])
 
 
+@pytest.mark.full
 def test_board_pictures_show_corners_where_the_camera_projects_them() -> None:
     camera = _camera(480, 360)
     show = BoardCamera(camera, np.full((360, 480, 3), 0.3, np.float32), SQUARES, SQUARE_M)

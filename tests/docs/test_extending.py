@@ -63,7 +63,7 @@ def write_files(folder: Path) -> None:
 
 
 def test_the_flow_method(
-    scene: Path, tmp_path: Path, devrf: Command, monkeypatch: pytest.MonkeyPatch
+    scene: Path, tmp_path: Path, devrf_process: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_files(tmp_path)
     offline = ("--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--quiet")
@@ -74,7 +74,7 @@ def test_the_flow_method(
     subprocess.run([sys.executable, tmp_path / "try_it.py"], check=True)
 
     method = ("--set", "flow.method=one-shift")
-    result = devrf("run", scene, "--until", "flow", *method)
+    result = devrf_process("run", scene, "--until", "flow", *method)
     assert result.code == 0, result.said
     flows = read_flows(scene.parent / "run" / "flow")
     middle = np.median(flows["cam0"].flow.astype(np.float32), axis=(0, 1, 2))
@@ -82,12 +82,12 @@ def test_the_flow_method(
     assert json.loads((scene.parent / "run" / "flow" / "flow.json").read_text())["method"] == "one shift"
     with (target / "one_shift.py").open("a") as module:
         module.write("# another version\n")
-    assert why(devrf, scene, "flow", *method) == ["the code changed (one_shift.py)"]
+    assert why(devrf_process, scene, "flow", *method) == ["the code changed (one_shift.py)"]
 
 
-def why(devrf: Command, scene: Path, stage: str, *arguments: str) -> list[str]:
+def why(devrf_process: Command, scene: Path, stage: str, *arguments: str) -> list[str]:
     """Why a stage is stale."""
-    result = devrf("status", scene, "--json", *arguments)
+    result = devrf_process("status", scene, "--json", *arguments)
     assert result.code == 0, result.said
     return {now["stage"]: now["why"] for now in json.loads(result.out)["stages"]}[stage]
 
@@ -114,10 +114,12 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_stage(scene: Path, extended: Path, devrf: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_stage(
+    scene: Path, extended: Path, devrf_process: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PYTHONPATH", str(extended))
 
-    result = devrf("run", scene, "--until", "contact_sheet")
+    result = devrf_process("run", scene, "--until", "contact_sheet")
     assert result.code == 0 and "contact_sheet: done" in result.said, result.said
     sheet = cv2.imread(str(scene.parent / "run" / "contact_sheet" / "sheet.png"))
     assert sheet is not None and sheet.shape == (2 * 90, 8 * 120, 3)
@@ -125,6 +127,6 @@ def test_the_stage(scene: Path, extended: Path, devrf: Command, monkeypatch: pyt
     (row,) = json.loads((scene.parent / "run" / "contact_sheet" / "health.json").read_text())["rows"]
     assert row["check"] == "brightness of the sweep" and row["verdict"] == "ok"
     narrow = ("--set", "contact_sheet.width_px=64")
-    assert why(devrf, scene, "contact_sheet", *narrow) == ["contact_sheet.width_px: 120 is now 64"]
-    refused = devrf("status", scene, "--set", "contact_sheet.width_px=3")
+    assert why(devrf_process, scene, "contact_sheet", *narrow) == ["contact_sheet.width_px: 120 is now 64"]
+    refused = devrf_process("status", scene, "--set", "contact_sheet.width_px=3")
     assert refused.code == 2 and "3; expected a whole number from 16 to 1000" in refused.said

@@ -1,19 +1,35 @@
-"""The example session from raw clips to a report, run once (`example_run`), against its own truth."""
+"""The example session from raw clips to a report, whole and in small, each run once, against its own truth."""
 
 import json
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.conftest import Command, ExampleRun
 
-RIG_ROTATION_DEG = 0.15  # largest over the fixed cameras, after a similarity fitted on all centres
-RIG_POSITION_PERCENT = 0.4  # of a camera's distance from the scene
-SYNC_MS = 1.0
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a run has to reach.
+
+    Attributes:
+        rig_rotation_deg, rig_position_percent: Largest over the fixed cameras, after a similarity fitted on all
+            centres; the position of a camera's distance from the scene.
+        motion_gain_db: Over the canonical model rendered as if nothing moved.
+    """
+
+    views: int
+    rig_rotation_deg: float
+    rig_position_percent: float
+    sync_ms: float
+    motion_gain_db: float
+
+
+BOUNDS = {"example_run": Bounds(60, 0.15, 0.4, 1.0, 3.0), "small_run": Bounds(24, 0.6, 1.5, 1.0, 0.0)}
 MEMORY_GB = 4.0  # resident, of the program or of one of its workers
-MOTION_GAIN_DB = 3.0  # over the canonical model rendered as if nothing moved
 STAGES = "ingest static_poses sync rig colour scene flow canonical deformation evaluate render report".split()
 
 
@@ -21,16 +37,26 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text())
 
 
+@pytest.fixture(scope="module", params=["small_run", pytest.param("example_run", marks=pytest.mark.full)])
+def run(request: pytest.FixtureRequest) -> ExampleRun:
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def bounds(request: pytest.FixtureRequest) -> Bounds:
+    return BOUNDS[request.node.callspec.params["run"]]
+
+
 @pytest.fixture(scope="module")
-def metrics(example_run: Any) -> dict[str, Any]:
-    return read(example_run.run_dir / "evaluate" / "metrics.json")
+def metrics(run: ExampleRun) -> dict[str, Any]:
+    return read(run.run_dir / "evaluate" / "metrics.json")
 
 
-def test_every_stage_left_what_the_contract_says(example_run: Any) -> None:
-    run = example_run.run_dir
+def test_every_stage_left_what_the_contract_says(run: ExampleRun) -> None:
+    left = run.run_dir
     for stage in STAGES:
-        assert (run / stage / "stamp.json").is_file(), stage
-        assert (run / stage / "health.json").is_file(), stage
+        assert (left / stage / "stamp.json").is_file(), stage
+        assert (left / stage / "health.json").is_file(), stage
     for name in (
         "ingest/ingest.json",
         "static_poses/static_poses.json",
@@ -47,35 +73,32 @@ def test_every_stage_left_what_the_contract_says(example_run: Any) -> None:
         "evaluate/metrics.json",
         "report/index.html",
     ):
-        assert (run / name).stat().st_size > 0, name
-    assert list((run / "static_poses" / "colmap").glob("*.bin"))
-    assert list((run / "render").glob("*.mp4"))
-    assert list((run / "flow").iterdir())
+        assert (left / name).stat().st_size > 0, name
+    assert list((left / "static_poses" / "colmap").glob("*.bin"))
+    assert list((left / "render").glob("*.mp4"))
+    assert list((left / "flow").iterdir())
 
 
-def test_no_stage_is_unhealthy(example_run: Any) -> None:
+def test_no_stage_is_unhealthy(run: ExampleRun) -> None:
     for stage in STAGES:
-        for row in read(example_run.run_dir / stage / "health.json")["rows"]:
+        for row in read(run.run_dir / stage / "health.json")["rows"]:
             assert row["verdict"] != "fail", row
 
 
-def test_every_sweep_frame_is_registered(example_run: Any) -> None:
-    poses = read(example_run.run_dir / "static_poses" / "static_poses.json")
-    assert poses["registered"] == poses["given"] >= 60
+def test_every_sweep_frame_is_registered(run: ExampleRun, bounds: Bounds) -> None:
+    poses = read(run.run_dir / "static_poses" / "static_poses.json")
+    assert poses["registered"] == poses["given"] >= bounds.views
     assert poses["unregistered"] == []
 
 
-def test_cameras_agree_with_the_truth(metrics: dict[str, Any]) -> None:
+def test_cameras_and_clocks_agree_with_the_truth(metrics: dict[str, Any], bounds: Bounds) -> None:
     truth = metrics["truth"]
-    assert truth["rig_rotation_deg"] <= RIG_ROTATION_DEG
-    assert truth["rig_position_percent"] <= RIG_POSITION_PERCENT
+    assert truth["rig_rotation_deg"] <= bounds.rig_rotation_deg
+    assert truth["rig_position_percent"] <= bounds.rig_position_percent
+    assert truth["sync_ms"] <= bounds.sync_ms
 
 
-def test_clocks_agree_with_the_truth(metrics: dict[str, Any]) -> None:
-    assert metrics["truth"]["sync_ms"] <= SYNC_MS
-
-
-def test_cameras_are_brought_to_the_exposure_of_the_sweep(example_run: Any) -> None:
+def test_cameras_are_brought_to_the_exposure_of_the_sweep(example_run: ExampleRun) -> None:
     """Its cameras differ by one gain each, up to 6 %; what is left is as small as it is said to be."""
     colours = read(example_run.run_dir / "colour" / "colour.json")
     true = read(example_run.scene.parent / "ground_truth.json")["cams"]
@@ -94,12 +117,12 @@ def test_cameras_are_brought_to_the_exposure_of_the_sweep(example_run: Any) -> N
     assert [row["verdict"] for row in rows] == ["ok"] * 5
 
 
-def test_motion_beats_standing_still(metrics: dict[str, Any]) -> None:
+def test_motion_beats_standing_still(metrics: dict[str, Any], bounds: Bounds) -> None:
     gain = metrics["test_moving"]["psnr"] - metrics["static_baseline"]["test_moving"]["psnr"]
-    assert gain >= MOTION_GAIN_DB
+    assert gain >= bounds.motion_gain_db
 
 
-def test_it_fits_into_the_memory_of_a_laptop(example_run: Any) -> None:
+def test_it_fits_into_the_memory_of_a_laptop(example_run: ExampleRun) -> None:
     peaks = {stage: read(example_run.run_dir / stage / "stamp.json")["peak_rss_gb"] for stage in STAGES}
     assert max(peaks.values()) <= MEMORY_GB, peaks
 
@@ -123,9 +146,9 @@ def test_metrics_have_every_key_of_the_contract(metrics: dict[str, Any]) -> None
     assert set(expected) <= metrics["truth"].keys()
 
 
-def test_rig_and_clocks_say_how_sure_they_are(example_run: Any) -> None:
-    rig = read(example_run.run_dir / "rig" / "rig.json")
-    sync = read(example_run.run_dir / "sync" / "sync.json")
+def test_rig_and_clocks_say_how_sure_they_are(run: ExampleRun) -> None:
+    rig = read(run.run_dir / "rig" / "rig.json")
+    sync = read(run.run_dir / "sync" / "sync.json")
     assert rig["cameras"].keys() == sync["cameras"].keys()
     for camera in rig["cameras"].values():
         assert {"model", "K", "distortion", "width", "height", "cam_from_world", "std"} <= camera.keys()
@@ -134,28 +157,25 @@ def test_rig_and_clocks_say_how_sure_they_are(example_run: Any) -> None:
     assert {"metric", "source"} <= rig["scale"].keys()
 
 
-def test_the_second_run_executes_no_stage(devrf: Callable, example_run: Any) -> None:
-    result = devrf("run", example_run.scene, "--preset", "tiny", "--set", "output=run")
+def test_all_is_fresh_and_a_second_run_executes_no_stage(devrf: Command, run: ExampleRun) -> None:
+    result = devrf("run", run.scene, "--preset", "tiny", "--set", "output=run")
     assert result.code == 0
     assert "no stage executed" in result.out
-
-
-def test_status_says_that_all_is_fresh(devrf: Callable, example_run: Any) -> None:
-    result = devrf("status", example_run.scene, "--preset", "tiny", "--set", "output=run", "--json")
+    result = devrf("status", run.scene, "--preset", "tiny", "--set", "output=run", "--json")
     stages = json.loads(result.out)["stages"]
     assert {stage["stage"]: stage["state"] for stage in stages} == dict.fromkeys(STAGES, "fresh")
 
 
-def test_the_report_needs_nothing_from_elsewhere(example_run: Any) -> None:
-    page = (example_run.run_dir / "report" / "index.html").read_text()
+def test_the_report_needs_nothing_from_elsewhere(run: ExampleRun) -> None:
+    page = (run.run_dir / "report" / "index.html").read_text()
     assert 'src="http' not in page and 'href="http' not in page
 
 
-def test_the_film_can_be_played(example_run: Any) -> None:
+def test_the_film_can_be_played(run: ExampleRun) -> None:
     import av
 
-    film = next((example_run.run_dir / "render").glob("*.mp4"))
+    film = next((run.run_dir / "render").glob("*.mp4"))
     with av.open(str(film)) as container:
         stream = container.streams.video[0]
         assert stream.codec_context.name == "h264"
-        assert sum(1 for _ in container.decode(stream)) >= 24
+        assert sum(1 for _ in container.decode(stream)) >= 12

@@ -29,6 +29,7 @@ def small(data_dir) -> RaftFlow:
 
 
 # the authors' program with these weights: 0.320 and 0.373 px; the issue's goals
+@pytest.mark.full
 @pytest.mark.parametrize(("pair", "most"), [("RubberWhale", 0.33), ("Venus", 0.38)])
 def test_middlebury_endpoint_error(data_dir, small, pair, most):
     folder = data_dir / "middlebury_flow" / pair
@@ -221,6 +222,7 @@ def test_lookup_by_hand():
 HALF_PX = 0.02
 
 
+@pytest.mark.full
 def test_half_precision_is_near(small):
     """As on a GPU, by the CPU: the same casts between half precision and the correlation in single."""
     picture = textured(136, 168)

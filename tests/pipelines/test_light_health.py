@@ -167,7 +167,7 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     (tmp_path / "scene.yaml").write_text(
         "name: light\noutput: run\ncapture:\n  static: sweep\n"
         "  cameras: {cam0: cam0.mp4, cam1: cam1.mp4, cam2: cam2.mp4, cam3: cam3.mp4}\n"
-        "  raw: {keep_linear: true, white_balance: [2, 1, 1, 1]}\n  white: {cam1: white.png}\n"
+        "  raw: {white_balance: [2, 1, 1, 1]}\n  white: {cam1: white.png}\n"
         "  board: {squares: [8, 6], square_m: 0.06, marker_m: 0.045, clips: {cam0: board}}\n"
     )
     result = devrf("run", tmp_path, "--until", "ingest")
@@ -187,7 +187,6 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     assert not [check for check in rows if "board_cam0" in check and "photos" in check]
     for name, count in (("static", 3), ("board_cam0", 2)):
         assert len(list((out / "frames" / name).glob("*.png"))) == count
-        assert len(list((out / "linear" / name).glob("*.png"))) == count
         assert read_raw_sidecar(out / "raw" / f"{name}.json")["recipe"]["white_balance"] == [2, 1, 1, 1]
     assert np.load(out / "white" / "cam1.npy").shape == (48, 64, 3)
     assert judge_light(LightCourse.read(out / "light" / "cam3.npy")).steady

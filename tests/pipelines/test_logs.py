@@ -136,6 +136,7 @@ def test_events_that_cannot_be_written_are_no_error(tmp_path: Path) -> None:
     Events(tmp_path / "nowhere", "r").write("a")
     (tmp_path / EVENTS_FILE).mkdir()
     Events(tmp_path, "r").write("a")
+    assert list(tmp_path.rglob("*")) == [tmp_path / EVENTS_FILE]
 
 
 # --- one log per run ---

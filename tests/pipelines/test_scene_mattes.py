@@ -333,7 +333,8 @@ def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Sessi
     scene = session.scene("mattes")[0]
     options = CanonicalOptions(
         resolution=20, iterations=50, rays=384, samples=8192, channels=6, mlp_width=16, scale_at=(0.5,), opacity=0.1,
-        alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20, hull_resolution=24,
+        alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
+        hull_resolution=24,
     )  # fmt: skip
     model = train_canonical(scene, options)
     assert model.shell is None

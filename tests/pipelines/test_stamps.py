@@ -2,22 +2,21 @@
 
 import json
 import os
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.pipelines.config_reads import leaves, reads_of
+from tests.declared import watch
 from tests.pipelines.small_stages import ALL, CHAIN, executed, job, small_stages, stage, stand
 
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import standings
-from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps import code_version, digests
+from devrf.pipelines.stamps import digests
 
 
 @pytest.fixture
@@ -84,71 +83,28 @@ def test_every_byte_of_every_file_runs_what_depends_on_it(
         assert executed(folder) == []
 
 
-# --- what the stages say of themselves is what their code does ---
+def test_what_a_stage_reads_without_declaring_it_is_seen(folder: Path) -> None:
+    """So that the watch over every run of the tests (`devrf`) can fail."""
 
-MOTION = ("motion_iterations", "fine_tuning_iterations", "key_times", "learn_clocks")
-READ_BUT_NOT_A_KEY = {
-    "ingest": {"capture.rest"},  # a session carries it for `check`
-    "canonical": {
-        f"reconstruct.{key}" for key in MOTION
-    },  # options of both trainings are made at once: test_stages
-    "evaluate": {"evaluate.truth"},  # `inputs` has its content, named or not
-}
+    def run(context: StageContext) -> None:
+        assert context.config.kind == "dynamic" and context.config.budget.disk_gb is None
+        assert context.config.reconstruct.rays == 100 and context.config.reconstruct.seed == 1
+        context.config.flow.model_dump()
+        for name in ("scene", "render"):
+            (context.run_dir / name / "made_of.txt").read_text()
 
-
-@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
-def test_the_keys_of_a_stage_are_those_its_code_reads(stage: Stage) -> None:
-    """All but the budget, which is as much the machine's as the file's: docs/formats.md."""
-    declared = {leaf for key in stage.config_keys for leaf in leaves(key)}
-    read = reads_of(stage.module) - READ_BUT_NOT_A_KEY.get(stage.name, set()) - leaves("budget")
-    assert declared == read
-
-
-def test_keys_are_found_wherever_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that the test above can fail."""
-    (tmp_path / "reader.py").write_text(
-        "from devrf.pipelines.board_spec import board_spec\n"
-        "class Work:\n"
-        "    def __init__(self, context: StageContext) -> None:\n"
-        "        self.context, self.rig = context, context.config.calibration.rig\n"
-        "    def given(self):\n"
-        "        return self.rig.given\n"
-        "def helper(settings: 'SyncConfig | None'):\n"
-        "    return lambda: settings.method\n"
-        "def unused(config: SceneConfig):\n"
-        "    return config.name\n"
-        "def run(context: StageContext) -> None:\n"
-        "    capture = None if context is None else context.config.capture\n"
-        "    Work(context), helper(None), board_spec, capture.training_cameras\n"
-        "    context.config.flow.model_dump_json()\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    board = {
-        f"capture.board.{key}"
-        for key in (
-            *("type", "squares", "square_m", "marker_m", "separation_m", "dictionary", "inverted", "legacy"),
-        )
-    }
-    assert reads_of("reader") == board | {
-        "calibration.rig.given",
-        "calibration.sync.method",
-        "capture.cameras",
-        "capture.test_cameras",
-        "flow.method",
-        "flow.preset",
-        "flow.weights",
-    }
-
-
-STAGE_FOLDER = re.compile(r"""(?:run_dir|self\.run) / ["'](\w+)["']""")
-
-
-@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
-def test_the_folders_that_a_stage_reads_are_among_its_reads(stage: Stage) -> None:
-    files = [path for name, path in code_version.sources(stage.module).items() if ".pipelines." in name]
-    named = {word for path in files for word in STAGE_FOLDER.findall(path.read_text())}
-    if stage.name != "report":  # which is told the stages it looks at
-        assert named & {s.name for s in STAGES} - {stage.name} <= set(stage.reads)
+    for name in ("scene", "render"):
+        (folder / "run" / name).mkdir(parents=True)
+        (folder / "run" / name / "made_of.txt").write_text(name)
+    flow = stage("flow", ("scene",), ("reconstruct.rays",))
+    made = job(folder, (flow,))
+    context = StageContext(made.config, folder, folder / "run", folder / "out", lambda *_: None, "cpu")
+    watch().watched(flow, run)(context)
+    assert watch().undeclared() == [
+        "flow reads reconstruct.seed",
+        *(f"flow reads flow.{key}" for key in sorted(type(made.config.flow).model_fields)),
+        "flow opens render/made_of.txt",
+    ]
 
 
 # --- nothing else runs anything ---

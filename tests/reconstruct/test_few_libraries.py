@@ -76,6 +76,7 @@ def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.full
 def test_every_module_is_imported_without_them() -> None:
     files = sorted((REPOSITORY / "reconstruct").rglob("*.py"))
     names = [".".join(("devrf", *f.relative_to(REPOSITORY).with_suffix("").parts)) for f in files]
@@ -84,6 +85,7 @@ def test_every_module_is_imported_without_them() -> None:
     assert len(names) > 20 and result.returncode == 0, result.stderr
 
 
+@pytest.mark.full
 def test_a_scene_is_learned_rendered_and_evaluated_without_them(tmp_path: Path) -> None:
     result = run(WORK, str(tmp_path))
     assert result.returncode == 0, result.stderr

@@ -53,6 +53,7 @@ def test_pictures_in_motion_are_made_of_the_tuned_scene() -> None:
     np.testing.assert_allclose(picture, render_layers(model, _camera(), 0.5)[0], atol=5e-3)
 
 
+@pytest.mark.full
 def test_planes_in_front_of_a_reference_camera() -> None:
     canonical = _planes()
     canonical.density += torch.randn(canonical.density.shape, generator=torch.Generator().manual_seed(0))

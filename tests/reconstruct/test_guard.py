@@ -142,13 +142,14 @@ def test_cameras_that_take_turns_may_differ(ball, rest: RestModel, tmp_path: Pat
     assert metrics["restarts"] == metrics["keys_left"] == 0
 
 
+@pytest.mark.full
 def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     ball, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As well as with the right ones, to 1.5 dB; and bit by bit the same if it is killed on the way."""
     good = train_canonical(ball.scene, QUICK)
     assert good.metrics["restarts"] == 0
-    wild = replace(QUICK, lr_grid=30 * QUICK.lr_grid, lr_mlp=30 * QUICK.lr_mlp)
+    wild = replace(QUICK, learning_rate=30 * QUICK.learning_rate)
     caught = train_canonical(ball.scene, wild)
     assert caught.metrics["restarts"] >= 1 and "last good point" in caplog.text
     assert caught.metrics["train_psnr"] > good.metrics["train_psnr"] - 1.5
@@ -158,6 +159,7 @@ def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     assert again.metrics["restarts"] == caught.metrics["restarts"]
 
 
+@pytest.mark.full
 def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestModel, tmp_path: Path) -> None:
     _, good = train_motion(ball.scene, rest, {}, MOTION)
     assert good["restarts"] == good["keys_left"] == 0
@@ -173,12 +175,13 @@ def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestMo
 
 def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> None:
     motion, _ = train_motion(ball.scene, rest, {}, replace(MOTION, iterations=(10,)))
-    options = replace(MOTION, fine_tuning=20, fine_tuning_lr=300.0, fine_tuning_given=True)
+    options = replace(MOTION, fine_tuning=20, learning_rate=1e4, fine_tuning_given=True)
     tuned = fine_tuning.fine_tune(ball.scene, rest, motion, options)
     assert tuned.metrics["restarts"] >= 1 and tuned.metrics["rate"] < 1
     assert (tuned.gain_db or 0) > -3  # no more than doubles the error: else it would have gone back again
 
 
+@pytest.mark.full
 def test_losses_that_double_by_chance_change_nothing(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,6 +208,7 @@ def test_a_motion_that_is_no_number_is_not_kept(
     assert metrics["restarts"] == 1 and motion.backward.isfinite().all()
 
 
+@pytest.mark.full
 def test_what_smaller_steps_do_not_help_ends_with_a_message(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,7 @@ def _peak(scene: Scene, options: CanonicalOptions, folder: Path) -> int:
     return json.loads(done.stdout)
 
 
+@pytest.mark.full
 def test_a_limit_is_kept_by_a_real_training(ball, tmp_path: Path) -> None:
     """At most a tenth above what was predicted where nothing is to be done, and below the limit where there is."""
     wide = replace(REST, resolution=128, iterations=8, occupancy_every=2, coarse_iterations=4, mlp_width=64)
@@ -201,7 +202,7 @@ def test_size_of_a_scene(ball) -> None:
 
 def test_rays_in_parts_have_the_same_gradient(ball) -> None:
     """After one iteration Adam has moved every value by its rate, so the second tells."""
-    options = replace(REST, iterations=2, lr_grid=0.01, lr_mlp=1e-4)
+    options = replace(REST, iterations=2, lr_grid=0.1, learning_rate=0.1)
     whole, parted = (
         train_canonical(ball.scene, replace(options, parts=parts), "cpu").canonical for parts in (1, 3)
     )

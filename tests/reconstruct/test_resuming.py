@@ -21,6 +21,7 @@ from torch import Tensor
 from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import Scene
 from devrf.reconstruct import fine_tune as fine_tuning
+from devrf.reconstruct import train_motion as motion_training
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.rest_model import RestModel
@@ -38,8 +39,17 @@ SHORT = replace(
 )  # it grows at iterations 6 and 12
 MOTION = MotionOptions(
     levels=(4, 6), iterations=(5, 3), rays=300, importance=0.7, lr=6e-3, most_keys=4, weight_threshold=1e-3,
-    adapt=True, fine_tuning=8, fine_tuning_given=True, live_every=3,
+    adapt=True, fine_tuning=8, fine_tuning_given=True,
 )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is done every few iterations is done within these trainings too."""
+    monkeypatch.setattr(fine_tuning, "WINDOW_EVERY", 3)
+    monkeypatch.setattr(motion_training, "LIVE_EVERY", 3)
+
+
 TIMES = ("seconds", "rays_per_s", "peak_rss_gb", "fine_tuning_s")
 
 
@@ -79,12 +89,14 @@ def test_scene_at_rest(ball, tmp_path: Path, deferred: bool) -> None:
     _assert_same_rest(ball.scene, replace(SHORT, deferred=deferred), tmp_path, deaths)
 
 
+@pytest.mark.full
 def test_search_of_the_box_by_a_coarse_model(ball, tmp_path: Path) -> None:
     options = replace(SHORT, box_search="coarse", coarse_iterations=350, coarse_rays=512)
     deaths = {("box", done) for done in (1, 100, 249, 350)} | {("", 3), ("", 20)}
     _assert_same_rest(ball.scene, options, tmp_path, deaths)
 
 
+@pytest.mark.full
 def test_surroundings(ball, tmp_path: Path) -> None:
     """The coarse model of everything grows three times, by a quarter of its iterations."""
     scene = replace(ball.scene, background="shell", aabb=np.array([[-0.7] * 3, [0.7] * 3]), far=8.0)
@@ -92,6 +104,7 @@ def test_surroundings(ball, tmp_path: Path) -> None:
     _assert_same_rest(scene, replace(SHORT, coarse_iterations=24), tmp_path, deaths)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("windows", [None, [(0, 1), (1, 3)]], ids=["at once", "in parts"])
 def test_motion_and_fine_tuning(
     ball, rest: RestModel, tmp_path: Path, windows: list | None, monkeypatch: pytest.MonkeyPatch
@@ -112,6 +125,7 @@ def test_motion_and_fine_tuning(
     assert _timeless(metrics) == _timeless(metrics_again)
 
 
+@pytest.mark.full
 def test_without_time_it_does_a_step_and_goes_on(ball, tmp_path: Path) -> None:
     options = replace(SHORT, iterations=6)
     undisturbed = train_canonical(ball.scene, options)
@@ -175,6 +189,7 @@ save_file(_tensors(model), folder / "model")
 """
 
 
+@pytest.mark.full
 def test_killed_by_the_system(ball, tmp_path: Path) -> None:
     """SIGKILL, at whatever the process is doing after its first checkpoint."""
     (tmp_path / "scene").write_bytes(pickle.dumps(ball.scene))

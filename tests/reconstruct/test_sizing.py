@@ -180,6 +180,7 @@ def test_slow_change_adds_up(ball) -> None:
     assert still == {1, 2, 4}  # the third is 12 of 255 from the first; the fourth is like the third
 
 
+@pytest.mark.full
 def test_levels_end_where_they_gain_no_more(ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch) -> None:
     options = replace(MOTION, iterations=(6, 3, 3))
     monkeypatch.setattr(motion_training, "LEVEL_PAYS_DB", 50.0)
@@ -193,6 +194,7 @@ def test_levels_end_where_they_gain_no_more(ball, rest: RestModel, monkeypatch: 
     assert metrics["iterations"] == 4 * 9 and all_metrics["iterations"] == 4 * 12
 
 
+@pytest.mark.full
 def test_adapted_training_resumes_bit_by_bit(
     ball, rest: RestModel, tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,13 +16,13 @@ from devrf.capture.simulate.rig import look_at
 from devrf.capture.simulate.scenes import Mesh, Paint, picture_on_quad, texture
 from devrf.capture.simulate.studio import Studio
 
-FLOOR_Z, WALL_Y, HALF = -1.0, 1.6, 4.5  # world units
+FLOOR_Z, WALL_Y, HALF, SPAN = -1.0, 1.6, 4.5, 2.0  # world units; the middle goes from -SPAN to SPAN
 TEXELS, TEXEL = 400, 0.02
 PAINT = Paint((150, 160, 170), 38.0)
 
 
 def simulate_passing(
-    scene: str, frames: int, size: tuple[int, int], seed: int, spp: int = 16, span: float = 2.0
+    scene: str, frames: int, size: tuple[int, int], seed: int, spp: int = 16
 ) -> tuple[UInt8[np.ndarray, "n h w 3"], Float[np.ndarray, "n h w"]]:
     """Render the clip.
 
@@ -32,7 +32,6 @@ def simulate_passing(
         size: Width and height.
         seed: Different seeds give other textures.
         spp: Light paths per pixel.
-        span: The model's middle goes from -span to span.
     Returns:
         Pictures, sRGB, and the share of every pixel that the model covers.
     """
@@ -43,7 +42,7 @@ def simulate_passing(
     for n, time in enumerate(np.linspace(0, 1, frames)):
         meshes = [part.at(float(time)) for part in model]
         lowest = min(float(mesh.vertices[:, 2].min()) for mesh in meshes)
-        move = np.array([(2 * time - 1) * span, 0.0, FLOOR_Z - lowest])
+        move = np.array([(2 * time - 1) * SPAN, 0.0, FLOOR_Z - lowest])
         meshes = [replace(mesh, vertices=mesh.vertices + move) for mesh in meshes]
         pictures.append(studio.stage([*meshes, *room]).picture(camera, n)[..., :3])
         mattes.append(studio.stage(meshes).coverage(camera, n).clip(0, 1))
@@ -52,17 +51,11 @@ def simulate_passing(
 
 def _room(rng: np.random.Generator) -> list[Mesh]:
     """Wall and floor, textured."""
-    wall = [(-HALF, WALL_Y, HALF), (HALF, WALL_Y, HALF), (HALF, WALL_Y, FLOOR_Z), (-HALF, WALL_Y, FLOOR_Z)]
-    floor = [
-        (-HALF, WALL_Y, FLOOR_Z),
-        (HALF, WALL_Y, FLOOR_Z),
-        (HALF, -HALF, FLOOR_Z),
-        (-HALF, -HALF, FLOOR_Z),
-    ]
+    edge = [(-HALF, WALL_Y, FLOOR_Z), (HALF, WALL_Y, FLOOR_Z)]
+    wall = [(-HALF, WALL_Y, HALF), (HALF, WALL_Y, HALF), *edge[::-1]]
+    floor = [*edge, (HALF, -HALF, FLOOR_Z), (-HALF, -HALF, FLOOR_Z)]
+    paint = {"paint": PAINT, "largest_m": 0.8, "smallest_m": 0.08}
     return [
-        picture_on_quad(
-            np.array(corners, float),
-            texture(rng, TEXELS, TEXELS, TEXEL, 1.0, paint=PAINT, largest_m=0.8, smallest_m=0.08),
-        )
+        picture_on_quad(np.array(corners, float), texture(rng, TEXELS, TEXELS, TEXEL, 1.0, **paint))
         for corners in (wall, floor)
     ]
