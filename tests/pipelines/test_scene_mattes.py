@@ -345,19 +345,22 @@ def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Sessi
     np.testing.assert_allclose(rendered[0, 0], 1, atol=0.02)
 
 
-def test_the_report_shows_them(session: Session) -> None:
-    from devrf.pipelines.report.mattes import mattes
+def test_the_report_shows_them(session: Session, tmp_path: Path) -> None:
+    from devrf.pipelines.report.capture import capture
+    from devrf.pipelines.report.run import RunFolder
+
+    def shown(scene: Scene) -> list[tuple[str, list[bool]]]:
+        run = RunFolder(tmp_path, ("scene",), {})
+        run.__dict__["_scene"] = scene  # as read
+        return [(name, [bool(uri) for uri, _ in pictures]) for name, pictures in capture(run)["mattes"]]
 
     session.write_mattes("mattes", "cam0")
     scene = session.scene("mattes")[0]
-    page = mattes(scene)
-    assert page.count("data:image/jpeg") == 3 and "<h3>cam0</h3>" in page and "static" not in page
-    assert mattes(session.scene(None)[0]) == "" and mattes(None) == ""
-    assert scene.dynamic[0].matte is not None
+    assert shown(scene) == [("cam0", [True] * 3)] and shown(session.scene(None)[0]) == []
     for frame in scene.dynamic:
         assert frame.matte is not None
         frame.matte.unlink()  # a run folder that was tidied up by hand
-    assert "data:image" not in mattes(scene)
+    assert shown(scene) == [("cam0", [False] * 3)]
 
 
 def test_a_man_who_stays_in_his_chair_has_no_clean_plate(data_dir: Path, tmp_path: Path) -> None:
