@@ -1,6 +1,6 @@
 """Sections of the report that are curves: training, clocks, and what `bench speed` and `bench stability` measured."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
@@ -16,11 +16,6 @@ LOSSES = {
     "variation": "total variation",
 }
 MAX_CURVES = 9  # of pairs of clocks
-COSTS = (
-    ("seconds", "seconds of training"),
-    ("megabytes", "megabytes"),
-    ("render_fps", "pictures per second"),
-)
 
 
 def training(run: RunFolder) -> dict[str, Any]:
@@ -31,17 +26,24 @@ def training(run: RunFolder) -> dict[str, Any]:
 def clocks(run: RunFolder) -> dict[str, Any]:
     """How well pairs of clips match against the delay between them, and how well geometry does."""
     heard = sorted(run.objects("sync/curves.json", "curves"), key=lambda c: not c.get("accepted"))
-    correlation = [_clock(c, "method", "accepted", "not used", 1, "delay, s", "correlation") for c in heard]
-    geometry = [
-        _clock(c, "by", "sharp", "not sharp", 1000, "trial offset, ms", label)
-        for c in run.objects("scene/clock_check.json", "pairs")
-        if (label := "epipolar error, px" if c.get("by") == "tracks" else "correlation")
-    ]
-    return {"correlation": _drawn(correlation[:MAX_CURVES]), "geometry": _drawn(geometry[:MAX_CURVES])}
+    pairs = run.objects("scene/clock_check.json", "pairs")[:MAX_CURVES]
+    label = {"tracks": "epipolar error, px"}
+    return {
+        "correlation": _drawn(
+            _clock(c, "method", "accepted", "not used", 1, "delay, s", "correlation")
+            for c in heard[:MAX_CURVES]
+        ),
+        "geometry": _drawn(
+            _clock(
+                c, "by", "sharp", "not sharp", 1000, "trial offset, ms", label.get(c.get("by"), "correlation")
+            )
+            for c in pairs
+        ),
+    }
 
 
 def speed(run: RunFolder) -> dict[str, Any] | None:
-    """Accuracy against seconds, megabytes and pictures per second, from the benchmark beside the run folder."""
+    """Accuracy against seconds of several ways to train, from the benchmark beside the run folder."""
     file = f"../{run.path.name}-bench/speed.json"
     curves = run.object(file, "curves")
     if not curves or not isinstance(run.at(file, "rows"), list):
@@ -51,19 +53,14 @@ def speed(run: RunFolder) -> dict[str, Any] | None:
     def value(case: str, key: str) -> float:
         return as_float(run.at(file, "rows", places.get(f"speed/{case}/{key}", -1), "value"))
 
-    charts = []
-    for cost, label in COSTS:
-        series = []
-        for n, case in enumerate(curves):
-            if cost == "seconds":  # how training got there
-                x, y = (
-                    [as_float(p.get(k)) for p in run.objects(file, "curves", case)]
-                    for k in ("seconds", "psnr")
-                )
-                series.append(Series("", x, y, n))
-            series.append(Series(case, [value(case, cost)], [value(case, "test/psnr")], n, markers=True))
-        charts.append(line_chart(series, label, "PSNR of test views, dB", log_x=True, small=True))
-    return {"file": file, "cases": list(curves), "places": places, "charts": _drawn(charts)}
+    series = []
+    for n, case in enumerate(curves):
+        way = run.objects(file, "curves", case)  # how training got there
+        seconds, psnr = ([as_float(point.get(key)) for point in way] for key in ("seconds", "psnr"))
+        series.append(Series("", seconds, psnr, n))
+        series.append(Series(case, [value(case, "seconds")], [value(case, "test/psnr")], n, markers=True))
+    chart = line_chart(series, "seconds of training", "PSNR of test views, dB", log_x=True)
+    return {"file": file, "cases": list(curves), "places": places, "charts": _drawn([chart])}
 
 
 def stability(run: RunFolder) -> dict[str, Any] | None:
@@ -117,5 +114,5 @@ def _clock(
     return line_chart([series], x_label, y_label, marks=marks, title=title, small=True)
 
 
-def _drawn(charts: Sequence[Chart | None]) -> list[Chart]:
+def _drawn(charts: Iterable[Chart | None]) -> list[Chart]:
     return [chart for chart in charts if chart is not None]
