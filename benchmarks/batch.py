@@ -6,7 +6,6 @@ Both batches work on the same tiny scenes (tests/pipelines/tiny_scenes.py) at th
 each, so that whatever else the machine does hits both alike.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -16,12 +15,12 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
+from benchmarks.script import arguments, finish
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.pipelines.batch.ray_cluster import LOOPBACK_ONLY, SILENT
 from devrf.pipelines.batch.scenes import Options, look, stand
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
-from devrf.pipelines.console import Talk
+from devrf.pipelines.bench.rows import Row
 
 GOAL = 0.9  # of the local pool's throughput
 TASKS = 400  # empty ones; Ray has started its workers after the first fifty
@@ -30,10 +29,7 @@ WARM = 50
 
 def main() -> None:
     """Print the rows, and write them where asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=16)
-    parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, scenes=16)
     os.environ.update(LOOPBACK_ONLY | SILENT)
     from ray.cluster_utils import Cluster
 
@@ -57,15 +53,11 @@ def main() -> None:
     rows = [
         Row(f"{name}, local pool", local_s, "s"),
         Row(f"{name}, Ray cluster of two nodes", ray_s, "s"),
-        with_goal(Row(f"{name}, throughput on Ray of that of the local pool", local_s / ray_s, ""), GOAL),
+        Row(f"{name}, throughput on Ray of that of the local pool", local_s / ray_s, "").at_least(GOAL),
         Row("batch/empty tasks that Ray begins and ends", rate, "1/s"),
         Row("batch/looking at a scene that is fresh, processor time", look_s, "s"),
     ]
-    talk = Talk()
-    print_rows(talk, "batch", rows)
-    if asked.json is not None:
-        write_rows(asked.json, rows, benchmark="batch", versions={n: version(n) for n in ("devrf", "ray")})
-        say_files(talk, asked.json)
+    finish("batch", rows, asked.json, ray=version("ray"))
 
 
 def _start(folder: Path, scenes: int, *words: str) -> subprocess.Popen:

@@ -1,6 +1,6 @@
 """Pictures a second of films against rendering alone: what encoding and keeping pictures cost.
 
-    python -m benchmarks.film SCENE [--preset tiny] [--set output=run] [--device cpu] [--json FILE]
+    python -m benchmarks.film SCENE [--preset tiny] [--set "output=run …"] [--device cpu] [--json FILE]
 
 SCENE is a run that is finished. Rendering alone and a film of the same cameras, times and size take turns; both begin
 without surroundings that are remembered. A camera that stands is that of `render_fps` in evaluate/metrics.json (a
@@ -9,7 +9,6 @@ evaluate does not. On an orbit every picture has surroundings of its own. Proces
 where a machine does other work besides, it says more than the wall clock.
 """
 
-import argparse
 import json
 import tempfile
 import time
@@ -17,19 +16,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from benchmarks.script import arguments, finish
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.progress import no_progress
-from devrf.pipelines.bench.rows import Row, print_rows, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.cli_options import configured
-from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.draw import Drawer
 from devrf.pipelines.film.kept import Kept
 from devrf.pipelines.film.make import make
 from devrf.pipelines.film.plan import Film, planned
-from devrf.pipelines.stages.evaluate import versions
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.film.layers import DepthScale
@@ -41,15 +39,9 @@ ROUNDS = 2
 
 def main() -> None:
     """Print the table; write its rows where asked to."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--preset")
-    parser.add_argument("--set", action="append", dest="overrides")
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--pictures", type=int, default=24)
-    parser.add_argument("--json", type=Path)
-    chosen = parser.parse_args()
-    config, scene_dir = configured(chosen.scene, chosen.preset, chosen.overrides, check_files=False)
+    chosen = arguments(__doc__, "scene", preset=None, set=None, device="auto", pictures=24)
+    overrides = None if chosen.set is None else chosen.set.split()
+    config, scene_dir = configured(chosen.scene, chosen.preset, overrides, check_files=False)
     run_dir = config.run_dir(scene_dir)
     world = read_scene(run_dir / "scene")
     model = load_trained(run_dir, resolve_device(chosen.device))
@@ -62,9 +54,7 @@ def main() -> None:
         rows += _rows(path.partition(":")[0], film, model)
     told = json.loads((run_dir / "evaluate" / "metrics.json").read_text())["render_fps"]
     rows.append(Row("film/still/render_fps of evaluate", told, "pictures/s"))
-    print_rows(Talk(), f"film, {config.name}, {chosen.pictures} pictures", rows)
-    if chosen.json is not None:
-        write_rows(chosen.json, rows, benchmark="film", pictures=chosen.pictures, versions=versions())
+    finish("film", rows, chosen.json, pictures=chosen.pictures)
 
 
 def _rows(name: str, film: Film, model: DynamicModel) -> list[Row]:
@@ -77,7 +67,7 @@ def _rows(name: str, film: Film, model: DynamicModel) -> list[Row]:
     return [
         Row(f"{where}/rendering alone", float(1 / wall), "pictures/s"),
         Row(f"{where}/film", float(1 / film_wall), "pictures/s"),
-        with_goal(Row(f"{where}/film of rendering", share, ""), GOAL),
+        Row(f"{where}/film of rendering", share, "").at_least(GOAL),
         Row(f"{where}/processor time, film of rendering", float(film_cpu / cpu), ""),
     ]
 
@@ -99,9 +89,7 @@ def _round(film: Film, model: DynamicModel) -> tuple[tuple[float, float], tuple[
 
 def _timed(film: Film, model: DynamicModel, work: Callable[[], object]) -> tuple[float, float]:
     model.forget()
-    if (
-        film.cameras[0] is film.cameras[-1]
-    ):  # it stands: its surroundings are found in a picture that does not count
+    if film.cameras[0] is film.cameras[-1]:  # its surroundings are found in a picture that does not count
         render_view(model, film.cameras[0], film.times[0])
     wall, cpu = time.perf_counter(), time.process_time()
     work()

@@ -13,21 +13,21 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from benchmarks.script import finish
 from PIL import Image
 from scipy.spatial import KDTree
+from tests.glb import read_glb
 
 from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.camera import Camera
-from devrf.capture.formats import gltf, read_scene
-from devrf.capture.formats.ply import read_positions
+from devrf.capture.formats import read_scene
 from devrf.capture.scene import Scene
 from devrf.capture.simulate.objects import make_object
 from devrf.capture.simulate.scenes import Mesh, room
 from devrf.capture.simulate.session import standing_board
 from devrf.capture.simulate.session_options import SessionOptions
-from devrf.pipelines.bench.rows import Row, print_rows, write_rows
-from devrf.pipelines.console import Talk
-from devrf.pipelines.stages.evaluate import versions
+from devrf.pipelines.bench.rows import Row
 
 RESULT, PICTURE = Path("benchmarks/results/geometry-cpu.json"), Path("docs/export.jpg")
 SPACING_M = 0.0015  # of the samples of the true surfaces
@@ -45,7 +45,7 @@ def main() -> None:
         folder = run / "export" / name
         for entry in json.loads((folder / "export.json").read_text())["files"]:
             file = entry.get("file") or entry["files"][0]
-            away = truth.distances(read_positions(folder / file), entry["time_s"])
+            away = truth.distances(trimesh.load(folder / file, process=False).vertices, entry["time_s"])
             case = f"geometry/{name}/{entry['time']:.2f}"
             rows += [
                 Row(f"{case}/median", 1e3 * float(np.median(away)), "mm"),
@@ -56,8 +56,7 @@ def main() -> None:
     for part in ("median", "percentile_95"):
         rows.append(Row(f"geometry/glb/forward motion, worst key/{part}", 1e3 * max(facts[part]), "mm"))
     rows.append(Row("geometry/voxel", 1e3 * facts["voxel"], "mm"))
-    print_rows(Talk(), "Exported geometry against the true surfaces", rows)
-    write_rows(RESULT, rows, session=session.name, versions=versions(), device="cpu")
+    finish("geometry", rows, RESULT, session=session.name, device="cpu")
     _draw(run, scene)
 
 
@@ -65,10 +64,8 @@ class _Truth:
     """True surfaces of a session, as they were simulated."""
 
     def __init__(self, session: Path, scene: Scene) -> None:
-        truth, made = (
-            read_truth(session / "ground_truth.json"),
-            json.loads((session / "ground_truth.json").read_text()),
-        )
+        file = session / "ground_truth.json"
+        truth, made = read_truth(file), json.loads(file.read_text())
         options = SessionOptions(**made["made_by"]["options"])
         seeds = np.random.default_rng(made["made_by"]["seed"]).spawn(6)
         around = room(seeds[0], options.texture_contrast)
@@ -110,7 +107,7 @@ def _samples(vertices: np.ndarray, faces: np.ndarray, count: int | None = None) 
 
 def _draw(run: Path, scene: Scene) -> None:
     """The animated mesh above what the test camera saw, at a few times."""
-    mesh = gltf.read_glb(run / "export/glb/scene.glb")
+    mesh = read_glb(run / "export/glb/scene.glb")
     facts = json.loads((run / "export/glb/export.json").read_text())
     seen = [f for f in scene.dynamic if f.split == "test"]
     columns = []

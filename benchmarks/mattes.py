@@ -1,32 +1,29 @@
 """Mattes against exact ones: models that pass before a wall and before screens; IoU, mean and worst picture.
 
-    python benchmarks/mattes.py [--frames 20] [--size 320x240]
+    python -m benchmarks.mattes [--frames 20] [--size 320x240]
 
 Pictures are JPEG of quality 85, the exposure drifts by 10 %, screens are unevenly lit. Models have all colours: what
 they share with a screen is lost to it. `eroded` is what a matte would reach that is exact but for a pixel all around.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
+from benchmarks.script import arguments
+from tests.capture.passing import simulate_passing
 
 from devrf.capture.mattes.make import CameraMattes, Clip, background_mattes, chroma_mattes
 from devrf.capture.mattes.tidy import eroded
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.simulate.passing import simulate_passing
 
 SCREENS = {"green screen": (30, 160, 70), "blue screen": (20, 60, 190)}
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=20)
-    parser.add_argument("--size", default="320x240")
-    chosen = parser.parse_args()
+    chosen = arguments(__doc__, frames=20, size="320x240")
     width, height = (int(side) for side in chosen.size.split("x"))
     print("| model | method | IoU | worst picture | seconds a picture | eroded |\n|---|---|---|---|---|---|")
     for seed, scene in enumerate(("vehicle", "glove", "robot", "arm"), 11):
@@ -60,11 +57,9 @@ def _made(method: str, pictures: np.ndarray, folder: Path) -> CameraMattes:
         cv2.imwrite(str(file), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
     size = (pictures.shape[2], pictures.shape[1])
     clip = Clip("cam0", tuple(files), {n: None for n in range(len(files))}, (size,) * len(files))
-    return (background_mattes if method == "background" else _chroma)(clip, folder / "out")
-
-
-def _chroma(clip: Clip, out: Path) -> CameraMattes:
-    return chroma_mattes(clip, None, out)
+    if method == "background":
+        return background_mattes(clip, folder / "out")
+    return chroma_mattes(clip, None, folder / "out")
 
 
 if __name__ == "__main__":

@@ -17,13 +17,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from benchmarks.script import finish
 from tests.reconstruct import conftest as ball
 
 from devrf.capture.processes import memory_of
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import CameraFlow
-from devrf.pipelines.bench.rows import Row, with_goal, write_rows
-from devrf.pipelines.stages.evaluate import versions
+from devrf.pipelines.bench.rows import Row
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.footprint import footprint
 from devrf.reconstruct.memory_fit import UNSURE
@@ -58,18 +58,16 @@ def main() -> None:
     if len(sys.argv) > 1:
         print(json.dumps(_train(json.loads(sys.argv[1]))))
         return
-    print("| training | predicted, MB | measured, MB | ratio |\n|---|---|---|---|")
     rows = []
     for case in CASES:
         command = [sys.executable, "-m", "benchmarks.memory", json.dumps(case)]
         said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         predicted, measured = (count / 1e6 for count in json.loads(said.splitlines()[-1]))
         words = ", ".join(f"{key} {value}" for key, value in case.items())
-        print(f"| {words} | {predicted:.0f} | {measured:.0f} | {predicted / measured:.2f} |", flush=True)
         limit = round((1 + UNSURE) * predicted)  # what limits are held to
-        rows.append(with_goal(Row(f"memory/{words}", round(measured), "MB"), limit, low_is_good=True))
+        rows.append(Row(f"memory/{words}", round(measured), "MB").at_most(limit))
         rows.append(Row(f"memory/{words}, predicted", round(predicted), "MB"))
-    write_rows(RESULT, rows, benchmark="memory", versions=versions())
+    finish("memory", rows, RESULT)
 
 
 def _train(case: dict[str, Any]) -> tuple[int, int]:

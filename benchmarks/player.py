@@ -7,19 +7,18 @@ The browser is Debian's Chromium with SwiftShader, the picture 400 x 400; what t
 is counted for some seconds. Pictures are compared with `render_view` of the same camera and time.
 """
 
-import argparse
 import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.script import arguments, finish
 from PIL import Image
 from tests.browser.conftest import FLAGS
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene
-from devrf.pipelines.bench.rows import Row, with_goal, write_rows
-from devrf.pipelines.stages.evaluate import versions
+from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.metrics import psnr
 from devrf.reconstruct.model import render_view
@@ -35,14 +34,8 @@ TURN = """() => {
 
 def main() -> None:
     """Measure the page that the arguments name, print the rows and write them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("page", type=Path)
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    page_path, run_dir = arguments.page.resolve(), arguments.run
+    chosen = arguments(__doc__, "page", "run")
+    page_path = chosen.page.resolve()
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
@@ -50,27 +43,25 @@ def main() -> None:
         page = browser.new_page(viewport={"width": SIDE, "height": SIDE}, reduced_motion="reduce")
         page.goto(page_path.as_uri())
         page.wait_for_selector("body.ready", state="attached", timeout=120_000)
-        rows = [_size(page_path), *_pictures_a_second(page), *_compared(page, run_dir)]
+        rows = [_size(page_path), *_pictures_a_second(page), *_compared(page, chosen.run)]
         browser.close()
-    for row in rows:
-        print(f"| {row.name} | {row.value} {row.unit} |")
-    if arguments.json is not None:
-        write_rows(arguments.json, rows, benchmark="player", versions=versions())
+    finish("player", rows, chosen.json)
 
 
 def _size(path: Path) -> Row:
-    return with_goal(Row("player/size", round(path.stat().st_size / 1e6, 2), "MB"), MOST_MB, low_is_good=True)
+    return Row("player/size", round(path.stat().st_size / 1e6, 2), "MB").at_most(MOST_MB)
 
 
 def _pictures_a_second(page: Any) -> list[Row]:
     """While it plays, is turned, and both."""
     rows = []
-    page.evaluate("player.setPlaying(true)")
-    rows += _counted(page, "playing")
-    page.evaluate(TURN)
-    rows += _counted(page, "playing and turned")
-    page.evaluate("player.setPlaying(false)")
-    rows += _counted(page, "turned")
+    for what, script in (
+        ("playing", "player.setPlaying(true)"),
+        ("playing and turned", TURN),
+        ("turned", "player.setPlaying(false)"),
+    ):
+        page.evaluate(script)
+        rows += _counted(page, what)
     page.evaluate("cancelAnimationFrame(window.turning)")
     return rows
 
@@ -84,7 +75,7 @@ def _counted(page: Any, what: str) -> list[Row]:
     )
     rate = round(1000 * (after - before) / (end - begin), 1)
     return [
-        with_goal(Row(f"player/{what}", rate, "pictures/s"), GOAL, low_is_good=False),
+        Row(f"player/{what}", rate, "pictures/s").at_least(GOAL),
         Row(f"player/{what}, side of the pixels drawn", round(SIDE * share), "px"),
         Row(f"player/{what}, splats drawn", drawn, "splats"),
     ]

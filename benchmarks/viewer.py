@@ -7,20 +7,18 @@ time for each), colours as bytes, depth, and viser's own encoding; the network a
 is that of a model that has been read, by kernels that have been compiled, in the size that the viewer begins with.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import numpy as np
 import rich
 import torch
 import viser
+from benchmarks.script import arguments, finish
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import to_8_bits
-from devrf.pipelines.bench.rows import Row, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.device import resolve_device
-from devrf.pipelines.stages.evaluate import versions
 from devrf.pipelines.viewer.site import CHUNK_CPU, settle
 from devrf.pipelines.viewer.source import Loaded, load, look
 from devrf.pipelines.viewer.view import View
@@ -39,31 +37,22 @@ SECONDS, MOST, FEWEST = 8.0, 400, 4  # of measuring; pictures
 
 def main() -> None:
     """Print the rows and write them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    device = resolve_device(arguments.device)
+    chosen = arguments(__doc__, "run", device="auto")
+    device = resolve_device(chosen.device)
     settle(device)
     begin = time.perf_counter()
-    loaded = load(arguments.run, look(arguments.run), device, Loaded())
+    loaded = load(chosen.run, look(chosen.run), device, Loaded())
     if loaded.model is None or loaded.scene is None:
-        raise SystemExit(f"{arguments.run}: no trained model; run the scene first")
+        raise SystemExit(f"{chosen.run}: no trained model; run the scene first")
     rows = [Row("viewer/model read", time.perf_counter() - begin, "s")]
     measure = _Measure(loaded, device)
-    rows.append(with_goal(Row("viewer/first picture", measure.first(), "s"), FIRST_S, low_is_good=True))
+    rows.append(Row("viewer/first picture", measure.first(), "s").at_most(FIRST_S))
     for (width, height), goal in SIZES.items():
         rate, worked_s = measure.rate(width, height)
         row = Row(f"viewer/pictures a second, {width}x{height}", rate, "1/s")
-        rows.append(with_goal(row, goal) if device == "cuda" or width < 960 else row)
+        rows.append(row.at_least(goal if device == "cuda" or width < 960 else None))
         rows.append(Row(f"viewer/processor time of a picture, {width}x{height}", worked_s, "s"))
-    for row in rows:
-        print(f"{row.name}: {row.value:.3g} {row.unit}", flush=True)
-    if arguments.json is not None:
-        write_rows(arguments.json, rows, benchmark="viewer", device=device, versions=versions())
+    finish("viewer", rows, chosen.json, device=device)
 
 
 class _Measure:

@@ -55,7 +55,7 @@ class Sound:
         return float(np.sqrt(np.mean(np.square(self.samples, dtype=np.float64)))) < SILENCE_RMS
 
 
-def read_sound(path: Path, rate_hz: int = RATE_HZ) -> Sound | None:
+def read_sound(path: Path) -> Sound | None:
     """Decode the first sound stream of a file as mono; None where the file has none.
 
     Raises:
@@ -83,10 +83,10 @@ def read_sound(path: Path, rate_hz: int = RATE_HZ) -> Sound | None:
             "or set calibration.sync.method to motion"
         )
     samples, start_s = _place(blocks, native_hz)
-    if native_hz != rate_hz:
-        factor = gcd(native_hz, rate_hz)
-        samples = resample_poly(samples, rate_hz // factor, native_hz // factor).astype(np.float32)
-    return Sound(samples, rate_hz, start_s, native_hz)
+    if native_hz != RATE_HZ:
+        factor = gcd(native_hz, RATE_HZ)
+        samples = resample_poly(samples, RATE_HZ // factor, native_hz // factor).astype(np.float32)
+    return Sound(samples, RATE_HZ, start_s, native_hz)
 
 
 def write_wav(path: Path, sound: Sound) -> None:

@@ -55,15 +55,6 @@ class Look:
         """Whether it does anything."""
         return self != Look()
 
-    def inverse(self) -> "Look":
-        """The look that takes this one back. It has no flat field, so it is for looks without one.
-
-        matrix · gains = (matrix · diag(gains)): its inverse is a matrix alone.
-        """
-        if self.flat is not None:
-            raise ValueError("a look with a flat field is taken back by leaving it away")
-        return Look(as_matrix(np.linalg.inv(np.array(self.matrix) * np.array(self.gains))))
-
     def apply(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
         """The picture as the reference camera would show it, sRGB."""
         matrix = np.array(self.matrix, np.float64)

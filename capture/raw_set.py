@@ -1,8 +1,7 @@
 """All RAW photos of a folder: developed side by side by one recipe, written to disk, and what was used of each.
 
 A photo of 24 million pixels takes 0.6 GB while it is developed, so at most one per core, or as many as are allowed, are
-in memory. The picture in `frames` is sRGB with 8 bits; where asked for, `linear/<name>/<index>.png` is the same in
-linear light with 16 bits.
+in memory. The picture in `frames` is sRGB with 8 bits.
 `raw/<name>.json` holds the recipe and, per file, levels, white balance as shot, matrix and what was clipped.
 """
 
@@ -13,33 +12,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import UInt8
 
 from devrf.capture.cores import usable_cores
 from devrf.capture.errors import CaptureError
 from devrf.capture.exif import exposure_stops
 from devrf.capture.frames import grey_small
-from devrf.capture.pictures import PNG_OPTIONS, write_picture
+from devrf.capture.pictures import write_picture
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.raw import DEMOSAIC, Development, Recipe, WhiteBalance, develop, recipe_for
-
-
-@dataclass(frozen=True)
-class RawOptions:
-    """What a user may decide about RAW photos.
-
-    Attributes:
-        white_balance: Multipliers for R, G, B, second G, for all sets; None: daylight of each set's sensor.
-        keep_linear: Whether pictures in linear light with 16 bits are kept too.
-    """
-
-    white_balance: WhiteBalance | None = None
-    keep_linear: bool = False
-
-
-RAW_DEFAULTS = RawOptions()
 
 
 @dataclass(frozen=True)
@@ -48,13 +30,11 @@ class RawPhoto:
 
     Attributes:
         file: The 8-bit picture, relative to the ingest folder.
-        linear: The linear picture, likewise, or None.
         width, height: Its size, pixels.
         grey: The picture in grey, at the size in which sharpness is measured.
     """
 
     file: str
-    linear: str | None
     width: int
     height: int
     grey: UInt8[np.ndarray, "small_height small_width"]
@@ -64,7 +44,7 @@ def develop_set(
     pictures: Sequence[tuple[int, Path]],
     out: Path,
     name: str,
-    options: RawOptions,
+    white_balance: WhiteBalance | None = None,
     progress: Progress = no_progress,
     workers: int | None = None,
 ) -> dict[int, RawPhoto]:
@@ -74,7 +54,7 @@ def develop_set(
         pictures: Index and file of each, of one camera.
         out: The ingest folder.
         name: The folder's name among the cameras.
-        options: White balance, and what is kept.
+        white_balance: Multipliers for R, G, B, second G; None: daylight of the set's sensor.
         progress: Told how far it is.
         workers: Photos developed at once; None: one per core.
     Returns:
@@ -83,9 +63,8 @@ def develop_set(
         InputError: If a file is not a RAW file that LibRaw reads.
         CaptureError: If the content of one is damaged.
     """
-    recipe = recipe_for([path for _, path in pictures], options.white_balance)
-    folders = [out / "frames" / name, out / "raw", *([out / "linear" / name] if options.keep_linear else [])]
-    for folder in folders:
+    recipe = recipe_for([path for _, path in pictures], white_balance)
+    for folder in (out / "frames" / name, out / "raw"):
         folder.mkdir(parents=True, exist_ok=True)
 
     def one(job: tuple[int, Path]) -> tuple[RawPhoto, dict[str, Any]]:
@@ -94,11 +73,8 @@ def develop_set(
         file = f"frames/{name}/{index:06d}.png"
         rgb = photo.rgb
         write_picture(out / file, rgb)
-        linear = f"linear/{name}/{index:06d}.png" if options.keep_linear else None
-        if linear is not None:
-            _write_linear(out / linear, photo.linear)
         height, width = rgb.shape[:2]
-        return RawPhoto(file, linear, width, height, grey_small(rgb)), _used(photo, file, linear)
+        return RawPhoto(file, width, height, grey_small(rgb)), _used(photo, file)
 
     photos: dict[int, RawPhoto] = {}
     used = []
@@ -140,17 +116,16 @@ def _recipe(recipe: Recipe) -> dict[str, Any]:
         "auto_bright": False,
         "highlights": "clip",
         "primaries": "sRGB",
-        "curve": {"frames": "sRGB", "linear": "none"},
+        "curve": "sRGB",
         "libraw": ".".join(map(str, rawpy.libraw_version)),
     }
 
 
-def _used(photo: Development, file: str, linear: str | None) -> dict[str, Any]:
+def _used(photo: Development, file: str) -> dict[str, Any]:
     header = photo.header
     return {
         "source": header.path.name,
         "file": file,
-        "linear": linear,
         "black": header.black,
         "white": header.white,
         "as_shot": header.as_shot,
@@ -167,10 +142,3 @@ def _used(photo: Development, file: str, linear: str | None) -> dict[str, Any]:
         "highest": photo.highest,
         "at_highest": photo.at_highest,
     }
-
-
-def _write_linear(path: Path, linear: UInt16[np.ndarray, "height width 3"]) -> None:
-    done, data = cv2.imencode(".png", linear[:, :, ::-1], PNG_OPTIONS)
-    if not done:
-        raise ValueError(f"{path}: OpenCV cannot write it")
-    path.write_bytes(data.tobytes())

@@ -5,7 +5,7 @@ column repeated. Colours are converted with, and tagged as, BT.709; an untagged 
 whatever matrix the player guesses. The index is put in front, so that playing starts while loading.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
@@ -17,13 +17,16 @@ from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError
 
-CRF = 18  # x264's quality scale: 18 cannot be told from the original by eye, 23 is its default
+X264 = {"crf": "18", "preset": "medium"}  # 18 cannot be told from the original by eye, 23 is its default
 BT709 = 1  # number of that matrix, transfer and primaries in ITU-T H.273
 WAITING = 4  # pictures that may wait for the encoder: memory stays bounded where it is the slower one
 
 
 def write_video(
-    path: Path, frames: Iterable[UInt8[np.ndarray, "height width 3"]], fps: float, crf: int = CRF
+    path: Path,
+    frames: Iterable[UInt8[np.ndarray, "height width 3"]],
+    fps: float,
+    options: Mapping[str, str] = X264,
 ) -> int:
     """Write RGB pictures as an mp4 film (H.264, yuv420p, BT.709, index in front).
 
@@ -31,7 +34,7 @@ def write_video(
         path: File to write; its folder must exist.
         frames: Pictures [height, width, 3] of one size, RGB; consumed one at a time.
         fps: Pictures per second.
-        crf: Quality, 0 (lossless) to 51.
+        options: Of x264.
     Returns:
         Number of pictures written.
     Raises:
@@ -47,7 +50,7 @@ def write_video(
         with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
             stream.pix_fmt = "yuv420p"
-            stream.options = {"crf": str(crf), "preset": "medium"}
+            stream.options = dict(options)
             context = stream.codec_context
             context.colorspace = context.color_trc = context.color_primaries = BT709
             for picture in frames:

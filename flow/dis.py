@@ -1,37 +1,28 @@
 """Dense inverse search (Kroeger et al., ECCV 2016) through OpenCV.
 
-Deterministic; the medium preset takes about 50 ms for a pair of 540 x 960 pictures on two cores, and has 0.16 to
-0.38 px mean error on Middlebury pairs. It takes 8-bit grey only: colour is converted with the same fixed weights for
-both pictures, never stretched per picture (that would read as motion).
+Deterministic; OpenCV's medium preset takes about 50 ms for a pair of 540 x 960 pictures on two cores, and has 0.16 to
+0.38 px mean error on Middlebury pairs; the faster ones are 4 to 7 times as fast and twice as far off. It takes 8-bit
+grey only: colour is converted with the same fixed weights for both pictures, never stretched per picture (that would
+read as motion).
 """
 
 import threading
-from typing import get_args
 
 import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from devrf.flow.methods import Preset
 from devrf.flow.padding import crop, pad
 
 SMALLEST_SIDE = 24  # pixels; below, the coarsest pyramid level is smaller than one 8 x 8 patch
 
 
 class DisFlow:
-    """OpenCV's DIS; see `devrf.flow.estimator.FlowEstimator`.
+    """OpenCV's DIS; see `devrf.flow.estimator.FlowEstimator`."""
 
-    Args:
-        preset: ultrafast and fast are 4 to 7 times as fast as medium, and twice as far off.
-    """
+    name, parallel = "dis", True
 
-    parallel = True
-
-    def __init__(self, preset: Preset = "medium") -> None:
-        if preset not in get_args(Preset):
-            raise ValueError(f"DIS preset is {preset!r}, expected one of {', '.join(get_args(Preset))}")
-        self.name = "dis" if preset == "medium" else f"dis {preset}"
-        self._preset = getattr(cv2, f"DISOPTICAL_FLOW_PRESET_{preset.upper()}")
+    def __init__(self) -> None:
         self._own = threading.local()  # OpenCV's object holds buffers: one for each thread
 
     def estimate(
@@ -52,5 +43,5 @@ class DisFlow:
 
     def _dis(self) -> cv2.DISOpticalFlow:
         if not hasattr(self._own, "dis"):
-            self._own.dis = cv2.DISOpticalFlow.create(self._preset)
+            self._own.dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         return self._own.dis

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from devrf.capture.errors import InputError
-from devrf.flow.methods import Preset, installed, mistake
+from devrf.flow.methods import installed, mistake
 
 
 @runtime_checkable
@@ -36,25 +36,22 @@ class FlowEstimator(Protocol):
         ...
 
 
-def create_estimator(
-    method: str, weights: Path | None = None, device: str = "cpu", preset: Preset | None = None
-) -> FlowEstimator:
+def create_estimator(method: str, weights: Path | None = None, device: str = "cpu") -> FlowEstimator:
     """The estimator called `method`.
 
     Args:
         method: One of `methods()`.
         weights: File of a learned estimator's weights.
         device: cpu or cuda; DIS stays on the CPU.
-        preset: Of DIS; default: medium.
     Raises:
         InputError: A `mistake`; weights that do not fit; an installed method that is no estimator.
     """
-    if wrong := mistake(method, weights, preset):
+    if wrong := mistake(method, weights):
         raise InputError(f"flow: {wrong}")
     if method == "dis":
         from devrf.flow.dis import DisFlow
 
-        return DisFlow(preset or "medium")
+        return DisFlow()
     if method == "raft":
         from devrf.flow.raft import RaftFlow
 

@@ -4,13 +4,14 @@ A package of your own adds a method by an entry point of the group `devrf.flow`:
 leads to a function of `(weights: Path | None, device: str)` that gives a `FlowEstimator`.
 """
 
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "devrf.flow"
 BUILT_IN = ("dis", "raft")
-Preset = Literal["ultrafast", "fast", "medium"]  # of DIS
 
 
 def methods() -> tuple[str, ...]:
@@ -18,8 +19,8 @@ def methods() -> tuple[str, ...]:
     return (*BUILT_IN, *sorted(installed().keys() - set(BUILT_IN)))
 
 
-def mistake(method: str, weights: str | Path | None, preset: str | None = None) -> str | None:
-    """What is wrong with a choice: a method that is not there, weights or a preset that it lacks or cannot use.
+def mistake(method: str, weights: str | Path | None) -> str | None:
+    """What is wrong with a choice: a method that is not there, weights that it lacks or cannot use.
 
     No method is ever replaced by another in silence: no two give the same.
     """
@@ -34,8 +35,6 @@ def mistake(method: str, weights: str | Path | None, preset: str | None = None) 
         return (
             f"weights {str(weights)!r} are of no use; method dis needs none: remove them, or set method: raft"
         )
-    if method != "dis" and preset is not None:
-        return f"preset {preset!r} is of no use; only method dis has presets: remove it"
     return None
 
 
@@ -44,5 +43,8 @@ def plug_in(method: str) -> str | None:
     return None if method in BUILT_IN else installed()[method].module
 
 
-def installed() -> dict[str, EntryPoint]:
+def installed() -> "dict[str, EntryPoint]":
+    """The estimators of installed packages, by their names."""
+    from importlib.metadata import entry_points  # takes a while, and most ask for a method that is built in
+
     return {point.name: point for point in entry_points(group=GROUP)}

@@ -115,7 +115,7 @@ def run(
         found = job.standings()
         if dry:
             dry_run(job, found)
-        run_command.check(job, found, device, in_full=dry)
+        run_command.check(job, found, device)
     if not dry:
         run_command.carry_out(job)
 
@@ -138,9 +138,7 @@ def batch(
     allow_unhealthy: Annotated[
         bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
     ] = False,
-    out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json and batch.html")] = Path(
-        "batch"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json")] = Path("batch"),
     store: Annotated[
         str | None,
         typer.Option(

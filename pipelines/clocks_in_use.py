@@ -16,6 +16,6 @@ def clocks_in_use(run_dir: Path) -> dict[str, dict[str, Any]]:
     return {}
 
 
-def clock_stds(run_dir: Path) -> dict[str, float | None]:
-    """Camera -> standard deviation of its clock in use, seconds; None where it is not known. The reference is first."""
-    return {name: clock["std_s"] for name, clock in clocks_in_use(run_dir).items()}
+def reference_camera(run_dir: Path) -> str | None:
+    """The camera whose clock is everyone's: the first one; None where there are no clocks."""
+    return next(iter(clocks_in_use(run_dir)), None)

@@ -28,7 +28,7 @@ def check_inputs(config: SceneConfig, scene_dir: Path, stages: Collection[str]) 
         from devrf.flow.estimator import create_estimator
 
         weights = config.path(scene_dir, config.flow.weights) if config.flow.weights else None
-        create_estimator(config.flow.method, weights, preset=config.flow.preset)
+        create_estimator(config.flow.method, weights)
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -1,12 +1,11 @@
 """Commands that run stages: what has to be right before anything starts, and what is said in the end."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
 import typer
 
-from devrf.capture.errors import InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.cli_options import configured, errors_told
 from devrf.pipelines.console import Talk
@@ -48,8 +47,8 @@ def carry_out(job: Run) -> NoReturn:
     raise typer.Exit(code)
 
 
-def check(job: Run, found: Sequence[Standing], device: str, *, in_full: bool) -> None:
-    """Look at the device, the run folder, the raw files and the budget, where a stage is to run.
+def check(job: Run, found: Sequence[Standing], device: str) -> None:
+    """Look at the device, the run folder and the raw files, where a stage is to run.
 
     Raises:
         DevrfError: Something stands against a run.
@@ -62,7 +61,6 @@ def check(job: Run, found: Sequence[Standing], device: str, *, in_full: bool) ->
         from devrf.pipelines.preflight import check_inputs
 
         check_inputs(job.config, job.scene_dir, to_do)
-        _check_budget(job, to_do, in_full)
 
 
 def only(
@@ -111,21 +109,3 @@ def say_where(job: Run) -> None:
         if stage in job.fresh:
             for path in sorted((job.run_dir / stage).glob(pattern)):
                 job.talk.say(f"  {what}: {path}")
-
-
-def _check_budget(job: Run, stages: Collection[str], in_full: bool) -> None:
-    """Say what the stages will need, and refuse what cannot be had."""
-    try:
-        from devrf.pipelines.budget.forecast import forecast
-    except ModuleNotFoundError as error:  # training needs fewer libraries than estimates of all stages
-        job.talk.detail(f"memory, disk and time are not estimated: {error.name} is not installed")
-        return
-    found = forecast(job.config, job.scene_dir, job.run_dir, job.device, stages)
-    if found is None:
-        return
-    for line in found.lines():
-        job.talk.say(line, style="dim")
-    for line in found.details():
-        (job.talk.say if in_full else job.talk.detail)(line)
-    if found.refused:
-        raise InputError("\n".join(found.refused))

@@ -28,7 +28,7 @@ class StageContext:
         say: Tells the user one line that stays, such as what was decided and why.
         made_from: All that the result depends on, as its stamp will say.
         afterwards: What is left to do once the folder has its name, such as to remove what a killed run goes on from.
-        allowance: Pictures at once, their size and the time that it may use.
+        allowance: Memory and time that it may use.
     """
 
     config: "SceneConfig"

@@ -30,7 +30,6 @@ def planned_options(config: SceneConfig, *, forward: bool = False) -> "Options":
         fine_tuning_iterations=chosen.fine_tuning_iterations,
         key_times=chosen.key_times,
         learning_rate=chosen.learning_rate,
-        learn_clocks=chosen.learn_clocks,
         adapt=chosen.adapt,
         seed=chosen.seed,
     )

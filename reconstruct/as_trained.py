@@ -4,17 +4,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.clocks import LearnedClock, with_clocks
 from devrf.reconstruct.late_camera import moved_by
 
 
 def as_trained(scene: Scene, metrics: Mapping[str, Any]) -> Scene:
-    """Move the clocks that training moved; only training pictures have other times then.
+    """Move the clock that training moved; only training pictures have other times then.
 
     Args:
         scene: As `scene` left it.
-        metrics: What `train_deformation` measured; nothing of clocks in there: they stay.
+        metrics: What `train_deformation` measured; nothing of a late camera in there: all clocks stay.
     """
     late = metrics.get("late_camera")
-    moved = scene if late is None else moved_by(scene, late["name"], late["offset_s"])
-    return with_clocks(moved, {name: LearnedClock(**c) for name, c in metrics.get("clocks", {}).items()})
+    return scene if late is None else moved_by(scene, late["name"], late["offset_s"])

@@ -15,7 +15,7 @@ from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import Checkpoint, State
 from devrf.reconstruct.grids import GridTrainer, vertices
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
-from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.render import render_rest
 from devrf.reconstruct.training_log import TrainingLog
@@ -46,7 +46,7 @@ def find_subject(
     """Vertices of a coarse grid over `aabb` at which the subject is."""
     resolution, device = options.coarse_size, str(rays.device)
     model = Canonical.new(
-        aabb, resolution, resolution, channels=3, mlp_width=0, stepsize=options.stepsize, alpha_init=ALPHA_INIT,
+        aabb, resolution, resolution, channels=3, mlp_width=0, stepsize=STEP_AT_REST, alpha_init=ALPHA_INIT,
         alpha_threshold=ALPHA_THRESHOLD, weight_threshold=ALPHA_THRESHOLD, device=device, seed=options.seed,
     )  # fmt: skip
     views = _views(rays, aabb, model.shape, near)
@@ -55,7 +55,7 @@ def find_subject(
     share = (views.float() / views.max().clamp(min=1))[..., None]
     density, features = GridTrainer(model.density), GridTrainer(model.features)
     grids = {"density": density, "features": features}
-    per_ray = max(1, int(1.2 * sum(model.shape) / 3 / options.stepsize))
+    per_ray = max(1, int(1.2 * sum(model.shape) / 3 / STEP_AT_REST))
     most = max(256, min(options.coarse_rays, options.samples // per_ray))
     begin, saved = 0, checkpoint.found(log)
     if saved is not None:

@@ -34,6 +34,7 @@ from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
+LR = 0.03  # initial, of the grids; a tenth of training's: the scene at rest is nearly right; falls by 10
 NET_SHARE = 1 / 300  # the MLP's rate, of the grids'
 ENTROPY = 1e-3  # weight
 AT_ONCE = 1 << 14  # held-back rays
@@ -41,6 +42,7 @@ REACH = 2  # voxels of the scene at rest around where the moving scene may be
 TAUS_PER_KEY = 4  # times between two keys at which it is looked where that is
 PICTURES = 32  # of which an iteration's rays are
 MOST_MOVED = 1 << 28  # bytes of both fields that are brought to a GPU at once, where they are not kept there
+WINDOW_EVERY = 10  # iterations with the same key times: to bring others costs as much as a few of them
 LOG_EVERY = 50
 
 
@@ -149,7 +151,7 @@ class _Recipe:
     def step(self, iteration: int) -> dict[str, Tensor]:
         """One iteration, on rays of both kinds; returns the unweighted losses of those in motion."""
         o, canonical = self.options, self.rest.canonical
-        if len(self.windows) > 1 and iteration % o.live_every == 0:
+        if len(self.windows) > 1 and iteration % WINDOW_EVERY == 0:
             self.enter(int(torch.randint(len(self.windows), (1,), generator=self.generator)))
             self.guard.turn_to(str(self.window))
         grads = (self.density.grad[0], self.features.grad[0])
@@ -166,7 +168,7 @@ class _Recipe:
         )  # fmt: skip
         parts_at_rest = rendering_loss(out.rgb, batch.rgb), entropy_loss(out.left)
         (parts_at_rest[0] + ENTROPY * parts_at_rest[1]).backward()
-        lr = self.guard.rate * o.fine_tuning_lr * 0.1 ** (iteration / o.fine_tuning)
+        lr = self.guard.rate * o.learning_rate * LR * 0.1 ** (iteration / o.fine_tuning)
         self.features.update(lr, flag=self.density.grad[0])
         self.density.update(lr)
         for group in self.net.param_groups:

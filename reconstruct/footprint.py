@@ -17,7 +17,7 @@ from devrf.reconstruct.grids import FEW
 from devrf.reconstruct.late_camera import FEWEST
 from devrf.reconstruct.motion import MOST_ON_GPU
 from devrf.reconstruct.ndc import CUBE, Ndc
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions, MotionOptions
 from devrf.reconstruct.sizing import fewer_voxels
 
 # Measured on a CPU as differences of peaks between trainings that differ in one size (Linux, torch 2.13, warp 1.17).
@@ -187,7 +187,7 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     common = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
     training = common | {
         "models": max(first, models),
-        "samples": (o.samples * per_sample + o.rays * _steps_bytes(o)) / o.parts,
+        "samples": (o.samples * per_sample + o.rays * _steps_bytes(o, STEP_AT_REST)) / o.parts,
     }
     writing = common | {
         "models": box * (trained + VERTEX_STAYS) + around * (SHELL_VERTEX_STAYS + shell_good),
@@ -219,12 +219,12 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         + on_device
         + first * (not apart)
         + 8 * 12 * finest,  # gradient, moments and beginning of one key of both fields
-        "samples": moving + o.rays * _steps_bytes(o),
+        "samples": moving + o.rays * _steps_bytes(o, o.stepsize),
     }
     tuning = common | {
         "sweep": _picture_bytes(size, size.still_pixels, size.still_lenses),
         "models": rest + on_device + vertices * (TRAINED * CHANNELS + VERTEX),
-        "samples": moving + o.rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o)),
+        "samples": moving + o.rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o, o.stepsize)),
     }
     writing = tuning | {
         "models": rest + on_device + vertices * (TRAINED * CHANNELS + VERTEX_STAYS),
@@ -243,9 +243,9 @@ def _picture_bytes(size: SceneSize, pixels: int, lenses: int) -> int:
     return pixels * (PIXEL + MATTE * size.plain) + LENS_PIXEL * lenses
 
 
-def _steps_bytes(o: CanonicalOptions | MotionOptions) -> float:
+def _steps_bytes(o: CanonicalOptions | MotionOptions, stepsize: float) -> float:
     """Per ray, of the table of steps through the box."""
-    return 4 * math.sqrt(3) * o.resolution / o.stepsize
+    return 4 * math.sqrt(3) * o.resolution / stepsize
 
 
 def _checkpoint_bytes(*channels: int) -> float:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.clocks import LearnedClock, error_curves, lowest, picture_gap_s, with_clocks
+from devrf.reconstruct.clocks import error_curves, lowest, picture_gap_s, with_offset
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import ChangingPixels, changing_pixels
@@ -119,7 +119,7 @@ def moved_by(scene: Scene, camera: str, offset_s: float) -> Scene:
         return not mine or -TIMES_APART <= (frame.time or 0.0) + offset_s / span_s <= 1 + TIMES_APART
 
     kept = replace(scene, dynamic=tuple(f for f in scene.dynamic if inside(f)))
-    return with_clocks(kept, {camera: LearnedClock(offset_s, None, 0.0)})
+    return with_offset(kept, camera, offset_s)
 
 
 def without(scene: Scene, camera: str) -> Scene:

@@ -1,28 +1,26 @@
 """Weights for LPIPS: the convolutions of a network (its trunk) and the five linear heads of version 0.1.
 
-None are part of this package. They are looked for in a folder, and in its subfolder `lpips_ref`:
+None are part of this package. Two layouts are read:
 
 - `lpips_<net>_v0.1.npz`: trunk (`features.N.weight`, `features.N.bias`) and heads (`lin0.weight` … `lin4.weight`);
-- torchvision's `alexnet*.pth` or `vgg16*.pth`: the trunk; its classifier is not used;
-- upstream's `<net>.pth` or `lin_v0.1_<net>.pth` (`lin0.model.1.weight` …): the heads, which an installed package
-  `lpips` has too.
+- torchvision's `alexnet*.pth` or `vgg16*.pth`, in the folder or downloaded: the trunk; its classifier is not used. The
+  heads are those of the installed package `lpips` (`lin0.model.1.weight` …), which is looked up but not imported.
 
 Every tensor's shape is checked; a network with other weights is not LPIPS and is never reported as such.
 """
 
 import importlib.util
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
-from devrf.capture.arrays import ArrayError, read_npz
+from devrf.capture.arrays import read_npz
 from devrf.capture.errors import DevrfError, ReconstructError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-T = TypeVar("T")
 Net = Literal["vgg", "alex"]
 Source = Path | Literal["download"]
 NETWORK: dict[Net, str] = {"alex": "AlexNet", "vgg": "VGG16"}
@@ -35,11 +33,7 @@ CONVOLUTIONS: dict[Net, tuple[tuple[int, int, int], ...]] = {
     ),
 }
 HEADS: dict[Net, tuple[int, ...]] = {"alex": (64, 192, 384, 256, 256), "vgg": (64, 128, 256, 512, 512)}
-TRUNK_FILES: dict[Net, tuple[str, ...]] = {
-    "alex": ("lpips_alex_v0.1.npz", "alexnet-owt-*.pth", "alexnet*.pth"),
-    "vgg": ("lpips_vgg_v0.1.npz", "vgg16-*.pth", "vgg16*.pth"),
-}
-HEAD_FILES = ("lpips_{net}_v0.1.npz", "{net}.pth", "lin_v0.1_{net}.pth")
+TRUNK_FILES: dict[Net, str] = {"alex": "alexnet*.pth", "vgg": "vgg16*.pth"}
 URLS: dict[Net, str] = {
     "alex": "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
     "vgg": "https://download.pytorch.org/models/vgg16-397923af.pth",
@@ -54,60 +48,44 @@ def load_weights(net: Net, source: Source) -> tuple[Weights, "list[Tensor]"]:
 
     Args:
         net: The network.
-        source: A folder, or `download`: torchvision's public file (kept in torch's own cache), with the heads
-            of the installed package `lpips`.
+        source: A folder with one of the two layouts, or `download`: torchvision's public file (kept in torch's own
+            cache), with the heads of the installed package `lpips`.
     Raises:
-        ReconstructError: Nothing there, or something else; says what was expected.
+        ReconstructError: Nothing there, or something else; says which two layouts are read.
     """
-    folders = () if isinstance(source, str) else (source, source / "lpips_ref")
-    trunk_files = _files(folders, TRUNK_FILES[net])
-    if folders and not trunk_files:
-        names = " or ".join(TRUNK_FILES[net][:2])
+    if isinstance(source, str):
+        heads = _heads_of_package(net)  # before half a gigabyte is fetched
+        return _trunk(_downloaded(URLS[net]), net, URLS[net]), heads
+    both = source / f"lpips_{net}_v0.1.npz"
+    if both.is_file():
+        state = _read(both)
+        return _trunk(state, net, str(both)), _heads(state, "lin{}.weight", net, str(both))
+    found = sorted(source.glob(TRUNK_FILES[net]))
+    if not found:
         raise ReconstructError(
-            f"{source}: no weights of {NETWORK[net]}; expected {names} (evaluate.lpips_weights)"
+            f"{source}: no weights of {NETWORK[net]}; two layouts are read: {both.name}, or torchvision's "
+            f"{TRUNK_FILES[net]} with the package lpips (evaluate.lpips_weights)"
         )
-    head_files = _files(folders, [name.format(net=net) for name in HEAD_FILES]) + _of_package(net)
-    if not head_files:
-        files = f"{net}.pth or lin_v0.1_{net}.pth in {source}, or " if folders else ""
-        raise ReconstructError(
-            f"the heads of LPIPS on {NETWORK[net]} are missing; "
-            f"expected {files}the package lpips (pip install lpips)"
-        )
-    heads = _first_that_fits(head_files, net, _heads)
-    if folders:
-        return _first_that_fits(trunk_files, net, _trunk), heads
-    return _trunk(_downloaded(URLS[net]), net, URLS[net]), heads
+    return _trunk(_read(found[0]), net, str(found[0])), _heads_of_package(net)
 
 
-def _files(folders: Iterable[Path], patterns: Iterable[str]) -> list[Path]:
-    """Files by pattern, the first pattern's first; each once."""
-    patterns = list(patterns)
-    return list(dict.fromkeys(path for f in folders for p in patterns for path in sorted(f.glob(p))))
+def _heads_of_package(net: Net) -> "list[Tensor]":
+    """The heads in an installed package `lpips`.
 
-
-def _of_package(net: Net) -> list[Path]:
-    """The heads in an installed package `lpips`, which is looked up but not imported."""
+    Raises:
+        ReconstructError: There is no such package, or it has others.
+    """
     try:
         spec = importlib.util.find_spec("lpips")
     except (ImportError, ValueError):
-        return []
-    roots = [Path(root) for root in (spec.submodule_search_locations or ())] if spec is not None else []
-    return [path for root in roots if (path := root / "weights" / "v0.1" / f"{net}.pth").is_file()]
-
-
-def _first_that_fits(files: list[Path], net: Net, take: Callable[[Mapping[str, Any], Net, str], T]) -> T:
-    """What `take` finds in the first file that has it.
-
-    Raises:
-        ReconstructError: None has it; says why of each.
-    """
-    wrong = []
-    for path in files:
-        try:
-            return take(_read(path), net, str(path))
-        except ReconstructError as error:
-            wrong.append(str(error))
-    raise ReconstructError("; ".join(wrong))
+        spec = None
+    for root in (spec.submodule_search_locations or ()) if spec is not None else ():
+        path = Path(root) / "weights" / "v0.1" / f"{net}.pth"
+        if path.is_file():
+            return _heads(_read(path), "lin{}.model.1.weight", net, str(path))
+    raise ReconstructError(
+        f"the heads of LPIPS on {NETWORK[net]} are missing; expected the package lpips (pip install lpips)"
+    )
 
 
 def _trunk(state: Mapping[str, Any], net: Net, name: str) -> Weights:
@@ -118,8 +96,7 @@ def _trunk(state: Mapping[str, Any], net: Net, name: str) -> Weights:
     return {key: _tensor(state, key, shape, net, name) for key, shape in shapes.items()}
 
 
-def _heads(state: Mapping[str, Any], net: Net, name: str) -> "list[Tensor]":
-    key = "lin{}.model.1.weight" if "lin0.model.1.weight" in state else "lin{}.weight"
+def _heads(state: Mapping[str, Any], key: str, net: Net, name: str) -> "list[Tensor]":
     return [_tensor(state, key.format(n), (1, c, 1, 1), net, name) for n, c in enumerate(HEADS[net])]
 
 
@@ -129,7 +106,7 @@ def _tensor(state: Mapping[str, Any], key: str, shape: tuple[int, ...], net: Net
     value, expected = state.get(key), f"expected {list(shape)}; take the file of {NETWORK[net]}"
     if not isinstance(value, torch.Tensor):
         raise ReconstructError(f"{name}: not LPIPS weights of {net}: {key} is missing, {expected}")
-    if list(value.squeeze().shape) != [n for n in shape if n > 1]:  # heads are stored flat, too
+    if list(value.squeeze().shape) != [n for n in shape if n > 1]:  # our npz has them flat
         raise ReconstructError(
             f"{name}: not LPIPS weights of {net}: {key} is {list(value.shape)}, {expected}"
         )
@@ -148,21 +125,13 @@ def _read(path: Path) -> Mapping[str, Any]:
         if path.suffix == ".npz":
             return {key: torch.from_numpy(value) for key, value in read_npz(path).items()}
         state = read_weights(path)
-    except ArrayError as error:
-        raise ReconstructError(f"{error}; get the file again") from error
     except DevrfError as error:
-        raise ReconstructError(str(error)) from error
-    except OSError as error:
-        raise ReconstructError(f"{path}: cannot be read ({_short(error)})") from error
-    except Exception as error:  # torch and numpy raise errors of many kinds
+        raise ReconstructError(f"{error}; get the file again") from error
+    except Exception as error:  # torch raises errors of many kinds
         raise ReconstructError(
-            f"{path}: damaged, or holds more than weights, and is not used; get the file again"
+            f"{path}: damaged, or holds more than weights, and is not used ({_short(error)}); get the file again"
         ) from error
-    if not isinstance(state, Mapping):
-        raise ReconstructError(
-            f"{path}: holds a {type(state).__name__}, expected weights by name (a state dict)"
-        )
-    return state
+    return state if isinstance(state, Mapping) else {}
 
 
 def _downloaded(url: str) -> Mapping[str, Any]:

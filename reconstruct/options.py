@@ -12,6 +12,7 @@ PresetName = Literal["tiny", "fast", "reference"]
 REFERENCE_EXTENT = (
     2.5  # longest side of the published objects, world units; the motion's rates are meant for it
 )
+STEP_AT_REST = 0.5  # along rays, in voxels of the scene at rest: as published; no preset gains by another
 CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
 
 
@@ -31,10 +32,9 @@ class CanonicalOptions:
         scale_at: Shares of the iterations after which the number of voxels doubles.
         planes: Of a forward-facing scene in normalised device coordinates: vertices along its depth, at all levels.
         shell_resolution: Vertices along each axis of the surroundings.
-        stepsize: Step along rays, in voxels.
-        alpha_init: Opacity of a voxel that nothing is known about.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
-        lr_grid, lr_mlp: Initial learning rates; both fall by 10 over all iterations.
+        lr_grid: Initial learning rate of the grids; falls by 10 over all iterations, as the MLP's does.
+        learning_rate: Factor on both.
         entropy, per_point, opacity: Weights of the losses beside the re-rendering loss.
         variation: Weight of the total variation of density and features.
         parts: In how many parts, one after the other, an iteration's rays are rendered: the same gradient, less memory.
@@ -43,7 +43,6 @@ class CanonicalOptions:
         box_search: How the tight box is found before a plain background: from silhouettes, or, as published, by a
             coarse model; then only rays that meet what it found are drawn.
         hull_resolution: Vertices along the longest side of the grid of silhouettes.
-        box_margin: The tight box is enlarged by this factor about its centre.
         occupancy_every: Iterations between rebuilds of the occupancy.
         adapt: Take fewer voxels where the pictures show no more (`sizing.py`).
         seed: Of every random draw.
@@ -60,12 +59,10 @@ class CanonicalOptions:
     scale_at: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2)
     planes: int = 128
     shell_resolution: int = 256
-    stepsize: float = 0.5
-    alpha_init: float = 1e-2
     alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
     lr_grid: float = 0.1
-    lr_mlp: float = 1e-3
+    learning_rate: float = 1.0
     entropy: float = 1e-3
     per_point: float = 1e-2
     opacity: float = 0.0
@@ -76,7 +73,6 @@ class CanonicalOptions:
     coarse_size: int = 128
     box_search: Literal["silhouettes", "coarse"] = "silhouettes"
     hull_resolution: int = 64
-    box_margin: float = 1.2
     occupancy_every: int = 500
     adapt: bool = False
     seed: int = 0
@@ -97,17 +93,15 @@ class MotionOptions:
         adapt: Take fewer key times and levels where the scene needs no more, and none of its time where nothing
             moves (`key_times.py`, `held_back.py`, `still_keys.py`).
         lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
+        learning_rate: Factor on it and on fine-tuning's.
         one_camera: Each step draws from one camera, the cameras in turn, as published.
         importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
         flow_confidence: A vector of flow counts by its confidence and by how far the pictures agree with it
             (`checked_flow.py`; False: all valid ones alike, as published).
-        live_every: Iterations between rebuilds of where the moving scene may be.
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
-        fine_tuning_lr: Initial learning rate of its grids; falls by 10.
         find_late_camera: Look for a camera whose clock is wrong once the motion is trained (`late_camera.py`).
-        learn_clocks: Learn an offset of each camera's clock before the motion (`clocks.py`).
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
         seed: Of every random draw.
@@ -122,6 +116,7 @@ class MotionOptions:
     keys: int | None = None
     adapt: bool = False
     lr: float = 1e-3
+    learning_rate: float = 1.0
     one_camera: bool = False
     importance: float = 0.0
     cycle: float = 100.0
@@ -130,12 +125,9 @@ class MotionOptions:
     variation: float = 1.0
     entropy: float = 0.01
     per_point: float = 0.1
-    live_every: int = 10
     fine_tuning: int = 0
     fine_tuning_given: bool = False
-    fine_tuning_lr: float = 0.03
     find_late_camera: bool = False
-    learn_clocks: bool = False
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
@@ -294,7 +286,6 @@ def preset(
     fine_tuning_iterations: int | None = None,
     key_times: int | None = None,
     learning_rate: float = 1.0,
-    learn_clocks: bool = False,
     adapt: bool | None = None,
     seed: int = 0,
 ) -> Options:
@@ -310,7 +301,6 @@ def preset(
         fine_tuning_iterations: Of the scene at rest, once its motion is known.
         key_times: How many, where it is not to be decided by the scene.
         learning_rate: Of both stages, relative to the preset's.
-        learn_clocks: Whether offsets of the cameras' clocks are learned, too.
         adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
     """
@@ -355,19 +345,11 @@ def preset(
         )
     if fine_tuning_iterations is not None:
         motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
-    canonical = replace(
-        canonical,
-        lr_grid=learning_rate * canonical.lr_grid,
-        lr_mlp=learning_rate * canonical.lr_mlp,
-        seed=seed,
-    )
+    canonical = replace(canonical, learning_rate=learning_rate, seed=seed)
     motion = replace(
         motion,
-        lr=learning_rate * motion.lr,
-        fine_tuning_lr=learning_rate * motion.fine_tuning_lr,
+        learning_rate=learning_rate,
         keys=key_times,
-        learn_clocks=learn_clocks,
-        find_late_camera=motion.find_late_camera and not learn_clocks,
         seed=seed,
     )
     return Options(canonical, motion)

@@ -127,7 +127,6 @@ PARTS: tuple[Part, ...] = (
     Part("exact_times", "motion", "pictures between key times, at their own times", _times_of_keys),
     Part("fine_tuning", "motion", "the scene at rest follows all pictures", _motion(fine_tuning=0)),
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
-    Part("learn_clocks", "motion", "offsets of clocks learned", _motion(learn_clocks=False)),
     Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False),
          _enough_cameras),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),

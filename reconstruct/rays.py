@@ -87,20 +87,6 @@ class RaySet:
         if mattes and len(mattes) == len(frames):
             self.opacity = torch.from_numpy(np.concatenate(mattes)).to(device)
 
-    @staticmethod
-    def from_arrays(
-        cameras: list[Camera],
-        pictures: list[UInt8[np.ndarray, "_ _ 3"]],
-        times: list[float] | None = None,
-        device: str = "cpu",
-    ) -> "RaySet":
-        """Rays of pictures in memory, without entries of a scene."""
-        rays = RaySet.__new__(RaySet)
-        rays._fill((), cameras, pictures, device)
-        if times is not None:
-            rays.times = torch.tensor(times, dtype=torch.float32, device=device)
-        return rays
-
     def _fill(
         self,
         frames: tuple[PosedFrame, ...],

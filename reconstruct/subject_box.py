@@ -20,6 +20,8 @@ from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.training_log import TrainingLog
 
+BOX_MARGIN = 1.2  # by which the tight box is enlarged about its centre: silhouettes may miss a thin edge
+
 
 def subject_box(
     scene: Scene,
@@ -60,7 +62,7 @@ def subject_box(
     else:
         kept = visual_hull(frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
         near_kept = grown(grown(kept))
-    tight = box_of(kept, aabb, options.box_margin)
+    tight = box_of(kept, aabb, BOX_MARGIN)
     if tight is None:
         raise ReconstructError(
             "nothing was found in the scene box: check poses and background (dataset.background), or train "

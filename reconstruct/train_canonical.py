@@ -29,7 +29,7 @@ from devrf.reconstruct.losses import (
     variation_weight,
 )
 from devrf.reconstruct.ndc import Ndc
-from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.rest_model import RestModel
@@ -42,6 +42,10 @@ from devrf.reconstruct.training_state import grids_state, net_state, take_up_gri
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25
+ALPHA_INIT = (
+    1e-2  # of a voxel that nothing is known about: thin enough to see through, thick enough to learn from
+)
+LR_MLP = 1e-3  # initial; of the published program, as in every preset
 FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
@@ -150,8 +154,8 @@ class _Recipe:
             options.resolution,
             channels=options.channels,
             mlp_width=options.mlp_width,
-            stepsize=options.stepsize,
-            alpha_init=options.alpha_init,
+            stepsize=STEP_AT_REST,
+            alpha_init=ALPHA_INIT,
             alpha_threshold=options.alpha_threshold,
             weight_threshold=options.weight_threshold,
             device=device,
@@ -171,7 +175,7 @@ class _Recipe:
                 centres=rays.centres,
                 device=device,
             )
-        self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), options.lr_mlp, BETAS, EPS)
+        self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), LR_MLP, BETAS, EPS)
         self.decay = 1.0
         self.guard = Guard()
         self.good: dict[str, Tensor] = {}  # values at the last good point
@@ -281,12 +285,15 @@ class _Recipe:
             for grid in (self.density, self.features):
                 weight = variation_weight(self.options.variation, grid.values.shape[:3], rays)
                 add_total_variation(grid.values, grid.grad[0], weight, VARIATION_CLAMP)
-        self.features.update(self.options.lr_grid * self.decay, flag=self.density.grad[0])  # touched alike
-        self.density.update(self.options.lr_grid * self.decay)
+        lr_grid, lr_mlp = (
+            self.options.learning_rate * lr * self.decay for lr in (self.options.lr_grid, LR_MLP)
+        )
+        self.features.update(lr_grid, flag=self.density.grad[0])  # touched alike
+        self.density.update(lr_grid)
         if self.surround is not None:
-            self.surround.update(self.options.lr_grid * self.decay)
+            self.surround.update(lr_grid)
         for group in self.net_optimiser.param_groups:
-            group["lr"] = self.options.lr_mlp * self.decay
+            group["lr"] = lr_mlp
         self.net_optimiser.step()
         self.net_optimiser.zero_grad()
 

@@ -44,14 +44,15 @@ def train_deformation(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
-    clock_stds: Mapping[str, float | None] | None = None,
+    reference: str | None = None,
 ) -> tuple[MotionField, RestModel | None, dict[str, Any]]:
     """Motion, the scene at rest as it looks in motion (None: as it does at rest), and what was measured.
 
-    Arguments and errors as `train_motion`'s.
+    Arguments and errors as `train_motion`'s, and `reference`: the camera whose clock is everyone's; without one no late
+    camera is looked for.
     """
-    searched = clock_stds if options.find_late_camera else None
-    share, check = MOTION if options.fine_tuning or searched else 1.0, _CheckedOnce()
+    searched = reference if options.find_late_camera else None
+    share, check = MOTION if options.fine_tuning or searched is not None else 1.0, _CheckedOnce()
     motion, metrics = train_motion(
         scene,
         rest,
@@ -61,10 +62,9 @@ def train_deformation(
         lambda f, m: progress(share * f, m),
         checkpoint,
         watch,
-        clock_stds,
         check,
     )
-    if searched:
+    if searched is not None:
         motion, metrics = _with_late_camera(
             scene, rest, flows, options, device, progress, checkpoint, searched, check, motion, metrics
         )
@@ -93,7 +93,7 @@ def _with_late_camera(
     device: str,
     progress: Progress,
     checkpoint: Checkpoint,
-    clock_stds: Mapping[str, float | None],
+    reference: str,
     check: "_CheckedOnce",
     motion: MotionField,
     metrics: dict[str, Any],
@@ -104,7 +104,7 @@ def _with_late_camera(
         return motion, metrics
     moments = Moments(scene, rest, options, device)
     curves = {name: moments.curves(motion, name, SHIFTS) for name in names}
-    name = suspect(curves, next(iter(clock_stds)))
+    name = suspect(curves, reference)
     if name is None:
         return motion, metrics
     before = {camera: errors[:, SHIFTS == 0] for camera, errors in curves.items()}

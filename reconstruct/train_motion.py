@@ -14,7 +14,7 @@ fog; the first key is not trained twice (the program's slot 0 falls to it).
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -27,7 +27,6 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
-from devrf.reconstruct.clocks import SHIFTS, Clocks, LearnedClock, error_curves
 from devrf.reconstruct.grids import BETAS, EPS
 from devrf.reconstruct.guard import LOOK_EVERY, Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
@@ -59,6 +58,9 @@ from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 50
+LIVE_EVERY = (
+    10  # iterations between rebuilds of where the moving scene may be; 3 voxels more cover its way meanwhile
+)
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 JUDGED = 512  # rays by which it is seen whether a key has become worse: the same before and after
 WORSE = 1.26  # 1 dB: by how much worse a key may fit them than before; steps a third as large do a third of the harm
@@ -74,7 +76,6 @@ def train_motion(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
-    clock_stds: Mapping[str, float | None] | None = None,
     check: Callable[[RaySet, Mapping[str, CameraFlow]], CheckedFlow] = checked_flow,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
@@ -88,8 +89,6 @@ def train_motion(
         progress: Told how far it is.
         checkpoint: Where to keep the state between two key times, and to take it up from.
         watch: Shown the motion field now and then, between two key times.
-        clock_stds: Standard deviations of the clocks, the reference first, seconds, where they are learned; None or
-            absent: not known.
         check: Holds the flow against the pictures, where it counts by its confidence.
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverges with small steps, too.
@@ -100,9 +99,8 @@ def train_motion(
         raise ReconstructError("no training pictures of the scene in motion")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
-    clocks = Clocks(frames, clock_stds or {}) if options.learn_clocks else None
     checked = check(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
-    recipe = _Recipe(scene, rest, rays, checked, options, device, clocks)
+    recipe = _Recipe(scene, rest, rays, checked, options, device)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
     saved = checkpoint.found(log)
     begin = 0 if saved is None else recipe.take_up(saved)
@@ -112,7 +110,6 @@ def train_motion(
             recipe.leave_level()
             if not recipe.worth_refining():
                 break
-            recipe.learn_clocks()
             recipe.enter_level(level)
         if key in recipe.still:
             recipe.follow(key)
@@ -142,8 +139,6 @@ def train_motion(
         "keys_left": recipe.keys_left,
         **recipe.guard.summary(),
     }
-    if clocks is not None:
-        metrics["clocks"] = {name: asdict(clock) for name, clock in clocks.learned.items()}
     return recipe.motion, metrics
 
 
@@ -171,7 +166,6 @@ class _Recipe:
         checked: CheckedFlow,
         options: MotionOptions,
         device: str,
-        clocks: Clocks | None,
     ) -> None:
         looked_at = rest.canonical.seen_with(
             options.stepsize, options.alpha_threshold, options.weight_threshold
@@ -204,8 +198,9 @@ class _Recipe:
         everything = list(range(keys)) if not at_end else list(range(keys - 1, -1, -1))
         self.order = [key for key in everything if key != self.motion.rest_key]
         self.direction = -1 if at_end else 1
-        self.clocks, self.span_s = clocks, scene.t1_s - scene.t0_s
-        self._take_times()
+        self.tau_of_frame = self.motion.tau(rays.times)
+        names = [f.camera_name for f in rays.frames]
+        self.key_pictures = KeyPictures(names, self.tau_of_frame, keys, self.direction)
         extent = box[1] - box[0]
         # Published units per unit of the box frame; in normalised device coordinates they are the same.
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
@@ -222,27 +217,6 @@ class _Recipe:
             self.still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
             self._note(decision)
 
-    def _take_times(self) -> None:
-        """The pictures' times, in key spacings and by key."""
-        self.times = self.rays.times
-        if self.clocks is not None:
-            self.times = self.times + (self.clocks.offsets_s / self.span_s).to(self.times)
-        self.tau_of_frame = self.motion.tau(self.times)
-        names = [f.camera_name for f in self.rays.frames]
-        self.key_pictures = KeyPictures(names, self.tau_of_frame, self.motion.keys, self.direction)
-
-    def learn_clocks(self) -> None:
-        """Offsets at which the motion, as it is, fits every camera best."""
-        if self.clocks is None:
-            return
-        gaps = self.clocks.of_frames(self.clocks.gaps_s / self.span_s).to(self.times)
-        times = self.times[:, None] + gaps[:, None] * torch.from_numpy(SHIFTS).to(self.times)
-        generator = torch.Generator().manual_seed(self.options.seed)
-        self.clocks.update(
-            error_curves(self.rest, self.motion, self.rays, self.around, self.changing, times, generator)
-        )
-        self._take_times()
-
     def _note(self, decision: Decision | None) -> None:
         """Keep a decision, where what the preset offers was not taken."""
         if decision is not None:
@@ -252,7 +226,8 @@ class _Recipe:
     def lr(self) -> float:
         """Learning rate of the present level."""
         levels = len(self.options.levels)
-        return self.guard.rate * self.options.lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
+        lr = self.options.learning_rate * self.options.lr
+        return self.guard.rate * lr / self.unit * 0.1 ** (self.level / max(1, levels - 1))
 
     def state(self) -> State:
         """Everything that the next key depends on."""
@@ -271,8 +246,6 @@ class _Recipe:
             "t_last": motion.t_last,
             "rest_key": motion.rest_key,
         }
-        if self.clocks is not None:
-            numbers["learned"] = {name: asdict(clock) for name, clock in self.clocks.learned.items()}
         return tensors, numbers
 
     def take_up(self, saved: Saved) -> int:
@@ -280,15 +253,11 @@ class _Recipe:
         done, tensors, numbers = saved
         self.guard.take_up(numbers.pop("guard"))
         numbers.pop("motion", None)
-        if self.clocks is not None:
-            learned = numbers.pop("learned")
-            self.clocks.learned = {name: LearnedClock(**clock) for name, clock in learned.items()}
         for name, value in numbers.items():
             setattr(self, name, value)
         fields = {name: tensors[name] for name in ("backward", "forward")}
         self.motion = replace(self.motion, **fields).stored(self.device)
         self.generator.set_state(tensors["generator"])
-        self._take_times()
         return done
 
     def leave_level(self) -> None:
@@ -401,7 +370,7 @@ class _Recipe:
         o, motion, key = self.options, self.window, self.key
         batch = self._draw()
         tau = self._tau(batch.frame)
-        if self.live is None or self.step_of_key % o.live_every == 0:
+        if self.live is None or self.step_of_key % LIVE_EVERY == 0:
             taus = self._tau(self.pictures).unique()
             self.live = live_distance(self.rest, motion, torch.cat([taus, taus.new_tensor([key])]), 3)
         self.step_of_key += 1

@@ -41,7 +41,7 @@ class Solution:
         pose_covariance: [C, 6, 6], rotation vector first, in camera axes; zero where the pose was held.
         intrinsics_std: [G, 9]; zero where held.
         unit_std: Relative; delay_std_s: [C]; zero where held.
-        cost: Robust cost; sigma_px: robust estimate of an observation's noise, per coordinate.
+        sigma_px: Robust estimate of an observation's noise, per coordinate.
         iterations: Steps taken.
     """
 
@@ -51,7 +51,6 @@ class Solution:
     intrinsics_std: Float[np.ndarray, "devices 9"]
     unit_std: float
     delay_std_s: Float[np.ndarray, " cameras"]
-    cost: float
     sigma_px: float
     iterations: int
 
@@ -86,7 +85,7 @@ def adjust(problem: Problem, loss: Loss = "cauchy") -> Solution:
         damping = max(damping / 8, 1e-9)
         if gain < FUNCTION_TOLERANCE * cost:
             break
-    return _solution(problem, layout, loss, cost, steps)
+    return _solution(problem, layout, loss, steps)
 
 
 def robust_sigma(residual: Float[np.ndarray, "*n"]) -> float:
@@ -250,7 +249,7 @@ def _rotations(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     return out
 
 
-def _solution(problem: Problem, layout: _Layout, loss: Loss, cost: float, steps: int) -> Solution:
+def _solution(problem: Problem, layout: _Layout, loss: Loss, steps: int) -> Solution:
     residual = reprojection(problem)
     spare = max(residual.size - layout.outer - layout.inner, 1)  # unknowns take a part of the noise with them
     freedom = float(np.sqrt(residual.size / spare))
@@ -273,7 +272,6 @@ def _solution(problem: Problem, layout: _Layout, loss: Loss, cost: float, steps:
         intrinsics_std=intrinsics_std,
         unit_std=float(std[layout.unit]),
         delay_std_s=std[layout.delay],
-        cost=cost,
         sigma_px=robust_sigma(residual) * freedom,
         iterations=steps,
     )

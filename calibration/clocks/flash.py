@@ -49,7 +49,6 @@ class Flash:
         spread_s: Standard deviation from the gap between the rows or frames it lies between.
         kind: Lamp switched (step) or flash (pulse).
         sign: Brighter (1) or darker (-1).
-        sigmas: How far it stands out of the usual jumps.
     """
 
     frame_s: float
@@ -57,7 +56,6 @@ class Flash:
     spread_s: float
     kind: Literal["step", "pulse"]
     sign: int
-    sigmas: float
 
 
 @dataclass(frozen=True)
@@ -112,9 +110,7 @@ def find_flashes(brightness: Brightness, readout_s: float | None = None) -> Flas
     loud = np.flatnonzero(np.abs(jump) > SEEN_SIGMAS * sigma)
     events = []
     for group in _grouped(loud):
-        event = _event(
-            brightness, int(group[0]), int(group[-1]) + 1, assumed_s, float(np.abs(jump[group]).max() / sigma)
-        )
+        event = _event(brightness, int(group[0]), int(group[-1]) + 1, assumed_s)
         if event is not None:
             events.append(event)
     times = np.array([e.frame_s + e.row * assumed_s for e in events])
@@ -149,7 +145,7 @@ def flash_delay(first: Flashes, second: Flashes) -> FlashDelay | None:
     return FlashDelay(delay_s, std_s, first_s, len(pairs), accepted)
 
 
-def _event(brightness: Brightness, before: int, after: int, readout_s: float, sigmas: float) -> Flash | None:
+def _event(brightness: Brightness, before: int, after: int, readout_s: float) -> Flash | None:
     """One event between frame `before`, not yet changed, and frame `after`, changed for good or over."""
     time_s, rows = brightness.time_s, brightness.rows
     dark = np.median(rows[max(0, before - EVENT_FRAMES + 1) : before + 1], axis=0)
@@ -173,7 +169,7 @@ def _event(brightness: Brightness, before: int, after: int, readout_s: float, si
         gap_s = gap_s or where[1]
     row = (at[1] - at[0]) / (SLOPE_STEP * readout_s)
     kind = "step" if step else "pulse"
-    return Flash(at[0] - row * readout_s, row, float(gap_s / np.sqrt(12)), kind, sign, sigmas)
+    return Flash(at[0] - row * readout_s, row, float(gap_s / np.sqrt(12)), kind, sign)
 
 
 def _extreme(change: Float[np.ndarray, "k r"]) -> Float[np.ndarray, " r"]:

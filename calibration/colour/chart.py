@@ -20,7 +20,7 @@ from devrf.capture.raw import is_raw
 from devrf.capture.srgb import linear_from_srgb
 from devrf.capture.video import VideoReader
 
-COLUMNS, ROWS = 6, 4
+COLUMNS = 6
 EVERY, LOOKED_AT = 5, 40  # every 5th picture of a clip, at most 40 of them
 ENOUGH = 5  # pictures with the chart: their median is free of a hand's shadow and of noise
 FEWEST_PATCHES = 12  # unclipped ones of the 24: half of them still hold all hues

@@ -16,6 +16,9 @@ from devrf.capture.camera import Camera
 
 SPEC = BoardSpec("charuco", (8, 6), 0.06, 0.045, inverted=False, legacy=False)
 MIN_CORNERS = 6
+SIZE, FOCAL_PX, DISTORTION = (1280, 720), 900.0, (-0.1, 0.02, 0.0, 0.0, 0.0)  # k1, k2, p1, p2, k3
+DISTANCE_M = 2.5  # of the cameras to the middle of the volume
+FPS, NOISE_PX = 3.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -23,26 +26,16 @@ class SyntheticRig:
     """What to make.
 
     Attributes:
-        cameras: How many; spread_deg: angle between the outermost; distance_m: to the middle of the volume.
-        size: Pictures; focal_px; distortion: k1, k2, p1, p2, k3.
+        cameras: How many; spread_deg: angle between the outermost.
         depth_m: The board moves this far towards the cameras and away from them; width_m: and to the sides.
-        duration_s, fps: Of the clips; speed: how often the board goes through the volume.
-        noise_px: Of each corner coordinate; frame_phase_s: cameras expose up to this much apart.
+        duration_s: Of the clips.
     """
 
     cameras: int = 4
     spread_deg: float = 90.0
-    distance_m: float = 2.5
-    size: tuple[int, int] = (1280, 720)
-    focal_px: float = 900.0
-    distortion: tuple[float, ...] = (-0.1, 0.02, 0.0, 0.0, 0.0)
     depth_m: float = 1.2
     width_m: float = 1.1
     duration_s: float = 40.0
-    fps: float = 3.0
-    speed: float = 1.0
-    noise_px: float = 0.3
-    frame_phase_s: float = 0.0
 
 
 def synthetic_cameras(rig: SyntheticRig, rng: np.random.Generator) -> dict[str, Camera]:
@@ -51,16 +44,16 @@ def synthetic_cameras(rig: SyntheticRig, rng: np.random.Generator) -> dict[str, 
     half = np.radians(rig.spread_deg) / 2
     for n, azimuth in enumerate(np.linspace(-half, half, rig.cameras)):
         elevation = 0.15 * (-1) ** n + 0.05 * rng.standard_normal()
-        centre = rig.distance_m * np.array(
+        centre = DISTANCE_M * np.array(
             [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), -np.cos(azimuth) * np.cos(elevation)]
         )
-        z = -centre / rig.distance_m
+        z = -centre / DISTANCE_M
         x = np.cross([0.0, 1.0, 0.0], z)
         x /= np.linalg.norm(x)
         R = np.stack([x, np.cross(z, x), z])
-        focal = rig.focal_px * (1 + 0.02 * rng.standard_normal())
-        middle = np.array(rig.size) / 2 + 0.005 * rig.size[0] * rng.standard_normal(2)
-        k = from_vector(*rig.size, np.array([focal, focal, *middle, *rig.distortion]))
+        focal = FOCAL_PX * (1 + 0.02 * rng.standard_normal())
+        middle = np.array(SIZE) / 2 + 0.005 * SIZE[0] * rng.standard_normal(2)
+        k = from_vector(*SIZE, np.array([focal, focal, *middle, *DISTORTION]))
         out[f"cam{n}"] = k.at(np.column_stack([R, -R @ centre]))
     first = np.linalg.inv(next(iter(out.values())).world_from_cam)
     return {name: camera.moved(first) for name, camera in out.items()}
@@ -78,24 +71,23 @@ def synthetic_views(
         delay_s: Pictures of a camera show what was `delay_s` after the time that is written on them.
     """
     first = next(iter(cameras.values()))
-    middle = first.centre + rig.distance_m * first.cam_from_world[2, :3]
+    middle = first.centre + DISTANCE_M * first.cam_from_world[2, :3]
     towards = np.mean([c.centre for c in cameras.values()], axis=0) - middle
     towards /= np.linalg.norm(towards)
     corners = SPEC.corners - SPEC.corners.mean(0)
     phase = rng.uniform(0, 2 * np.pi, 6)
     views: dict[str, list[TimedView]] = {name: [] for name in cameras}
-    for n in range(int(rig.duration_s * rig.fps)):
+    for n in range(int(rig.duration_s * FPS)):
         for name, camera in cameras.items():
-            written = n / rig.fps + rig.frame_phase_s * rng.random()
-            true_s = written + (delay_s or {}).get(name, 0.0)
-            place = _board_at(rig.speed * true_s, phase, towards, rig)
+            rng.random()
+            place = _board_at(n / FPS + (delay_s or {}).get(name, 0.0), phase, towards, rig)
             xy = camera.project(corners @ place[:, :3].T + place[:, 3] + middle)
-            xy = xy + rig.noise_px * rng.standard_normal(xy.shape)
-            inside = ((xy > 0) & (xy < np.array(rig.size))).all(1)
+            xy = xy + NOISE_PX * rng.standard_normal(xy.shape)
+            inside = ((xy > 0) & (xy < np.array(SIZE))).all(1)
             faces = (camera.centre - middle - place[:, 3]) @ place[:, 2] < 0
             if faces and inside.sum() >= MIN_CORNERS:
                 view = BoardView(n, np.flatnonzero(inside), xy[inside])
-                views[name].append(TimedView(view, written))
+                views[name].append(TimedView(view, n / FPS))
     return views
 
 

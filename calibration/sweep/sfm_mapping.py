@@ -18,8 +18,8 @@ MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera tha
 GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
 
 Reconstruction = Any  # pycolmap's
-# folder, rung of the ladder, seed, seconds left -> models
-Attempt = Callable[[Path, dict[str, Any], int, float], list[Reconstruction]]
+# folder, rung of the ladder, seconds left -> models
+Attempt = Callable[[Path, dict[str, Any], float], list[Reconstruction]]
 
 
 class Mapping:
@@ -33,7 +33,6 @@ class Mapping:
         self.best: Reconstruction | None = None
         self.models: list[Reconstruction] = []  # of the best attempt, largest first
         self.name: str | None = None
-        self.rung: dict[str, Any] = {}
         self.attempts: list[dict[str, Any]] = []
         self.compared: list[dict[str, Any]] = []
 
@@ -52,7 +51,7 @@ class Mapping:
         for rung in ladder:
             if self.best is not None and self.clock.left_s() <= 0:
                 break
-            self._try(rung, seed=0)
+            self._try(rung)
             if self.registered >= rung["accept"] * self.pictures:
                 break
 
@@ -69,21 +68,21 @@ class Mapping:
             return None
         return next((rung for rung in ladder if rung["mapper"] not in tried), None)
 
-    def compare(self, rung: dict[str, Any], seed: int) -> None:
-        """Map once more and note how far the poses differ; with the same seed the better model is kept."""
-        self._try(rung, seed, against=True)
+    def compare(self, rung: dict[str, Any]) -> None:
+        """Map once more, note how far the poses differ, and keep the better model."""
+        self._try(rung, against=True)
 
     def report(self) -> dict[str, Any]:
         """For `static_poses.json`."""
         return {"mapper": self.name, "attempts": self.attempts, "compared": self.compared}
 
-    def _try(self, rung: dict[str, Any], seed: int, against: bool = False) -> None:
-        name = rung["name"] + (f" with seed {seed}" if seed else "")
+    def _try(self, rung: dict[str, Any], against: bool = False) -> None:
+        name = rung["name"]
         self.progress(0.7, f"mapping ({name})")
         start, left = time.monotonic(), self.clock.left_s()
         folder = self.work / f"attempt{len(self.attempts)}"
         folder.mkdir()
-        models = self.attempt(folder, rung, seed, left)
+        models = self.attempt(folder, rung, left)
         models = [m for m in models if m.num_points3D() >= MIN_POINTS]
         models.sort(key=_worth, reverse=True)
         self.attempts.append(
@@ -101,8 +100,8 @@ class Mapping:
         if against and self.best is not None:
             apart = disagreement_deg(_poses(self.best), _poses(models[0]))
             self.compared.append({"name": name, "against": self.name, "apart_deg": apart})
-        if not seed and (self.best is None or _worth(models[0]) > _worth(self.best)):
-            self.best, self.models, self.name, self.rung = models[0], models, name, rung
+        if self.best is None or _worth(models[0]) > _worth(self.best):
+            self.best, self.models, self.name = models[0], models, name
 
 
 def _worth(model: Reconstruction) -> tuple[int, float]:

@@ -34,6 +34,7 @@ from devrf.capture.cores import usable_cores
 from devrf.capture.processes import die_with_parent
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
+SEED = 0  # the same sweep gives the same model
 POLISH_TOLERANCE = 1e-8  # relative fall of the cost in one step; at 1e-6 focals still move by 0.01 px
 POLISH_ITERATIONS = 200  # 20 to 40 are usual
 EXTRACT_PROBE = 4  # pictures whose time tells what the others will take
@@ -71,10 +72,8 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
 
-    def attempt(
-        folder: Path, rung: dict[str, Any], seed: int, left_s: float
-    ) -> list[pycolmap.Reconstruction]:
-        return _attempt(database, folder, job, rung, held, seed, left_s, len(names))
+    def attempt(folder: Path, rung: dict[str, Any], left_s: float) -> list[pycolmap.Reconstruction]:
+        return _attempt(database, folder, job, rung, held, left_s, len(names))
 
     mapping = Mapping(attempt, work, len(names), clock, _say)
     mapping.climb(job["ladder"])
@@ -98,9 +97,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     if other is not None:
         # global mapping has no limit of its own: leave what there is
         _leave(job, out | _publish(mapping, database, job, None))
-        mapping.compare(other, seed=0)
-    if job["check_seed"] and mapping.seconds < clock.left_s():
-        mapping.compare(mapping.rung, seed=1)
+        mapping.compare(other)
     return out | _publish(mapping, database, job, held)
 
 
@@ -239,7 +236,7 @@ def _match(database: Path, job: dict[str, Any], pairs: list[Pair]) -> None:
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = _threads(job)
     verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = 0
+    verification.ransac.random_seed = SEED
     pycolmap.match_image_pairs(
         str(database),
         matching,
@@ -255,13 +252,12 @@ def _attempt(
     job: dict[str, Any],
     rung: dict[str, Any],
     held: set[int],
-    seed: int,
     left_s: float,
     pictures: int,
 ) -> list[pycolmap.Reconstruction]:
     if rung["mapper"] == "global":
         options = pycolmap.GlobalPipelineOptions()
-        options.random_seed = seed
+        options.random_seed = SEED
         options.num_threads = MAPPER_THREADS
         if not held:
             pycolmap.calibrate_view_graph(str(database))
@@ -270,7 +266,7 @@ def _attempt(
         models = pycolmap.global_mapping(str(database), job["image_path"], str(output), options)
         return list(models.values())
     options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed = seed
+    options.random_seed = SEED
     options.num_threads = MAPPER_THREADS
     options.ba_global_frames_ratio = options.ba_global_points_ratio = (
         1.3  # _polish ends with a full one anyway

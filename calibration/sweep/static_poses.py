@@ -58,7 +58,6 @@ class SweepOptions:
 
     Attributes:
         mapper: Which mapper to begin with; `both`: run both and keep the better model.
-        check_seed: Map with another seed too and report how far the poses move.
         time_minutes: Budget; None for none.
         threads: Pictures whose features are found at once, and pairs that are matched at once; None: one per core.
             They change no result.
@@ -66,7 +65,6 @@ class SweepOptions:
     """
 
     mapper: Mapper = "incremental"
-    check_seed: bool = False
     time_minutes: float | None = 30.0
     threads: int | None = None
     side_px: int = MAX_IMAGE_SIZE
@@ -117,7 +115,7 @@ def recover_static_poses(
         image_folder: Folder that the groups' names are relative to.
         groups: Pictures by device.
         out: Existing folder.
-        options: Mapper, checks, time.
+        options: Mapper, time.
         ordered: The pictures follow each other in time (a video), so neighbours overlap.
         masks: What `prepare_masks` wrote; None without masks.
         places: Where pictures were taken, by GPS.
@@ -154,7 +152,6 @@ def recover_static_poses(
                 "threads": options.threads,
                 "ladder": sorted(LADDER, key=lambda rung: rung["mapper"] != first),
                 "compare": "always" if options.mapper == "both" or len(names) <= COMPARE_UP_TO else "weak",
-                "check_seed": options.check_seed,
                 "principal_point_from": PRINCIPAL_POINT_FROM,
                 "budget_s": budget_s,
                 "out": work,

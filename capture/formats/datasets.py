@@ -19,13 +19,12 @@ from devrf.capture.formats.assembly import (
     is_plain,
 )
 from devrf.capture.formats.blender import read_blender, write_blender
-from devrf.capture.formats.colmap import MOTION, read_colmap, write_colmap
+from devrf.capture.formats.colmap import read_colmap, write_colmap
 from devrf.capture.formats.devrf import read_devrf, write_devrf
 from devrf.capture.formats.export import Export, FindFlow, write_export
 from devrf.capture.formats.files import read_header
 from devrf.capture.formats.llff import read_llff, write_llff
 from devrf.capture.formats.nerfstudio import read_nerfstudio, write_nerfstudio
-from devrf.capture.formats.round_trip import of_cameras
 from devrf.capture.formats.scene_files import with_scene_entry
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Background, Scene
@@ -72,22 +71,8 @@ def write_dataset(
         InputError: The folder holds something else.
         CaptureError: The format cannot hold this scene, or a picture is missing.
     """
-
-    def check(export: Export) -> None:
-        parts = [export.folder, *([export.folder / MOTION] if (export.folder / MOTION).is_dir() else [])]
-        again = [READERS[dataset_format](part, []) for part in parts]
-        frames = [frame for found in again for frame in (*found.static, *found.dynamic)]
-        cameras = {frame.path.resolve(): frame.camera for frame in frames}
-        if lost := export.written.keys() - cameras.keys():
-            raise CaptureError(
-                f"{folder}: {len(lost)} of {len(export.written)} pictures are not read back, the first is "
-                f"{min(lost).name}; nothing is left there; please report this with the scene folder of the run"
-            )
-        pairs = [(meant, cameras[path]) for path, meant in export.written.items()]
-        export.notes.append(of_cameras(scene, pairs, str(folder)).said("the cameras"))
-
     writer = WRITERS[dataset_format]
-    return write_export(scene, dataset_format, writer, check, folder, find_flow, progress, notes)
+    return write_export(scene, dataset_format, writer, folder, find_flow, progress, notes)
 
 
 def guess_format(folder: Path) -> DatasetFormat | None:

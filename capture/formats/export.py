@@ -43,7 +43,6 @@ class Export:
         find_flow: Backward flow of a frame at any size of its picture, or None.
         progress: To be called with (fraction done, short text).
         notes: What people should know of this data set; added to its README.txt.
-        written: The camera of each picture as it is meant, by the picture's path.
     """
 
     scene: Scene
@@ -51,14 +50,12 @@ class Export:
     find_flow: FindFlow
     progress: Progress
     notes: list[str] = field(default_factory=list)
-    written: dict[Path, Camera] = field(default_factory=dict)
 
 
 def write_export(
     scene: Scene,
     dataset_format: str,
     write: Callable[[Export], None],
-    check: Callable[[Export], None],
     folder: Path,
     find_flow: FindFlow = lambda frame: None,
     progress: Progress = no_progress,
@@ -66,16 +63,13 @@ def write_export(
 ) -> list[str]:
     """Write a data set and its README.txt; returns what people should know of it.
 
-    Args:
-        check: Reads back what was written; nothing is left where it raises.
     Raises:
         InputError: The folder holds something else.
-        CaptureError: The format cannot hold this scene, a picture is missing, or `check` found a difference.
+        CaptureError: The format cannot hold this scene, or a picture is missing.
     """
     with new_folder(folder, dataset_format) as new:
         export = Export(scene, new, find_flow, progress, list(notes))
         write(export)
-        check(export)
         (new / README).write_text(readme(scene, dataset_format, export.notes))
     return export.notes
 
@@ -134,7 +128,6 @@ def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[P
         else:
             write_png(path, read_matted(frame, background))
         out.append(replace(frame, path=path, flow=None, look=None, matte=None))
-        export.written[path.resolve()] = frame.camera
         export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
     return tuple(out)
 
@@ -203,7 +196,6 @@ class Pinholes:
             )
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])
-        self.export.written[path.resolve()] = self.camera(frame)
         return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None, matte=None)
 
     def flow(self, frame: PosedFrame) -> Flow | None:

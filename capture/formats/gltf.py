@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
+from devrf.capture.srgb import linear_from_srgb
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 FLOAT, USHORT, UINT = 5126, 5123, 5125
@@ -97,42 +96,6 @@ def write_glb(path: Path, mesh: AnimatedMesh, name: str, extras: dict[str, Any])
         file.write(struct.pack("<III", MAGIC, 2, 28 + len(text) + len(data)))
         file.write(struct.pack("<II", len(text), JSON_CHUNK) + text)
         file.write(struct.pack("<II", len(data), BIN_CHUNK) + data)
-
-
-def read_glb(path: Path) -> AnimatedMesh:
-    """Read what `write_glb` wrote, colours as sRGB.
-
-    Raises:
-        CaptureError: It is no such file, or is cut off.
-    """
-    data = path.read_bytes()
-    try:
-        magic, version, size, length, _ = struct.unpack_from("<5I", data)
-        if (magic, version, size) != (MAGIC, 2, len(data)):
-            raise ValueError("not a whole binary glTF 2.0")
-        value, body = json.loads(data[20 : 20 + length]), data[28 + length :]
-        primitive, node = value["meshes"][0]["primitives"][0], value["nodes"][0]
-
-        def array(number: int) -> np.ndarray:
-            accessor = value["accessors"][number]
-            view, columns = value["bufferViews"][accessor["bufferView"]], accessor["type"]
-            width = next(n for n, kind in KINDS.items() if kind == columns)
-            kind = NUMPY[accessor["componentType"]]
-            flat = np.frombuffer(body, kind, accessor["count"] * width, view["byteOffset"])
-            out = flat.reshape(-1, width).astype(np.float64)
-            return out / 65535 if accessor.get("normalized") else out
-
-        vertices = array(primitive["attributes"]["POSITION"])
-        rgb = srgb_from_linear(array(primitive["attributes"]["COLOR_0"])[:, :3])
-        shapes = [vertices + array(target["POSITION"]) for target in primitive.get("targets", [])]
-        samplers = [animation["samplers"][0] for animation in value.get("animations", [])]
-        times_s = array(samplers[0]["input"])[:, 0].tolist() if samplers else []
-        faces = array(primitive["indices"]).astype(np.int64).reshape(-1, 3)
-        return AnimatedMesh(
-            vertices, faces, rgb, shapes, times_s, np.array(node["matrix"]).reshape(4, 4).T[:3, :3]
-        )
-    except (struct.error, ValueError, KeyError, IndexError, TypeError, StopIteration) as error:
-        raise CaptureError(f"{path}: not the glTF file that was written ({error})") from None
 
 
 class _Parts:

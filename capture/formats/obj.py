@@ -21,9 +21,3 @@ def write_obj(
         np.savetxt(file, np.concatenate([xyz, rgb], axis=1), "v %.6f %.6f %.6f %.4f %.4f %.4f")
         np.savetxt(file, normals, "vn %.4f %.4f %.4f")
         np.savetxt(file, np.repeat(faces + 1, 2, axis=1), "f %d//%d %d//%d %d//%d")
-
-
-def read_positions(path: Path) -> Float[np.ndarray, "n 3"]:
-    """Positions of the vertices of a file that `write_obj` wrote."""
-    rows = [line.split()[1:4] for line in path.read_text().splitlines() if line.startswith("v ")]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)

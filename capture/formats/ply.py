@@ -1,7 +1,6 @@
 """PLY files (Turk 1994, "The PLY Polygon File Format"): points or triangle meshes, binary, little endian.
 
-Vertices carry x, y, z, then normals nx, ny, nz where there are some, and 8-bit sRGB red, green, blue. `read_ply` reads
-back what `write_ply` wrote, for checks.
+Vertices carry x, y, z, then normals nx, ny, nz where there are some, and 8-bit sRGB red, green, blue.
 """
 
 from collections.abc import Sequence
@@ -9,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-
-from devrf.capture.errors import CaptureError
 
 TYPES = {"f4": "float", "u1": "uchar"}
 FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
@@ -42,23 +39,3 @@ def write_ply(
         rows["count"], rows["vertices"] = 3, faces
         body += rows.tobytes()
     path.write_bytes("\n".join([*head, "end_header", ""]).encode("ascii", "replace") + body)
-
-
-def read_positions(path: Path) -> Float[np.ndarray, "n 3"]:
-    """Positions of the vertices of a file that `write_ply` wrote.
-
-    Raises:
-        CaptureError: It is no such file, or is cut off.
-    """
-    data = path.read_bytes()
-    head, mark, body = data.partition(b"end_header\n")
-    lines = head.decode("ascii", "replace").splitlines()
-    try:
-        count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
-        at = lines.index(f"element vertex {count}") + 1
-        types = {name: code for code, name in TYPES.items()}
-        rows = [line.split() for line in lines[at:] if line.startswith("property") and "list" not in line]
-        vertices = np.frombuffer(body, np.dtype([(name, "<" + types[kind]) for _, kind, name in rows]), count)
-        return np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    except (StopIteration, ValueError, KeyError) as error:
-        raise CaptureError(f"{path}: not the PLY file that was written ({error or 'no vertices'})") from None

@@ -1,36 +1,28 @@
 """`devrf-pipeline batch`: check all scenes, run what is missing, keep a summary."""
 
 import signal
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from devrf.capture.cores import usable_cores
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_folder
-from devrf.pipelines.batch.board import HTML_FILE, Board
-from devrf.pipelines.batch.engine import Engine
-from devrf.pipelines.batch.groups import groups
-from devrf.pipelines.batch.inputs import Inputs, inputs_of
+from devrf.pipelines.batch.board import JSON_FILE, Board
 from devrf.pipelines.batch.local import LocalPool
 from devrf.pipelines.batch.mirror import mirror
 from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.rows import SceneRow, exit_code
 from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
-from devrf.pipelines.batch.schedule import Job, work_through
-from devrf.pipelines.batch.scratch import Stored
 from devrf.pipelines.batch.store import Store
 from devrf.pipelines.batch.task import GRACE_S
+from devrf.pipelines.batch.work import Work
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import check_device, resolve_device
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY, code_of
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY, code_of
 from devrf.pipelines.runner.supervise import tell
-from devrf.pipelines.stamps.digests import Digests
 
 CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
 GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
@@ -85,60 +77,61 @@ def batch(
         raise InputError(
             f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
         ) from None
-    place = _Place(out, None if store is None else Store(store), talk.say)
-    if place.store is not None:
-        place.store.check()
+    there = None if store is None else Store(store)
+    if there is not None:
+        there.check()
+
+    def refresh(scene: BatchScene) -> Path:
+        return _seen_in(scene, out, there, talk)
+
+    def look_again(scene: BatchScene, row: SceneRow) -> None:
+        row.look(refresh(scene), scene.stages)
+
     scenes = look(paths, options, unique_names=store is not None)
-    rows = [_row(scene, options, place) for scene in scenes]
+    rows = [_row(scene, options, refresh) for scene in scenes]
+    board = Board(talk, out, rows, machines.engine)
     with ExitStack() as stack:
-        engine = None
-        if any(row.code is None for row in rows):
-            engine = stack.enter_context(_engine(machines))
-        board = stack.enter_context(Board(talk, out, rows, machines.engine))
+        engine = _engine(machines, stack) if any(row.code is None for row in rows) else None
+        stack.callback(board.write)
         for row in rows:
             if row.code is not None:
                 board.ended(row)
         if engine is not None:
+            stack.enter_context(board.live())
             stack.enter_context(_stopped_by_signals(engine))
             tell(grace_s=STOP_S)
-            work_through(_jobs(scenes, rows, options, engine, place, board), engine, board)
+            Work(options, engine, board, look_again, there).through(scenes)
     done = sum(row.code == DONE for row in rows)
-    talk.say(f"{done} of {len(rows)} scenes done{f'; {out / HTML_FILE}' if board.written else ''}")
+    talk.say(f"{done} of {len(rows)} scenes done{f'; {out / JSON_FILE}' if board.written else ''}")
     return exit_code(rows) or (DONE if board.written else FAILED)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where the stages of scenes are seen: in their run folders, or in mirrors of a store."""
+def _seen_in(scene: BatchScene, out: Path, store: Store | None, talk: Talk) -> Path:
+    """A folder with the stamps of a scene's stages, brought up to date: its run folder, or its mirror of a store.
 
-    out: Path
-    store: Store | None
-    say: Callable[[str], None]
-
-    def refresh(self, config: SceneConfig, scene_dir: Path) -> Path:
-        """A folder with the stamps of a scene's stages, brought up to date.
-
-        Raises:
-            DevrfError: The store does not answer, or the folder cannot be written.
-        """
-        if self.store is None:
-            return config.run_dir(scene_dir)
-        folder = (self.out / "scenes" / config.folder_name).resolve()
-        try:
-            mirror(self.store, config, scene_dir, folder, self.say)
-        except OSError as error:
-            raise DevrfError(
-                f"{folder}: cannot be written ({error.strerror or error}); make room there"
-            ) from None
-        return folder
+    Raises:
+        DevrfError: The store does not answer, or the folder cannot be written.
+    """
+    config, run_dir = scene.config, scene.run_dir
+    assert config is not None and run_dir is not None
+    if store is None:
+        return run_dir
+    folder = (out / "scenes" / config.folder_name).resolve()
+    try:
+        mirror(store, config, scene.scene_dir, folder, talk.say)
+    except OSError as error:
+        raise DevrfError(
+            f"{folder}: cannot be written ({error.strerror or error}); make room there"
+        ) from None
+    return folder
 
 
-def _row(scene: BatchScene, options: Options, place: _Place) -> SceneRow:
+def _row(scene: BatchScene, options: Options, refresh: Callable[[BatchScene], Path]) -> SceneRow:
     """A scene's row, ended already where there is nothing to run."""
     row = SceneRow(str(scene.path), scene.name, None if scene.run_dir is None else str(scene.run_dir))
     if scene.config is not None and scene.problem is None:
         try:
-            seen_in = place.refresh(scene.config, scene.scene_dir)
+            seen_in = refresh(scene)
             stand(scene, options, seen_in)
             row.look(seen_in, scene.stages)
         except DevrfError as error:
@@ -155,76 +148,17 @@ def _row(scene: BatchScene, options: Options, place: _Place) -> SceneRow:
     return row
 
 
-def _jobs(
-    scenes: Sequence[BatchScene],
-    rows: Sequence[SceneRow],
-    options: Options,
-    engine: Engine,
-    place: _Place,
-    board: Board,
-) -> Iterator[Job]:
-    """What is to be run, one by one: the first runs while the raw files of the next are on their way to the store."""
-    for number, (scene, row) in enumerate(zip(scenes, rows, strict=True)):
-        config, scene_dir, run_dir = scene.config, scene.scene_dir, scene.run_dir
-        if row.code is not None or config is None or run_dir is None or scene.digests is None:
-            continue
-        if engine.stopping:
-            row.end(STOPPED)
-            board.ended(row)
-            continue
-        arguments, stored = options.arguments(), None
-        if config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
-            arguments += ["--set", f"budget.memory_gb={engine.memory_gb:.3f}"]
-        if place.store is not None:
-            try:
-                inputs = _put_inputs(place.store, config, scene.path, scene.digests)
-            except DevrfError as error:
-                row.end(code_of(error), str(error))
-                board.ended(row)
-                continue
-            arguments += [word for text in inputs.overrides for word in ("--set", text)]
-            stored = Stored(place.store.url, config.folder_name, scene.path.name, inputs.files)
-        todo = deque(groups(config, scene.standing, engine.gpus > 0))
-        look = partial(_look, row, config, scene_dir, scene.stages, place)
-        yield Job(number, scene.path, run_dir, tuple(arguments), row, todo, look, stored)
-
-
-def _look(row: SceneRow, config: SceneConfig, scene_dir: Path, stages: list[str], place: _Place) -> None:
-    row.look(place.refresh(config, scene_dir), stages)
-
-
-def _put_inputs(store: Store, config: SceneConfig, scene: Path, digests: Digests) -> Inputs:
-    """Store a scene's raw files.
-
-    Raises:
-        DevrfError: The store does not answer, or a file cannot be read.
-    """
-    try:
-        inputs = inputs_of(config, scene, digests)
-        digests.save()
-        store.put_inputs(inputs.here)
-    except OSError as error:  # one that has vanished since it was looked at
-        raise DevrfError(
-            f"{scene}: a raw file cannot be read ({error}); check its disk, then run the batch again"
-        ) from error
-    return inputs
-
-
-@contextmanager
-def _engine(machines: Machines) -> Iterator[Engine]:
-    """What the tasks run on; given back in the end.
+def _engine(machines: Machines, stack: ExitStack) -> LocalPool | RayCluster:
+    """What the tasks run on; given back when the stack is left.
 
     Raises:
         InputError: It is not there.
     """
-    if machines.engine == "ray":
-        engine: Engine = RayCluster(machines.address, machines.jobs, CORES_PER_JOB, machines.device)
-    else:
-        engine = _local(machines)
-    try:
-        yield engine
-    finally:
-        engine.close()
+    if machines.engine == "local":
+        return _local(machines)
+    cluster = RayCluster(machines.address, machines.jobs, CORES_PER_JOB, machines.device)
+    stack.callback(cluster.close)
+    return cluster
 
 
 def _local(machines: Machines) -> LocalPool:
@@ -239,10 +173,10 @@ def _local(machines: Machines) -> LocalPool:
 
 
 @contextmanager
-def _stopped_by_signals(engine: Engine) -> Iterator[None]:
+def _stopped_by_signals(engine: LocalPool | RayCluster) -> Iterator[None]:
     """Ctrl-C and TERM end what runs, in order; nothing more is begun."""
     handled = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda number, frame: engine.stop()) for number in handled}
+    before = {number: signal.signal(number, lambda number, frame: engine.stopped.set()) for number in handled}
     try:
         yield
     finally:

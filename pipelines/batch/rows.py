@@ -77,13 +77,14 @@ class SceneRow:
             folder: Where their folders lie.
             stages: Those that belong to the batch.
         """
-        self.stages, ids = {}, {}
+        found, ids = {}, {}
         for stage in stages:
             stamp = read_stamp(folder / stage)
             if stamp is not None:
                 ids[stage] = stamp.get("id")
                 verdict = worst(row.verdict for row in read_health(folder / stage))
-                self.stages[stage] = {"seconds": stamp.get("seconds"), "verdict": verdict}
+                found[stage] = {"seconds": stamp.get("seconds"), "verdict": verdict}
+        self.stages = found  # whole: others read it meanwhile
         self.before = ids if self.before is None else self.before
         self.made = [stage for stage in ids if ids[stage] != self.before.get(stage)]
         self.verdict = worst(made["verdict"] for made in self.stages.values())

@@ -32,8 +32,7 @@ class Task:
     """What to run.
 
     Attributes:
-        scene: Number of the scene in the batch.
-        path: Its scene.yaml.
+        path: The scene's scene.yaml.
         run_dir: Its run folder.
         stages: Names of the stages, in order.
         arguments: Of `devrf-pipeline run`, besides the scene and the stages.
@@ -43,7 +42,6 @@ class Task:
         stored: Where the scene lies in a store; None: the machine sees the paths above.
     """
 
-    scene: int
     path: Path
     run_dir: Path
     stages: tuple[str, ...]
@@ -55,33 +53,16 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Started:
-    """A task has begun.
-
-    Attributes:
-        scene: Number of the scene.
-        node: Where.
-    """
-
-    scene: int
-    node: str
-
-
-@dataclass(frozen=True)
 class Ended:
     """A task has come to its end.
 
     Attributes:
-        scene: Number of the scene.
         code: Exit code of the run; None where the node was lost.
         message: What went wrong; of one that is done, what it mended. Of one that was stopped there is none.
-        seconds: Time it took.
     """
 
-    scene: int
     code: int | None
     message: str | None = None
-    seconds: float = 0.0
 
 
 def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | None = None) -> Ended:
@@ -92,7 +73,6 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
         stop: Asked now and then; True ends the run as Ctrl-C does.
         gpu: Which of the GPUs that this process sees, where the scheduler has not set it already.
     """
-    start = time.monotonic()
     try:
         scratch = None if task.stored is None else Scratch(task.stored)
         if scratch is not None:
@@ -100,22 +80,21 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
         if task.attempt > 1:
             _wait_for_lock(task.run_dir, stop)
         if stop():
-            ended = Ended(task.scene, STOPPED)
-        elif scratch is None:
-            ended = _run(task, stop, lambda: None, gpu)
-        else:
-            task = replace(task, stages=scratch.fetch(task.stages))
-            ended = _run(task, stop, lambda: _push(scratch, task), gpu)
-            scratch.push(task.stages)
-            if ended.code == DONE:
-                scratch.remove()
-                anew = [f"{stage} was made anew: {why}" for stage, why in scratch.damaged.items()]
-                ended = replace(ended, message="\n".join(anew) or None)
+            return Ended(STOPPED)
+        if scratch is None:
+            return _run(task, stop, lambda: None, gpu)
+        task = replace(task, stages=scratch.fetch(task.stages))
+        ended = _run(task, stop, lambda: _push(scratch, task), gpu)
+        scratch.push(task.stages)
+        if ended.code == DONE:
+            scratch.remove()
+            anew = [f"{stage} was made anew: {why}" for stage, why in scratch.damaged.items()]
+            ended = Ended(DONE, "\n".join(anew) or None)
+        return ended
     except DevrfError as error:
-        ended = Ended(task.scene, code_of(error), str(error))
+        return Ended(code_of(error), str(error))
     except OSError as error:
-        ended = Ended(task.scene, FAILED, f"{task.path}: cannot be run on {node_name()}: {error}")
-    return replace(ended, seconds=time.monotonic() - start)
+        return Ended(FAILED, f"{task.path}: cannot be run on {node_name()}: {error}")
 
 
 def _push(scratch: Scratch, task: Task) -> None:
@@ -126,7 +105,7 @@ def _push(scratch: Scratch, task: Task) -> None:
 
 def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gpu: int | None) -> Ended:
     if stop():
-        return Ended(task.scene, STOPPED)
+        return Ended(STOPPED)
     started_s = time.time()
     process = subprocess.Popen(
         run_module("devrf.pipelines.batch.child", str(os.getpid()), *_command(task)),
@@ -147,7 +126,7 @@ def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gp
     if stopped and code < 0:  # before it could listen, or because it did not
         code = STOPPED
     message = None if code in (DONE, STOPPED) else _message(task, started_s, code, said)
-    return Ended(task.scene, code if code >= 0 else FAILED, message)
+    return Ended(code if code >= 0 else FAILED, message)
 
 
 def node_name() -> str:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from devrf.pipelines.bench.charts import cases
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
-from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
+from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.bench.trainings import Bench, score_rows, spread
 from devrf.reconstruct.ablation import VARIANTS, ablated
 
 SOURCE_INWARD = "DeVRF, Table 2: mean of its five synthetic scenes (other data; 400x400, RTX 3090)"
@@ -43,19 +43,17 @@ def run_ablation(
         only: Names of the variants.
     """
     results = train_variants(bench, seeds, only)
-    rows = ablation_rows(bench, results)
-    print_rows(bench.run.talk, f"Ablation of {bench.run.config.name}", rows)
-    write_rows(json_path, rows, benchmark="ablation", **about(bench, seeds))
-    paper, _ = _paper(bench)
+    rows, (paper, _) = ablation_rows(bench, results), _paper(bench)
+    scene = bench.run.config.name
+    labels = {name: name if name in ("base", "c2f") else f"+{name}" for name in results}
     chart = cases(
         json_path.with_suffix(".png"),
-        {_label(name): [r["test"]["psnr"] for r in found] for name, found in results.items()},
-        {_label(name): paper[name]["psnr"] for name in results},
+        {labels[name]: [r["test"]["psnr"] for r in found] for name, found in results.items()},
+        {labels[name]: paper[name]["psnr"] for name in results},
         "PSNR of test views, dB",
-        f"{bench.run.config.name}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}",
+        f"{scene}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}",
     )
-    say_files(bench.run.talk, json_path, chart)
-    return rows
+    return bench.publish(f"Ablation of {scene}", rows, json_path, seeds, chart, benchmark="ablation")
 
 
 def train_variants(
@@ -77,38 +75,20 @@ def train_variants(
 def ablation_rows(bench: Bench, results: dict[str, list[dict[str, Any]]]) -> list[Row]:
     """Scores of every variant beside the paper's, and what each part brings."""
     paper, source = _paper(bench)
-    rows = [
-        row
-        for name, found in results.items()
-        for row in score_rows(f"ablation/{name}", found, paper[name], source)
-    ]
-    return rows + _gains(results, {name: paper[name]["psnr"] for name in VARIANTS}, source)
+    rows = []
+    for name, found in results.items():
+        rows += score_rows(f"ablation/{name}", found, paper[name], source)
+    trained = [name for name in VARIANTS if name in results]
+    for before, name in zip(trained, trained[1:], strict=False):
+        pairs = zip(results[name], results[before], strict=False)  # seed by seed
+        gains = [a["test"]["psnr"] - b["test"]["psnr"] for a, b in pairs]
+        published = round(paper[name]["psnr"] - paper[before]["psnr"], 3)
+        title, apart = f"ablation/{before} to {name}/psnr", spread(gains)
+        row = Row(title, float(np.mean(gains)), "dB", apart, published, source)
+        rows.append(row.at_least(C2F_GAIN_DB if name == "c2f" else 0.0 - (apart or 0.0)))
+    return rows
 
 
 def _paper(bench: Bench) -> tuple[dict[str, dict[str, float]], str]:
     forward = bench.scene.kind == "forward"
     return (PAPER_FORWARD, SOURCE_FORWARD) if forward else (PAPER_INWARD, SOURCE_INWARD)
-
-
-def _gains(results: dict[str, list[dict[str, Any]]], paper: dict[str, float], source: str) -> list[Row]:
-    """What each part brings, seed by seed, against how much seeds differ."""
-    rows = []
-    trained = [name for name in VARIANTS if name in results]
-    for before, name in zip(trained, trained[1:], strict=False):
-        pairs = zip(results[name], results[before], strict=False)
-        gains = [a["test"]["psnr"] - b["test"]["psnr"] for a, b in pairs]
-        row = Row(
-            f"ablation/{before} to {name}/psnr",
-            float(np.mean(gains)),
-            "dB",
-            spread(gains),
-            round(paper[name] - paper[before], 3),
-            source,
-        )
-        goal = C2F_GAIN_DB if name == "c2f" else 0.0 - (spread(gains) or 0.0)
-        rows.append(with_goal(row, goal))
-    return rows
-
-
-def _label(name: str) -> str:
-    return name if name in ("base", "c2f") else f"+{name}"

@@ -1,19 +1,34 @@
 """What the commands of `bench` share: options, words into names and numbers, and the scene that is measured."""
 
+import inspect
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from devrf.capture.errors import InputError
 from devrf.capture.writable import check_file, check_folder
-from devrf.pipelines.cli_options import configured, errors_told, talk_of
+from devrf.pipelines.cli_options import (
+    DeviceOption,
+    PresetOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    configured,
+    errors_told,
+    talk_of,
+)
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
+
+if TYPE_CHECKING:
+    from devrf.pipelines.bench.trainings import Bench
 
 SeedsOption = Annotated[int, typer.Option(min=1, max=100, help="Trainings per case; they give the spread")]
 OutOption = Annotated[
@@ -24,6 +39,121 @@ SmallSceneArgument = Annotated[
     typer.Argument(help="scene.yaml with test cameras; default: a small simulated session, rendered first"),
 ]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Rows as JSON; a chart is drawn beside it")]
+AROUND: dict[str, tuple[Any, Any]] = {
+    "overrides": (SetOption, None),
+    "out": (OutOption, None),
+    "json": (JsonOption, None),
+    "device": (DeviceOption, "auto"),
+    "quiet": (QuietOption, False),
+}
+"""Options of every benchmark of a scene, behind its own, and their defaults."""
+
+
+@dataclass
+class Asked:
+    """A scene to be measured, as the command line names it; it is read, or rendered, when it is first needed.
+
+    Attributes:
+        name: Of the benchmark.
+        scene: None: a small session, rendered into `out`.
+        preset, overrides: Of the configuration.
+        out, json: Where models and rows go, if it was said.
+        device: In words.
+    """
+
+    name: str
+    scene: Path | None
+    preset: str | None
+    overrides: Sequence[str]
+    out: Path | None
+    json: Path | None
+    device: str
+    talk: Talk
+
+    @cached_property
+    def run(self) -> Run:
+        """The scene in motion; nothing is made where the device is not there, or a place cannot be written."""
+        if self.scene is None:
+            from devrf.pipelines.bench.stability.session import SETTINGS, session
+
+            resolve_device(self.device)
+            self.out = self.out or Path(f"bench-{self.name}")
+            check_places(self.out, self.json)
+            preset = [] if self.preset is None else [f"preset={self.preset}"]
+            self.scene = session(self.out, self.talk)
+            self.overrides = [*SETTINGS, *preset, *self.overrides]
+        run = self.of(self.scene)
+        self.out = self.out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
+        check_places(self.out, self.json)
+        return run
+
+    def of(self, scene: Path) -> Run:
+        """A scene with the same preset and overrides."""
+        config, scene_dir = configured(scene, self.preset, self.overrides)
+        if config.kind not in ("dynamic", "dataset"):
+            raise InputError(
+                f"{scene}: bench {self.name} needs a scene in motion, with a sweep and moving cameras"
+            )
+        on = resolve_device(self.device, config.budget.gpu_memory_gb)
+        return Run(config, scene_dir, STAGES, Choice(), self.talk, on)
+
+    @property
+    def folder(self) -> Path:
+        """Where models and pictures go."""
+        assert self.run is not None and self.out is not None  # the run says where, if nobody else
+        return self.out
+
+    @property
+    def rows(self) -> Path:
+        """The file of the rows."""
+        return self.json or self.folder / f"{self.name}.json"
+
+    @property
+    def bench(self) -> "Bench":
+        """The scene made ready for trainings."""
+        from devrf.pipelines.bench.trainings import Bench
+
+        return Bench.prepare(self.run, self.folder)
+
+
+def of_a_scene(
+    group: typer.Typer, scene: Any = SceneArgument, preset: str | None = None
+) -> Callable[[Callable[..., None]], None]:
+    """A function of an `Asked` and options of its own becomes a command that has the shared ones, too.
+
+    Args:
+        group: The commands.
+        scene: The argument; where it may be missing, the small session is measured.
+        preset: The only one there is, or "" for the file's; None: there is an option.
+    """
+
+    def add(measure: Callable[..., None]) -> None:
+        own = list(inspect.signature(measure).parameters.values())[1:]
+        before = {"scene": (scene, inspect.Parameter.empty if scene is SceneArgument else None)}
+        before |= {"preset": (PresetOption, None)} if preset is None else {}
+        options = before | {p.name: (p.annotation, p.default) for p in own} | AROUND
+
+        def command(**given: Any) -> None:
+            talk = talk_of(given["quiet"])
+            shared = (given["scene"], given.get("preset", preset or None), given["overrides"] or [])
+            places = (given["out"], given["json"], given["device"])
+            with errors_told(talk):
+                asked = Asked(measure.__name__, *shared, *places, talk)
+                measure(asked, **{p.name: given[p.name] for p in own})
+
+        command.__doc__ = measure.__doc__
+        command.__annotations__ = {name: annotation for name, (annotation, _) in options.items()}
+        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [
+                inspect.Parameter(
+                    name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
+                )
+                for name, (annotation, default) in options.items()
+            ]
+        )
+        group.command(measure.__name__)(command)
+
+    return add
 
 
 def names_of(option: str, text: str, known: Sequence[str]) -> list[str]:
@@ -46,55 +176,8 @@ def numbers_of(option: str, text: str, least: float, most: float) -> list[float]
     return numbers
 
 
-def run_benchmark(
-    name: str,
-    measure: Callable[[Run, Path], None],
-    scene: Path,
-    preset: str | None,
-    overrides: Sequence[str] | None,
-    out: Path | None,
-    json: Path | None,
-    device: str,
-    quiet: bool,
-) -> None:
-    """Read the configuration and run a benchmark of one scene."""
-    talk = talk_of(quiet)
-    with errors_told(talk):
-        run = run_of(name, scene, preset, overrides, device, talk)
-        folder = out or run.run_dir.with_name(f"{run.run_dir.name}-bench")
-        check_places(folder, json)
-        measure(run, folder)
-
-
-def small_session(
-    out: Path, json: Path | None, overrides: Sequence[str] | None, device: str, quiet: bool
-) -> tuple[Path, list[str]]:
-    """The small session in `out`, and its settings before those that were given.
-
-    Nothing is rendered where the device is not there, or a place cannot be written.
-    """
-    from devrf.pipelines.bench.stability.session import SETTINGS, session
-
-    talk = talk_of(quiet)
-    with errors_told(talk):
-        resolve_device(device)
-        check_places(out, json)
-        return session(out, talk), [*SETTINGS, *(overrides or [])]
-
-
 def check_places(out: Path, json: Path | None) -> None:
     """Refuse places that cannot be written; nothing is made yet."""
     check_folder(out, "--out")
     if json is not None:
         check_file(json, "--json")
-
-
-def run_of(
-    name: str, scene: Path, preset: str | None, overrides: Sequence[str] | None, device: str, talk: Talk
-) -> Run:
-    """A scene in motion as a benchmark takes it."""
-    config, scene_dir = configured(scene, preset, overrides)
-    if config.kind not in ("dynamic", "dataset"):
-        raise InputError(f"{scene}: bench {name} needs a scene in motion, with a sweep and moving cameras")
-    on = resolve_device(device, config.budget.gpu_memory_gb)
-    return Run(config, scene_dir, STAGES, Choice(), talk, on)

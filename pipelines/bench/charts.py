@@ -11,26 +11,28 @@ from devrf.reconstruct.paired import Gain
 
 SIZE_INCHES, DPI = (7.0, 4.2), 130
 NAME_OFFSET = 3  # points, of a name from its mark
-NEAR_THE_EDGE = 0.75  # share of the axis
 WIDE = 6.0  # last over first, from which an axis has places for 1, 2 and 5
+OURS, OUR_SEEDS, THEIRS = "#2f6fb3", "#1f3d66", "#c2662d"
 
 
 def cases(
     path: Path, values: Mapping[str, Sequence[float]], anchors: Mapping[str, float], y_label: str, title: str
 ) -> Path:
     """Means and single seeds, what others report as diamonds beside them."""
-    figure, axes = _figure(y_label, title)
-    x = np.arange(len(values))
+    figure, ((axes,),) = _figure(title, 1, 1, SIZE_INCHES)
+    axes.set_ylabel(y_label)
     means = [float(np.mean(v)) for v in values.values()]
-    axes.plot(x, means, "_", markersize=28, markeredgewidth=3, color="#2f6fb3", label="ours, mean")
+    axes.plot(means, "_", markersize=28, markeredgewidth=3, color=OURS, label="ours, mean")
     for n, (mean, v) in enumerate(zip(means, values.values(), strict=True)):
-        axes.plot([n] * len(v), v, ".", color="#1f3d66", label="ours, one seed" if n == 0 else None)
+        axes.plot([n] * len(v), v, ".", color=OUR_SEEDS, label="ours, one seed" if n == 0 else None)
         axes.annotate(f"{mean:.1f}", (n - 0.18, mean), ha="right", va="center", fontsize=9)
+    places = np.arange(len(values))
     paper = [anchors[name] for name in values]
-    axes.plot(x + 0.2, paper, "D", markersize=5, color="#c2662d", label="the paper (other data)")
-    axes.set_xticks(x, list(values))
+    axes.plot(places + 0.2, paper, "D", markersize=5, color=THEIRS, label="the paper (other data)")
+    axes.set_xticks(places, list(values))
     axes.set_xlim(-0.6, len(values) - 0.4)
-    return _saved(figure, axes, path)
+    axes.legend(fontsize=8)
+    return _saved(figure, path)
 
 
 def lines(
@@ -41,40 +43,33 @@ def lines(
     title: str,
 ) -> Path:
     """Means as lines, seeds as dots."""
-    figure, axes = _figure(y_label, title)
+    figure, ((axes,),) = _figure(title, 1, 1, SIZE_INCHES)
+    axes.set(xlabel=x_label, ylabel=y_label, xticks=sorted({x for of in series.values() for x in of}))
     for name, points in series.items():
-        found = {x: [v for v in values if v is not None] for x, values in points.items()}
-        found = {x: v for x, v in found.items() if v}
+        found = {x: v for x, values in points.items() if (v := [one for one in values if one is not None])}
         line = axes.plot(list(found), [np.mean(v) for v in found.values()], "-o", label=name)[0]
         for x, v in found.items():
             axes.plot([x] * len(v), v, ".", color=line.get_color())
-    axes.set_xticks(sorted({x for points in series.values() for x in points}))
-    axes.set_xlabel(x_label)
-    return _saved(figure, axes, path)
+    axes.legend(fontsize=8)
+    return _saved(figure, path)
 
 
 def gains(path: Path, found: Mapping[str, Mapping[str, Gain]], title: str) -> Path:
     """By name and measure: a bar with its interval and every pair as a dot in a panel per measure."""
-    from matplotlib.figure import Figure
-
     measures = list(dict.fromkeys(m for of in found.values() for m in of))
-    figure = Figure(figsize=(3.2 + 3.2 * len(measures), 1.2 + 0.24 * len(found)), layout="constrained")
-    row = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+    size = (3.2 + 3.2 * len(measures), 1.2 + 0.24 * len(found))
+    figure, (row,) = _figure(title, 1, len(measures), size, sharey=True)
     for axes, measure in zip(row, measures, strict=True):
-        for n, of in enumerate(found.values()):
-            if (gain := of.get(measure)) is not None:
+        for n, gain in enumerate(of.get(measure) for of in found.values()):
+            if gain is not None:
                 error = None if gain.half is None else [gain.half]
-                axes.barh(n, gain.mean, xerr=error, color="#a9c6e8", ecolor="#2f6fb3", capsize=2, height=0.7)
-                axes.plot(gain.by_pair, [n] * len(gain.by_pair), ".", color="#1f3d66", markersize=4)
+                axes.barh(n, gain.mean, xerr=error, color="#a9c6e8", ecolor=OURS, capsize=2, height=0.7)
+                axes.plot(gain.by_pair, [n] * len(gain.by_pair), ".", color=OUR_SEEDS, markersize=4)
         axes.axvline(0, color="black", linewidth=0.8)
         axes.set_xlabel(measure, fontsize=9)
-        axes.grid(True, axis="x", alpha=0.3)
     row[0].set_yticks(range(len(found)), list(found), fontsize=8)
     row[0].invert_yaxis()
-    figure.suptitle(title, fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
-    return path
+    return _saved(figure, path)
 
 
 @dataclass(frozen=True)
@@ -93,15 +88,24 @@ class Curve:
     kind: Literal["ours", "way", "front", "published"]
 
 
+MARKS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ours": ("o", {"markersize": 8, "zorder": 3}),
+    "way": ("-", {"linewidth": 1, "alpha": 0.7}),
+    "front": ("--", {"color": "black", "linewidth": 0.8, "zorder": 2}),
+    "published": ("x", {"color": "0.55", "markersize": 5}),
+}
+LABELS = {"way": "on the way there, a few views", "published": "published: other data, other device"}
+"""Of kinds that stand in the legend once, whatever their names are."""
+
+
 def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]]], title: str) -> Path:
     """A row of panels per y label, in it a panel per x label, logarithmic in x."""
     from matplotlib import colormaps
-    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     first = next(iter(panels.values()))
-    figure = Figure(figsize=(4.6 * len(first), 0.8 + 4.2 * len(panels)), layout="constrained")
-    table = figure.subplots(len(panels), len(first), sharey="row", sharex="col", squeeze=False)
+    size = (4.6 * len(first), 0.8 + 4.2 * len(panels))
+    figure, table = _figure(title, len(panels), len(first), size, sharey="row", sharex="col")
     names = list(dict.fromkeys(c.name for curves in first.values() for c in curves if c.kind == "ours"))
     colours = {name: colormaps["tab10"](n % 10) for n, name in enumerate(names)}
     for row, (y_label, columns) in zip(table, panels.items(), strict=True):
@@ -109,70 +113,42 @@ def frontier_chart(path: Path, panels: Mapping[str, Mapping[str, Sequence[Curve]
         for axes, (x_label, curves) in zip(row, columns.items(), strict=True):
             axes.set_xscale("log")
             axes.set_xlabel(x_label)
-            axes.grid(True, alpha=0.3)
             for curve in curves:
-                _draw(axes, curve, colours.get(curve.name, "black"))
+                _draw(axes, curve, colours.get(curve.name))
             low, high = axes.get_xlim()
             wide = high > WIDE * low
             axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(4))
             axes.xaxis.set_minor_locator(NullLocator())
             axes.xaxis.set_major_formatter("{x:g}")
-            _turn_names_inwards(axes)
-    handles, labels = table[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(labels)), fontsize=8)
-    figure.suptitle(title, fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
-    return path
+    legend = dict(zip(*reversed(table[0][0].get_legend_handles_labels()), strict=True))
+    columns = min(5, len(legend))
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=columns, fontsize=8)
+    return _saved(figure, path)
 
 
 def _draw(axes: Any, curve: Curve, colour: Any) -> None:
-    if not curve.points:
-        return
-    x, y = zip(*curve.points, strict=True)
-    if curve.kind == "ours":
-        axes.plot(x, y, "o", color=colour, markersize=8, label=curve.name, zorder=3)
-    elif curve.kind == "way":
-        first = not any(line.get_gid() == "way" for line in axes.get_lines())
-        label = "on the way there, a few views" if first else None
-        axes.plot(x, y, "-", color=colour, linewidth=1, alpha=0.7, label=label, gid="way")
-    elif curve.kind == "front":
-        axes.plot(x, y, "--", color="black", linewidth=0.8, label=curve.name, zorder=2)
-    else:
-        first = not any(line.get_marker() == "x" for line in axes.get_lines())
-        label = "published: other data, other device" if first else None
-        axes.plot(x, y, "x", color="0.55", markersize=5, label=label)
-        axes.annotate(
-            curve.name,
-            (x[0], y[0]),
-            xytext=(NAME_OFFSET, NAME_OFFSET),
-            textcoords="offset points",
-            fontsize=5.5,
-            color="0.45",
-        )
+    style, look = MARKS[curve.kind]
+    look = {"color": colour, "label": LABELS.get(curve.kind, curve.name)} | look
+    if curve.points:
+        axes.plot(*zip(*curve.points, strict=True), style, **look)
+    if curve.kind == "published":
+        offset = {"xytext": (NAME_OFFSET, NAME_OFFSET), "textcoords": "offset points"}
+        axes.annotate(curve.name, curve.points[0], fontsize=5.5, color="0.45", **offset)
 
 
-def _turn_names_inwards(axes: Any) -> None:
-    """Names of marks near the right edge stand before them."""
-    to_share = axes.transScale + axes.transLimits
-    for text in axes.texts:
-        if to_share.transform(text.xy)[0] > NEAR_THE_EDGE:
-            text.set(ha="right", position=(-NAME_OFFSET, NAME_OFFSET))
-
-
-def _figure(y_label: str, title: str) -> tuple[Any, Any]:
+def _figure(title: str, rows: int, columns: int, size: tuple[float, float], **shared: Any) -> tuple[Any, Any]:
+    """A figure, and its axes row by row."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=SIZE_INCHES, layout="constrained")
-    axes = figure.subplots()
-    axes.set_ylabel(y_label)
-    axes.set_title(title, fontsize=10)
-    axes.grid(True, axis="y", alpha=0.3)
-    return figure, axes
+    figure = Figure(figsize=size, layout="constrained")
+    figure.suptitle(title, fontsize=10)
+    table = figure.subplots(rows, columns, squeeze=False, **shared)
+    for axes in table.flat:
+        axes.grid(True, alpha=0.3)
+    return figure, table
 
 
-def _saved(figure: Any, axes: Any, path: Path) -> Path:
-    axes.legend(fontsize=8)
+def _saved(figure: Any, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=DPI)
     return path

@@ -8,8 +8,8 @@ import numpy as np
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.bench.charts import Curve, frontier_chart
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
-from devrf.pipelines.bench.trainings import Bench, about, device_name
+from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.bench.trainings import Bench, device_name
 from devrf.pipelines.runner.run import Run
 from devrf.reconstruct.options import PRESETS
 
@@ -18,20 +18,18 @@ AXES = {
     "resolution": "resolution R at rest",
     "moving": "voxels in which something moves",
 }
-COSTS = {"seconds": ("seconds of training", "s"), "megabytes": ("megabytes on disk", "MB")}
+UNITS = {"seconds": "s", "megabytes": "MB", "psnr": "dB", "keys": ""}
+COSTS = {"seconds": "seconds of training", "megabytes": "megabytes on disk"}
 
 
 @dataclass(frozen=True)
 class Grown:
-    """One training: along which axis, which on it, where, and what it came to."""
+    """One training: along which axis, which on it, where, and what it came to by the names of `UNITS`."""
 
     axis: str
     name: str
     at: float
-    seconds: float
-    megabytes: float
-    psnr: float
-    keys: int
+    came_to: dict[str, float]
 
 
 def run_growth(
@@ -62,20 +60,21 @@ def run_growth(
         benches = [bench, *(Bench.prepare(other, out / f"other{n}") for n, other in enumerate(others, 1))]
         found += sorted((_trained(b, None, "moving") for b in benches), key=lambda one: one.at)
     axes = {axis: label for axis, label in AXES.items() if others or axis != "moving"}
-    rows = [row for one in found for row in _rows(one)]
+    rows = []
+    for one in found:
+        name = f"growth/{one.axis}/{one.name}"
+        rows += [Row(f"{name}/voxels", one.at, "")] if one.axis == "moving" else []
+        rows += [Row(f"{name}/{what}", one.came_to[what], unit) for what, unit in UNITS.items()]
     rows += [_exponent(found, axis, cost) for axis in axes for cost in COSTS]
-    print_rows(run.talk, f"Growth, {run.config.name}", rows)
     named = {f"other{n}": other.scene_dir.name for n, other in enumerate(others, 1)}
-    seeds = [run.config.reconstruct.seed]
-    write_rows(json_path, rows, benchmark="growth", others=named, **about(bench, seeds))
     panels = {
         label: {text: _curves(found, axis, cost) for axis, text in axes.items()}
-        for cost, (label, _) in COSTS.items()
+        for cost, label in COSTS.items()
     }
     title = f"{run.config.name}, {run.config.preset}, {device_name(run.device)}"
     chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
-    say_files(run.talk, json_path, chart)
-    return rows
+    title, seeds = f"Growth, {run.config.name}", [run.config.reconstruct.seed]
+    return bench.publish(title, rows, json_path, seeds, chart, benchmark="growth", others=named)
 
 
 def _every(run: Run, out: Path, stride: int) -> Bench:
@@ -83,8 +82,7 @@ def _every(run: Run, out: Path, stride: int) -> Bench:
     dataset = run.config.dataset
     assert dataset is not None  # checked by the caller
     fewer = dataset.model_copy(update={"frame_stride": stride * dataset.frame_stride})
-    config = run.config.model_copy(update={"dataset": fewer})
-    less = Run(config, run.scene_dir, run.stages, run.choice, run.talk, run.device)
+    less = replace(run, config=run.config.model_copy(update={"dataset": fewer}))
     return Bench.prepare(less, out / f"every{stride}")
 
 
@@ -100,32 +98,22 @@ def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
         "resolution": options.canonical.resolution,
         "moving": result["moving_voxels"],
     }
-    return Grown(
-        axis,
-        bench.out.name if axis == "moving" else f"{at[axis]:g}",
-        at[axis],
-        rest.metrics["seconds"] + result["train"]["seconds"],
-        result["model_mb"],
-        result["test"]["psnr"],
-        result["train"]["keys"],
-    )
+    came_to = {
+        "seconds": rest.metrics["seconds"] + result["train"]["seconds"],
+        "megabytes": result["model_mb"],
+        "psnr": result["test"]["psnr"],
+        "keys": float(result["train"]["keys"]),
+    }
+    return Grown(axis, bench.out.name if axis == "moving" else f"{at[axis]:g}", at[axis], came_to)
 
 
-def _rows(one: Grown) -> list[Row]:
-    name = f"growth/{one.axis}/{one.name}"
-    where = [Row(f"{name}/voxels", one.at, "")] if one.axis == "moving" else []
-    return [
-        *where,
-        Row(f"{name}/seconds", one.seconds, "s"),
-        Row(f"{name}/megabytes", one.megabytes, "MB"),
-        Row(f"{name}/psnr", one.psnr, "dB"),
-        Row(f"{name}/keys", float(one.keys), ""),
-    ]
+def _points(found: Sequence[Grown], axis: str, cost: str) -> list[tuple[float, float]]:
+    return [(one.at, one.came_to[cost]) for one in found if one.axis == axis]
 
 
 def _exponent(found: Sequence[Grown], axis: str, cost: str) -> Row:
     """By which power of the axis a cost grows: the slope of a straight line through the logarithms."""
-    points = [(one.at, getattr(one, cost)) for one in found if one.axis == axis and one.at > 0]
+    points = [(at, value) for at, value in _points(found, axis, cost) if at > 0]
     name = f"growth/{axis}/exponent of {cost}"
     if len({at for at, _ in points}) < 2:
         return Row(name, None, "", why="needs two different places on the axis")
@@ -134,5 +122,5 @@ def _exponent(found: Sequence[Grown], axis: str, cost: str) -> Row:
 
 
 def _curves(found: Sequence[Grown], axis: str, cost: str) -> list[Curve]:
-    points = [(one.at, getattr(one, cost)) for one in found if one.axis == axis]
+    points = _points(found, axis, cost)
     return [Curve("measured", points, "ours"), Curve("joined", points, "front")]

@@ -11,16 +11,15 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from devrf.capture.ingest import write_frames
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.session import CaptureSession
 from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.video import VideoReader
-from devrf.pipelines.bench.accuracy.cases import Cases, Part
+from devrf.pipelines.bench.accuracy.cases import Cases
 from devrf.pipelines.bench.ingest_clips import BIT_RATE, film, filmed
-from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.bench.rows import Row
 
 REPETITIONS = 5  # in turns; the fastest of each counts: what else the machine does only slows
 SHORT_FRAMES, LONGER = 60, 4
@@ -47,14 +46,10 @@ print(time.perf_counter() - begun, Path("/proc/self/status").read_text().split("
 
 def speed(cases: Cases) -> list[Row]:
     """Pictures a second of ingest, all of them stored, over those of decoding to RGB by PyAV, in the same run."""
-    folder = _folder(cases, "speed")
-    frames = LONGER * SHORT_FRAMES
+    folder, frames = cases.folder("speed"), LONGER * SHORT_FRAMES
     clips = {f"1080p, {name}": film(folder / f"{rate}.mp4", frames, rate) for name, rate in BIT_RATES.items()}
-    for name in REAL_CLIPS:
-        capture, _, clip = name.partition("/")
-        real = cases.real(capture)
-        if real is not None:
-            clips[name] = real / clip
+    if cases.data is not None:
+        clips |= {name: clip for name in REAL_CLIPS if (clip := cases.data / name).is_file()}
     rows = []
     for name, clip in clips.items():
         plain, ours = [], []
@@ -64,105 +59,79 @@ def speed(cases: Cases) -> list[Row]:
             ours.append(_seconds(_ingest, clip, folder))
         (plain_s, plain_cpu_s), (ours_s, ours_cpu_s) = np.min([plain, ours], axis=1).tolist()
         spread = float(np.std([p[0] / o[0] for p, o in zip(plain, ours, strict=True)]))
-        pictures = sorted((folder / "ingest/frames/cam0").iterdir())
-        count, size = len(pictures), float(np.mean([p.stat().st_size for p in pictures]))
+        bytes_ = [p.stat().st_size for p in (folder / "ingest/frames/cam0").iterdir()]
         ratio = Row(f"ingest/{name}, speed over decoding to RGB", plain_s / ours_s, "", spread)
         rows += [
-            with_goal(ratio, SPEED_GOAL),
+            ratio.at_least(SPEED_GOAL),
             Row(f"ingest/{name}, the same in processor time", plain_cpu_s / ours_cpu_s, ""),
-            Row(f"ingest/{name}, decoding to RGB", count / plain_s, "pictures/s"),
-            Row(f"ingest/{name}, ingest", count / ours_s, "pictures/s"),
-            Row(f"ingest/{name}, stored", size / 1e3, "kB/picture"),
+            Row(f"ingest/{name}, decoding to RGB", len(bytes_) / plain_s, "pictures/s"),
+            Row(f"ingest/{name}, ingest", len(bytes_) / ours_s, "pictures/s"),
+            Row(f"ingest/{name}, stored", float(np.mean(bytes_)) / 1e3, "kB/picture"),
         ]
     return rows
 
 
 def memory(cases: Cases) -> list[Row]:
     """Peak resident memory of a process that ingests a clip, and one four times as long."""
-    folder = _folder(cases, "memory")
-    peaks = []
-    for name, frames in (("short", SHORT_FRAMES), ("long", LONGER * SHORT_FRAMES)):
-        peaks.append(_apart(film(folder / f"{name}.mp4", frames), folder)[1])
+    folder, few, many = cases.folder("memory"), SHORT_FRAMES, LONGER * SHORT_FRAMES
+    short_mb, long_mb = (_apart(film(folder / f"{n}.mp4", n), folder)[1] for n in (few, many))
+    more = Row("ingest/peak memory of the longer clip over the shorter one's", long_mb / short_mb, "")
     return [
-        Row(f"ingest/1080p, {SHORT_FRAMES} frames, peak memory", peaks[0], "MB"),
-        Row(f"ingest/1080p, {LONGER * SHORT_FRAMES} frames, peak memory", peaks[1], "MB"),
-        with_goal(
-            Row("ingest/peak memory of the longer clip over the shorter one's", peaks[1] / peaks[0], ""),
-            MEMORY_GOAL,
-            low_is_good=True,
-        ),
+        Row(f"ingest/1080p, {few} frames, peak memory", short_mb, "MB"),
+        Row(f"ingest/1080p, {many} frames, peak memory", long_mb, "MB"),
+        more.at_most(MEMORY_GOAL),
     ]
 
 
 def raw(cases: Cases) -> list[Row]:
     """Folders of RAW photos of 12 megapixels: time on one core and on all, peak memory of few and of many."""
-    folder = _folder(cases, "raw")
-    rng = np.random.default_rng(0)
+    folder, rng = cases.folder("raw"), np.random.default_rng(0)
     levels = {"black": (512, 512, 512, 512), "white": 16383}
     piece = mosaic(rng.uniform(0.05, 0.8, (*PHOTO_SIZE, 3)), "RGGB", *levels.values())
     write_dng(folder / "photo.dng", np.tile(piece, (PHOTO_TILES, PHOTO_TILES)), **levels)
     for count in (FEW_PHOTOS, MANY_PHOTOS):
-        (folder / str(count)).mkdir(exist_ok=True)
         for n in range(count):
-            shutil.copyfile(folder / "photo.dng", folder / str(count) / f"{n}.dng")
+            shutil.copyfile(folder / "photo.dng", cases.folder(f"raw/{count}") / f"{n}.dng")
     cores = len(os.sched_getaffinity(0))
     one_s, _ = _apart(folder / str(FEW_PHOTOS), folder, cores=1)
     few_s, few_mb = _apart(folder / str(FEW_PHOTOS), folder)
     _, many_mb = _apart(folder / str(MANY_PHOTOS), folder)
+    more = Row("ingest/peak memory of more RAW photos over that of few", many_mb / few_mb, "")
     return [
         Row("ingest/RAW of 12 megapixels, one core", one_s / FEW_PHOTOS, "s/photo"),
         Row(f"ingest/RAW of 12 megapixels, {cores} cores", few_s / FEW_PHOTOS, "s/photo"),
         Row(f"ingest/{FEW_PHOTOS} RAW photos, peak memory", few_mb, "MB"),
         Row(f"ingest/{MANY_PHOTOS} RAW photos, peak memory", many_mb, "MB"),
-        with_goal(
-            Row("ingest/peak memory of more RAW photos over that of few", many_mb / few_mb, ""),
-            MEMORY_GOAL,
-            low_is_good=True,
-        ),
+        more.at_most(MEMORY_GOAL),
     ]
 
 
 def quality(cases: Cases) -> list[Row]:
     """How far pictures are from what was filmed: decoded, and decoded and stored; and the flow between them."""
-    folder = _folder(cases, "quality")
+    folder = cases.folder("quality")
     clip = film(folder / "short.mp4", SHORT_FRAMES)
     _ingest(clip, folder)
-    decoded_db, stored_db, between_db, flow_px = [], [], [], []
+    scores, flow_px = [], []
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     last: tuple[np.ndarray, np.ndarray] | None = None
     with VideoReader(clip) as reader:
         for truth, frame in zip(filmed(SHORT_FRAMES), reader, strict=True):
-            stored = read_pixels(folder / f"ingest/frames/cam0/{frame.index:06d}.jpg")
-            rgb = frame.rgb
-            decoded_db.append(_psnr(rgb, truth))
-            stored_db.append(_psnr(stored, truth))
-            between_db.append(_psnr(stored, rgb))
+            rgb, stored = frame.rgb, read_pixels(folder / f"ingest/frames/cam0/{frame.index:06d}.jpg")
+            scores.append((cv2.PSNR(rgb, truth), cv2.PSNR(stored, truth), cv2.PSNR(stored, rgb)))
             greys = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.cvtColor(stored, cv2.COLOR_RGB2GRAY)
             if last is not None and frame.index % 10 == 0:
                 a, b = (flow.calc(now, before, None) for now, before in zip(greys, last, strict=True))  # type: ignore
-                flow_px.append(float(np.linalg.norm(a - b, axis=-1).mean()))
+                flow_px.append(np.linalg.norm(a - b, axis=-1).mean())
             last = greys
-    loss = float(np.mean(decoded_db) - np.mean(stored_db))
+    decoded_db, stored_db, between_db = np.mean(scores, axis=0).tolist()
+    apart = "ingest/1080p, flow of stored against flow of decoded pictures, mean"
     return [
-        Row("ingest/1080p, decoded against what was filmed", float(np.mean(decoded_db)), "dB"),
-        Row("ingest/1080p, stored against what was filmed", float(np.mean(stored_db)), "dB"),
-        with_goal(Row("ingest/1080p, loss by storing", loss, "dB"), LOSS_GOAL_DB, low_is_good=True),
-        Row("ingest/1080p, stored against decoded", float(np.mean(between_db)), "dB"),
-        Row(
-            "ingest/1080p, flow of stored against flow of decoded pictures, mean",
-            float(np.mean(flow_px)),
-            "px",
-        ),
+        Row("ingest/1080p, decoded against what was filmed", decoded_db, "dB"),
+        Row("ingest/1080p, stored against what was filmed", stored_db, "dB"),
+        Row("ingest/1080p, loss by storing", decoded_db - stored_db, "dB").at_most(LOSS_GOAL_DB),
+        Row("ingest/1080p, stored against decoded", between_db, "dB"),
+        Row(apart, float(np.mean(flow_px)), "px"),
     ]
-
-
-INGEST: dict[str, Part] = {"speed": speed, "memory": memory, "raw": raw, "quality": quality}
-
-
-def _folder(cases: Cases, part: str) -> Path:
-    folder = cases.out / part
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def _decode(clip: Path) -> None:
@@ -192,7 +161,3 @@ def _seconds(work: Callable[..., None], *arguments: Path) -> tuple[float, float]
     clock, used = time.perf_counter(), time.process_time()
     work(*arguments)
     return time.perf_counter() - clock, time.process_time() - used
-
-
-def _psnr(a: UInt8[np.ndarray, "h w 3"], b: UInt8[np.ndarray, "h w 3"]) -> float:
-    return float(cv2.PSNR(a, b))

@@ -1,13 +1,13 @@
 """Clips for `bench ingest`: 1080p H.264 as phones write it, of textured surfaces that move, with noise."""
 
 from collections.abc import Iterator
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+
+from devrf.capture.video_writer import write_video
 
 WIDTH, HEIGHT, FPS = 1920, 1080, 30
 BIT_RATE = 16_000_000  # what phones write at 1080p30
@@ -18,29 +18,18 @@ SWING_PX, SWING_FRAMES = 250, 75
 
 
 def film(path: Path, frames: int, bit_rate: int = BIT_RATE, seed: int = 0) -> Path:
-    """Write such a clip (BT.709, limited range, a key picture a second); kept if it is there."""
-    if path.exists():
-        return path
-    rng = np.random.default_rng(seed)
-    noise = [
-        rng.normal(0, NOISE_LEVELS, (HEIGHT, WIDTH, 1)).astype(np.float32) for _ in range(NOISE_PICTURES)
-    ]
-    partial = path.with_suffix(".part.mp4")
-    with av.open(str(partial), "w") as container:
-        stream = container.add_stream("libx264", rate=FPS)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        stream.bit_rate, stream.options = bit_rate, {"preset": "veryfast", "g": str(FPS)}
-        context = stream.codec_context
-        context.colorspace = context.color_trc = context.color_primaries = 1  # BT.709
-        for n, clean in enumerate(filmed(frames, seed)):
-            noisy = np.clip(clean + noise[n % NOISE_PICTURES], 0, 255).astype(np.uint8)
-            frame = av.VideoFrame.from_ndarray(noisy, format="rgb24").reformat(
-                format="yuv420p", dst_colorspace="itu709", dst_color_range="MPEG"
-            )
-            frame.pts, frame.time_base = n, Fraction(1, FPS)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
-    return partial.rename(path)
+    """Write such a clip, with a key picture a second; kept if it is there."""
+    if not path.exists():
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(0, NOISE_LEVELS, (NOISE_PICTURES, HEIGHT, WIDTH, 1)).astype(np.float32)
+        noisy = (
+            np.clip(clean + noise[n % NOISE_PICTURES], 0, 255).astype(np.uint8)
+            for n, clean in enumerate(filmed(frames, seed))
+        )
+        partial = path.with_suffix(".part.mp4")
+        write_video(partial, noisy, FPS, {"b": str(bit_rate), "preset": "veryfast", "g": str(FPS)})
+        partial.rename(path)
+    return path
 
 
 def filmed(frames: int, seed: int = 0) -> Iterator[UInt8[np.ndarray, "height width 3"]]:

@@ -5,15 +5,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-
-from devrf.capture.scene import Scene
 from devrf.pipelines.bench.charts import gains as gains_chart
-from devrf.pipelines.bench.rows import PIPE_WIDTH, Row, say_files, write_rows
-from devrf.pipelines.bench.trainings import Bench, about, score_rows, spread
-from devrf.pipelines.console import Talk
+from devrf.pipelines.bench.rows import Row, print_table
+from devrf.pipelines.bench.trainings import Bench, score_rows, spread
 from devrf.reconstruct import parts as parts_module
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.paired import Gain, paired_gain
@@ -72,37 +66,48 @@ def run_parts(bench: Bench, names: Sequence[str], seeds: Sequence[int], json_pat
         seeds: One pair of trainings per part and seed.
         json_path: Where the rows go; the chart is drawn beside it.
     """
-    talk, options = bench.run.talk, bench.options()
+    talk, whole_options = bench.run.talk, bench.options()
     chosen = [part for part in PARTS if part.name in names]
-    used = [part for part in chosen if part.in_use(bench.scene, options)]
-    whole = [_whole(bench, seed) for seed in seeds]
+    used = [part for part in chosen if part.in_use(bench.scene, whole_options)]
+    whole = []
+    for seed in seeds:
+        options = bench.options(seed=seed)
+        whole.append(_trained(bench, WHOLE, bench.rest(options.canonical), options))
     judged = []
     for part in used:
-        without = [_without(bench, part, seed) for seed in seeds]
-        judged.append(Judged(part, gains_of(whole, without)))
+        judged.append(Judged(part, gains_of(whole, [_without(bench, part, seed) for seed in seeds])))
         talk.say(f"{part.name}: {judged[-1].verdict}")
     rows = score_rows(f"parts/{WHOLE}", whole) + [row for one in judged for row in _rows(one)]
     title = f"{bench.run.config.name}, {bench.run.config.preset}, {len(seeds)} seeds"
-    _print(talk, f"What parts add, {title}", judged)
+    headings = ("", "moving, dB", "PSNR, dB", "LPIPS", "s", "MB", "verdict*")
+    lines = [
+        (
+            one.part.name,
+            *(_cell(one.gains.get(m), 3 if m == "lpips_vgg" else 2) for m in MEASURES),
+            one.verdict,
+        )
+        for one in judged
+    ]
+    print_table(talk, f"What parts add, {title}", headings, lines)
     unused = [part.name for part in chosen if part not in used]
     if unused:
         talk.say(f"not in use here: {', '.join(unused)}")
-    write_rows(
-        json_path,
-        rows,
-        benchmark="parts",
-        parts={one.part.name: one.as_dict() for one in judged},
-        not_in_use=unused,
-        **about(bench, seeds),
-    )
     labels = {name: f"{words}, {MEASURES[name] or 'low is good'}" for name, words in WORDS.items()}
     drawn = {
         one.part.name: {labels[name]: one.gains[name] for name in labels if name in one.gains}
         for one in judged
     }
     chart = gains_chart(json_path.with_suffix(".png"), drawn, title) if judged else None
-    say_files(talk, json_path, chart)
-    return rows
+    return bench.publish(
+        None,
+        rows,
+        json_path,
+        seeds,
+        chart,
+        benchmark="parts",
+        parts={one.part.name: one.as_dict() for one in judged},
+        not_in_use=unused,
+    )
 
 
 def gains_of(whole: Sequence[dict[str, Any]], without: Sequence[dict[str, Any]]) -> dict[str, Gain]:
@@ -122,24 +127,14 @@ def _value(result: dict[str, Any], measure: str) -> Any:
     return result[block][metric]
 
 
-def _whole(bench: Bench, seed: int) -> dict[str, Any]:
-    options = bench.options(seed=seed)
-    return _trained(bench, WHOLE, bench.rest(options.canonical), options)
-
-
 def _without(bench: Bench, part: Part, seed: int) -> dict[str, Any]:
     """Trained without the part; the scene at rest is shared where the part is one of the motion's."""
     scene, options = part.without(bench.scene, bench.options(seed=seed))
-    other = _of(bench, scene)
+    other = bench if scene is bench.scene else replace(bench, scene=scene, changed_by=parts_module.__name__)
     if part.stage == "motion":
         return _trained(other, part.name, bench.rest(options.canonical), options)
     other = replace(other, out=bench.out / part.name)
     return _trained(other, "motion", other.rest(options.canonical), options)
-
-
-def _of(bench: Bench, scene: Scene) -> Bench:
-    """The bench for a scene of which something was left out."""
-    return bench if scene is bench.scene else replace(bench, scene=scene, changed_by=parts_module.__name__)
 
 
 def _trained(bench: Bench, name: str, rest: RestModel, options: Options) -> dict[str, Any]:
@@ -148,30 +143,16 @@ def _trained(bench: Bench, name: str, rest: RestModel, options: Options) -> dict
 
 
 def _rows(one: Judged) -> list[Row]:
-    found = one.gains
-    return [
-        Row(f"parts/{one.part.name}/{name}", found[name].mean, unit, spread(found[name].by_pair))
-        if name in found
-        else Row(f"parts/{one.part.name}/{name}", None, unit, why="not computed")
-        for name, unit in MEASURES.items()
-    ]
-
-
-def _print(talk: Talk, title: str, judged: Sequence[Judged]) -> None:
-    """A line per part: what it adds, with half its interval."""
-    if talk.loudness == "quiet":
-        return
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("", "moving, dB", "PSNR, dB", "LPIPS", "s", "MB", "verdict"):
-        table.add_column(heading, justify="left" if heading in ("", "verdict") else "right", overflow="fold")
-    for one in judged:
-        cells = [_cell(one.gains.get(name), 3 if name == "lpips_vgg" else 2) for name in MEASURES]
-        table.add_row(one.part.name, *cells, one.verdict)
-    width = None if talk.out.is_terminal else PIPE_WIDTH
-    Console(file=talk.out.file, width=width, highlight=False).print(table)
+    rows = []
+    for name, unit in MEASURES.items():
+        gain, title = one.gains.get(name), f"parts/{one.part.name}/{name}"
+        of = (None, unit) if gain is None else (gain.mean, unit, spread(gain.by_pair))
+        rows.append(Row(title, *of, why="not computed" if gain is None else None))
+    return rows
 
 
 def _cell(gain: Gain | None, digits: int) -> str:
+    """What a part adds, with half its interval."""
     if gain is None:
         return ""
     return f"{gain.mean:+.{digits}f}" + ("" if gain.half is None else f" ±{gain.half:.{digits}f}")

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from devrf.pipelines.bench.ablation import PAPER_INWARD, SOURCE_INWARD, ablation_rows, train_variants
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
-from devrf.pipelines.bench.trainings import Bench, about, score_rows
+from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.bench.trainings import Bench, score_rows
 from devrf.pipelines.runner.run import Run
 from devrf.reconstruct.ablation import VARIANTS
 from devrf.reconstruct.options import PRESETS
@@ -28,34 +28,26 @@ def run_reference(run: Run, out: Path, json_path: Path, minutes: float) -> list[
     rows = []
     for row in score_rows("reference", [result], PAPER_INWARD["flow"], SOURCE_INWARD):
         metric = row.name.rsplit("/", 1)[1]
-        judged = row.name.startswith("reference/test/") and metric in GOALS
-        rows.append(with_goal(row, GOALS[metric], low_is_good=metric.startswith("lpips")) if judged else row)
-    rows.append(Row("reference/canonical/seconds", rest.metrics["seconds"], "s"))
-    rows.append(Row("reference/canonical/train_psnr", rest.metrics["train_psnr"], "dB"))
-    rows.append(_memory(rest.metrics["peak_gpu_gb"], result["train"]["peak_gpu_gb"]))
-    rows.append(Row("reference/render_fps", result["render_fps"], "pictures/s"))
+        goal = GOALS.get(metric) if row.name.startswith("reference/test/") else None
+        rows.append(row.at_most(goal) if metric.startswith("lpips") else row.at_least(goal))
+    peaks = [gb for gb in (rest.metrics["peak_gpu_gb"], result["train"]["peak_gpu_gb"]) if gb is not None]
+    why = None if peaks else "trained on a CPU"
+    memory = Row(
+        "reference/peak_gpu_gb", max(peaks, default=None), "GB", None, PAPER_GPU_GB, SOURCE_INWARD, why=why
+    )
+    rows += [
+        Row("reference/canonical/seconds", rest.metrics["seconds"], "s"),
+        Row("reference/canonical/train_psnr", rest.metrics["train_psnr"], "dB"),
+        memory.at_most(PAPER_GPU_GB),
+        Row("reference/render_fps", result["render_fps"], "pictures/s"),
+    ]
     half = Bench.prepare(_halved(run), out / "half")
     trained = train_variants(half, [run.config.reconstruct.seed], until=until)
     rows += ablation_rows(half, trained)
     why = f"not begun within {minutes:g} minutes"
     rows += [Row(f"ablation/{n}/test/psnr", None, "dB", why=why) for n in VARIANTS if n not in trained]
-    print_rows(run.talk, f"Reference recipe on {run.config.name}", rows)
-    write_rows(json_path, rows, benchmark="reference", **about(full, [run.config.reconstruct.seed]))
-    say_files(run.talk, json_path)
-    return rows
-
-
-def _memory(*peaks: float | None) -> Row:
-    found = [peak for peak in peaks if peak is not None]
-    row = Row(
-        "reference/peak_gpu_gb",
-        max(found) if found else None,
-        "GB",
-        anchor=PAPER_GPU_GB,
-        source=SOURCE_INWARD,
-        why=None if found else "trained on a CPU",
-    )
-    return with_goal(row, PAPER_GPU_GB, low_is_good=True)
+    title, seeds = f"Reference recipe on {run.config.name}", [run.config.reconstruct.seed]
+    return full.publish(title, rows, json_path, seeds, benchmark="reference")
 
 
 def _halved(run: Run) -> Run:
@@ -73,11 +65,4 @@ def _halved(run: Run) -> Run:
             "motion_iterations": max(5, round(ABLATION_MOTION * motion / sum(preset.motion.iterations))),
         }
     )
-    return Run(
-        config.model_copy(update={"reconstruct": half}),
-        run.scene_dir,
-        run.stages,
-        run.choice,
-        run.talk,
-        run.device,
-    )
+    return replace(run, config=config.model_copy(update={"reconstruct": half}))

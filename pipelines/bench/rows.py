@@ -1,8 +1,9 @@
 """Rows of a benchmark: what was measured, beside what others report and what was aimed at."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rich.table import Table
 from devrf.pipelines.console import Talk
 
 PIPE_WIDTH = 110  # characters, where no terminal says how wide it is
+VERDICTS = {None: "", True: "yes", False: "no"}
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,37 @@ class Row:
     met: bool | None = None
     why: str | None = None
 
+    def at_least(self, goal: float | None) -> "Row":
+        """The same row judged against a goal; unjudged without one."""
+        return self._judged(goal, operator.ge)
 
-def with_goal(row: Row, goal: float, *, low_is_good: bool = False) -> Row:
-    """The same row judged against a goal."""
-    met = None if row.value is None else (row.value <= goal if low_is_good else row.value >= goal)
-    return Row(**(asdict(row) | {"goal": goal, "met": met}))
+    def at_most(self, goal: float | None) -> "Row":
+        """The same where little is good."""
+        return self._judged(goal, operator.le)
+
+    def _judged(self, goal: float | None, reaches: Callable[[float, float], bool]) -> "Row":
+        if goal is None:
+            return self
+        return replace(self, goal=goal, met=None if self.value is None else reaches(self.value, goal))
+
+
+def publish(
+    talk: Talk,
+    title: str | None,
+    rows: Sequence[Row],
+    path: Path | None,
+    chart: Path | None = None,
+    **about: Any,
+) -> list[Row]:
+    """Print the rows (not without a title), write them (not without a path), and say where they and a chart lie."""
+    if title is not None:
+        print_rows(talk, title, rows)
+    if path is not None:
+        write_rows(path, rows, **about)
+        talk.say(f"  rows: {path}")
+    if chart is not None:
+        talk.say(f"  chart: {chart}")
+    return list(rows)
 
 
 def write_rows(path: Path, rows: Sequence[Row], **about: Any) -> None:
@@ -56,32 +84,31 @@ def write_rows(path: Path, rows: Sequence[Row], **about: Any) -> None:
 
 
 def print_rows(talk: Talk, title: str, rows: Sequence[Row]) -> None:
-    """The rows as a table."""
-    if talk.loudness == "quiet":
-        return
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("", "value", "±", "unit", "published", "goal", "met?"):
-        left = heading in ("", "unit", "met?")
-        table.add_column(heading, justify="left" if left else "right", overflow="fold")
-    for row in rows:
-        verdict = "" if row.met is None else "yes" if row.met else "no"
-        value = "not measured" if row.value is None else _number(row.value)
-        table.add_row(
-            row.name, value, _number(row.spread), row.unit, _number(row.anchor), _number(row.goal), verdict
-        )
-    width = None if talk.out.is_terminal else PIPE_WIDTH
-    Console(file=talk.out.file, width=width, highlight=False).print(table)
+    """The rows as a table, and where what is published comes from."""
+    numbers = ((row, [_number(n) for n in (row.value, row.spread, row.anchor, row.goal)]) for row in rows)
+    lines = [
+        (row.name, value or "not measured", spread, row.unit, anchor, goal, VERDICTS[row.met])
+        for row, (value, spread, anchor, goal) in numbers
+    ]
+    print_table(talk, title, ("", "value", "±", "unit*", "published", "goal", "met?*"), lines)
     for source in dict.fromkeys(row.source for row in rows if row.source):
         talk.say(f"published: {source}")
     for why in dict.fromkeys(f"{row.name}: {row.why}" for row in rows if row.why):
         talk.say(why)
 
 
-def say_files(talk: Talk, rows: Path, chart: Path | None = None) -> None:
-    """Where the rows were written, and the chart."""
-    talk.say(f"  rows: {rows}")
-    if chart is not None:
-        talk.say(f"  chart: {chart}")
+def print_table(talk: Talk, title: str, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> None:
+    """Lines under headings; the first column stands left, and so does one whose heading ends with a star."""
+    if talk.loudness == "quiet":
+        return
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for n, heading in enumerate(headings):
+        left = n == 0 or heading.endswith("*")
+        table.add_column(heading.rstrip("*"), justify="left" if left else "right", overflow="fold")
+    for line in lines:
+        table.add_row(*line)
+    width = None if talk.out.is_terminal else PIPE_WIDTH
+    Console(file=talk.out.file, width=width, highlight=False).print(table)
 
 
 def _number(value: float | None) -> str:

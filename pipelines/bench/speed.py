@@ -8,8 +8,8 @@ from typing import Any
 from devrf.pipelines.bench.charts import Curve, frontier_chart
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.published import PUBLISHED
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
-from devrf.pipelines.bench.trainings import Bench, about, device_name, score_rows
+from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.bench.trainings import Bench, device_name, score_rows
 from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.train_canonical import train_canonical
@@ -52,14 +52,10 @@ class Measured:
         """Of all test views, at the end, dB."""
         return self.result["test"]["psnr"]
 
-    def on(self, axis: str) -> float | None:
+    def on(self, axis: str) -> float:
         """Its place on an axis of the chart."""
-        places = {
-            "seconds": self.seconds,
-            "megabytes": self.result["model_mb"],
-            "fps": self.result["render_fps"],
-        }
-        return places[axis]
+        at = {"seconds": self.seconds, "megabytes": self.result["model_mb"], "fps": self.result["render_fps"]}
+        return at[axis]
 
 
 def run_speed(
@@ -79,23 +75,15 @@ def run_speed(
         json_path: Where the rows go; the chart is drawn beside it.
     """
     _load_kernels(bench)
-    cases = [Case(preset, effort, chosen) for preset, chosen in presets.items() for effort in sorted(efforts)]
-    found = [_measure(bench, case, every_s) for case in cases]
+    found = [
+        _measure(bench, Case(preset, effort, chosen), every_s)
+        for preset, chosen in presets.items()
+        for effort in sorted(efforts)
+    ]
     rows = [row for one in found for row in _rows(one)] + _against_reference(bench, found)
-    print_rows(bench.run.talk, f"Speed and accuracy, {bench.run.config.name}", rows)
     front = {axis: [one.case.name for one in pareto(found, axis)] for axis in AXES}
     for axis, names in front.items():
         bench.run.talk.say(f"not beaten by {axis} ({AXES[axis]}): {', '.join(names)}")
-    write_rows(
-        json_path,
-        rows,
-        benchmark="speed",
-        front=front,
-        set={name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
-        curves={one.case.name: one.looks for one in found},
-        published=[vars(row) for row in PUBLISHED],
-        **about(bench, [bench.run.config.reconstruct.seed]),
-    )
     panels = {
         y_label: {x_label: _panel(metric, axis, found) for axis, x_label in AXES.items()}
         for metric, y_label in METRICS.items()
@@ -103,16 +91,25 @@ def run_speed(
     }
     title = f"{bench.run.config.name}, {device_name(bench.run.device)}"
     chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
-    say_files(bench.run.talk, json_path, chart)
-    return rows
+    return bench.publish(
+        f"Speed and accuracy, {bench.run.config.name}",
+        rows,
+        json_path,
+        [bench.run.config.reconstruct.seed],
+        chart,
+        benchmark="speed",
+        front=front,
+        set={name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
+        curves={one.case.name: one.looks for one in found},
+        published=[vars(row) for row in PUBLISHED],
+    )
 
 
 def pareto(found: Sequence[Measured], axis: str) -> list[Measured]:
     """Those that no other beats in PSNR without being worse on the axis, from best to worst PSNR."""
     sign = 1.0 if axis in BETTER_LOW else -1.0
-    placed = [(sign * at, one) for one in found if (at := one.on(axis)) is not None]
     best: list[Measured] = []
-    for _, one in sorted(placed, key=lambda pair: (pair[0], -pair[1].psnr)):
+    for one in sorted(found, key=lambda one: (sign * one.on(axis), -one.psnr)):
         if not best or one.psnr > best[-1].psnr:
             best.append(one)
     return best[::-1]
@@ -154,9 +151,8 @@ def _measure(bench: Bench, case: Case, every_s: float) -> Measured:
 
 def _rows(one: Measured) -> list[Row]:
     name = f"speed/{one.case.name}"
-    scores = [row for row in score_rows(name, [one.result]) if not row.name.endswith("/seconds")]
     return [
-        *scores,
+        *score_rows(name, [one.result])[:-1],  # without the seconds of the motion alone
         Row(f"{name}/seconds", one.seconds, "s"),
         Row(f"{name}/megabytes", one.result["model_mb"], "MB"),
         Row(f"{name}/render_fps", one.result["render_fps"], "pictures/s"),
@@ -173,28 +169,26 @@ def _against_reference(bench: Bench, found: Sequence[Measured]) -> list[Row]:
     for name, one in by_name.items():
         if one is reference:
             continue
-        share = Row(f"speed/{name} of reference/seconds", one.seconds / reference.seconds, "")
-        loss = Row(f"speed/{name} over reference/psnr", one.psnr - reference.psnr, "dB")
-        faster = one.result["render_fps"] / reference.result["render_fps"]
-        rendering = Row(f"speed/{name} of reference/render_fps", faster, "")
-        if name == FAST:
-            share = with_goal(share, GOAL_SHARE[bench.run.device], low_is_good=True)
-            loss, rendering = with_goal(loss, GOAL_LOSS_DB), with_goal(rendering, GOAL_RENDERING)
-        rows += [share, loss, rendering]
+        goals = (GOAL_SHARE[bench.run.device], GOAL_LOSS_DB, GOAL_RENDERING) if name == FAST else [None] * 3
+        share, faster = one.seconds / reference.seconds, one.on("fps") / reference.on("fps")
+        rows += [
+            Row(f"speed/{name} of reference/seconds", share, "").at_most(goals[0]),
+            Row(f"speed/{name} over reference/psnr", one.psnr - reference.psnr, "dB").at_least(goals[1]),
+            Row(f"speed/{name} of reference/render_fps", faster, "").at_least(goals[2]),
+        ]
     return rows
 
 
 def _panel(metric: str, axis: str, found: Sequence[Measured]) -> list[Curve]:
     """Our cases on an axis; with PSNR also how they got there, those not beaten as a line, and published ones."""
-    ends = [(one.case.name, one.on(axis), one.result["test"][metric]) for one in found]
-    curves = [Curve(name, [(at, value)], "ours") for name, at, value in ends if at is not None]
+    curves = [Curve(one.case.name, [(one.on(axis), one.result["test"][metric])], "ours") for one in found]
     if metric != "psnr":
         return curves
     if axis == "seconds":
         for one in found:
             way = [(look["seconds"], look["psnr"]) for look in one.looks if look["seconds"] > 0]
             curves.append(Curve(one.case.name, way, "way"))
-    front = [(at, one.psnr) for one in pareto(found, axis) if (at := one.on(axis)) is not None]
+    front = [(one.on(axis), one.psnr) for one in pareto(found, axis)]
     others = [(row.name, getattr(row, axis), row.psnr) for row in PUBLISHED]
     published = [Curve(name, [(at, psnr)], "published") for name, at, psnr in others if at is not None]
     return [*curves, Curve("not beaten", front, "front"), *published]

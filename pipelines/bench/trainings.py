@@ -4,9 +4,9 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,14 @@ import numpy as np
 import torch
 import typer
 
-from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.progress import Progress
 from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
-from devrf.pipelines.bench.rows import Row
-from devrf.pipelines.clocks_in_use import clock_stds
+from devrf.pipelines.bench.rows import Row, publish
+from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
@@ -92,21 +92,17 @@ class Bench:
 
     def rest(self, options: CanonicalOptions, looks: Looks | None = None) -> RestModel:
         """The scene at rest, trained or read again; with `looks`, `metrics["looks"]` says how it got there."""
-        folder, of = self.out / f"seed{options.seed}" / "rest", self._fingerprint(options)
-        found = _read(folder / "metrics.json")
-        if found.get("of") != of:
-            folder.mkdir(parents=True, exist_ok=True)
-            checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
-            with self.run.talk.progress(f"seed {options.seed}: scene at rest") as progress:
-                watch = looks.of_rest() if looks is not None else None
-                model = train_canonical(self.scene, options, self.run.device, progress, checkpoint, watch)
-            save_rest(self._rest_file(options.seed), model)
-            seen = {"looks": looks.taken()} if looks is not None else {}
-            _write(folder / "metrics.json", model.metrics | seen | {"of": of})
-            checkpoint.remove()
+        file = self._rest_file(options.seed)
+
+        def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
+            watch = looks.of_rest() if looks is not None else None
+            model = train_canonical(self.scene, options, self.run.device, progress, checkpoint, watch)
+            save_rest(file, model)
+            return model.metrics | ({"looks": looks.taken()} if looks is not None else {})
+
+        metrics = self._once(options.seed, "rest", self._fingerprint(options), train)
         # Always as read from the file: the same whether it was trained now or before.
-        model = load_rest(self._rest_file(options.seed), self.run.device)
-        return replace(model, metrics=_read(folder / "metrics.json"))
+        return replace(load_rest(file, self.run.device), metrics=metrics)
 
     def motion(
         self,
@@ -131,46 +127,57 @@ class Bench:
         if cameras is not None:
             kept = tuple(f for f in scene.dynamic if f.split == "test" or f.camera_name in cameras)
             scene = replace(scene, dynamic=kept)
-        folder = self.out / f"seed{options.seed}" / name
-        of = self._fingerprint(options, rest.metrics.get("of"), cameras)
-        found = _read(folder / "metrics.json")
-        if found.get("of") == of:
-            return found
-        folder.mkdir(parents=True, exist_ok=True)
-        checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
-        with self.run.talk.progress(f"seed {options.seed}: {name}") as progress:
+        folder, device = self.out / f"seed{options.seed}" / name, self.run.device
+
+        def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
             watch = looks.of_motion(rest) if looks is not None else None
-            motion, tuned, train = train_deformation(
-                scene,
-                rest,
-                self.flows,
-                options,
-                self.run.device,
-                progress,
-                checkpoint,
-                watch,
-                clock_stds(self.run.run_dir),
+            reference = reference_camera(self.run.run_dir)
+            motion, tuned, facts = train_deformation(
+                scene, rest, self.flows, options, device, progress, checkpoint, watch, reference
             )
             files = save_deformation(folder, motion, tuned, rest.canonical.voxel)
-            model = DynamicModel(rest, *load_deformation(folder, self.run.device))
+            model = DynamicModel(rest, *load_deformation(folder, device))
             model_mb = sum(f.stat().st_size for f in (*files, self._rest_file(options.seed))) / 1e6
             for file in files:
                 file.unlink()  # a gigabyte each at the published size
-
-            def render(camera: Camera, time: float | None) -> np.ndarray:
-                return render_view(model, camera, time)
-
             # Without the held-out pictures at rest: the moving views are what is compared.
             moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
-            scores = evaluate(moving_only, render, self.lpips, folder)
-        result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
-        result["moving_voxels"] = moving_voxels(rest.canonical, motion)
-        result |= {"train": {k: v for k, v in train.items() if k != "curve"}, "model_mb": model_mb, "of": of}
-        if looks is not None:
-            result["looks"] = looks.taken()
-        _write(folder / "metrics.json", result)
-        checkpoint.remove()
-        return result
+            scores = evaluate(moving_only, partial(render_view, model), self.lpips, folder)
+            result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
+            result["moving_voxels"] = moving_voxels(rest.canonical, motion)
+            result |= {"train": {k: v for k, v in facts.items() if k != "curve"}, "model_mb": model_mb}
+            return result | ({"looks": looks.taken()} if looks is not None else {})
+
+        of = self._fingerprint(options, rest.metrics.get("of"), cameras)
+        return self._once(options.seed, name, of, train)
+
+    def publish(
+        self,
+        title: str | None,
+        rows: Sequence[Row],
+        path: Path,
+        seeds: Sequence[int],
+        chart: Path | None = None,
+        **more: Any,
+    ) -> list[Row]:
+        """Print the rows, and write them with what they are of."""
+        return publish(self.run.talk, title, rows, path, chart, **more, **about(self, seeds))
+
+    def _once(
+        self, seed: int, name: str, of: str, train: Callable[[Checkpoint, Progress], dict[str, Any]]
+    ) -> dict[str, Any]:
+        """What a training measures, now or when it was made before with the same fingerprint `of`."""
+        folder = self.out / f"seed{seed}" / name
+        file = folder / "metrics.json"
+        found = json.loads(file.read_text()) if file.is_file() else {}
+        if found.get("of") != of:
+            folder.mkdir(parents=True, exist_ok=True)
+            checkpoint = Checkpoint(folder / "checkpoint.safetensors", of)
+            with self.run.talk.progress(f"seed {seed}: {name}") as progress:
+                found = train(checkpoint, progress) | {"of": of}
+            file.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
+            checkpoint.remove()
+        return found
 
     def _rest_file(self, seed: int) -> Path:
         return self.out / f"seed{seed}" / "rest" / "model.safetensors"
@@ -193,17 +200,9 @@ def score_rows(
             values = [r[block][metric] for r in results if r[block][metric] is not None]
             why = results[0][block].get("why", {}).get(metric, "not computed") if not values else None
             anchor = (anchors or {}).get(metric) if block == "test" else None
-            rows.append(
-                Row(
-                    f"{name}/{block}/{metric}",
-                    float(np.mean(values)) if values else None,
-                    UNITS[metric],
-                    spread(values),
-                    anchor,
-                    source if anchor is not None else None,
-                    why=why,
-                )
-            )
+            said = None if anchor is None else source
+            of = (float(np.mean(values)) if values else None, UNITS[metric], spread(values), anchor, said)
+            rows.append(Row(f"{name}/{block}/{metric}", *of, why=why))
     seconds = [r["train"]["seconds"] for r in results]
     return [*rows, Row(f"{name}/seconds", float(np.mean(seconds)), "s", spread(seconds))]
 
@@ -239,11 +238,3 @@ def device_name(device: str) -> str:
     if device == "cuda":
         return torch.cuda.get_device_name()
     return f"CPU ({platform.machine()}, {len(os.sched_getaffinity(0))} cores)"
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text()) if path.is_file() else {}
-
-
-def _write(path: Path, value: dict[str, Any]) -> None:
-    path.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")

@@ -4,8 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from devrf.pipelines.bench.charts import lines
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
-from devrf.pipelines.bench.trainings import Bench, about, score_rows
+from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.bench.trainings import Bench, score_rows
+
+PAPER = (
+    "the paper (figure, five scenes of its own): quality rises with the number of views and is almost "
+    "saturated at six; four come close to six"
+)
 
 
 def run_views(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
@@ -16,28 +21,20 @@ def run_views(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
         for count in range(1, len(cameras) + 1)
     }
     rows = [row for count, found in results.items() for row in score_rows(f"views/{count}", found)]
-    print_rows(bench.run.talk, f"Number of moving cameras, {bench.run.config.name}", rows)
-    bench.run.talk.say(
-        "the paper (figure, five scenes of its own): quality rises with the number of views and is almost "
-        "saturated at six; four come close to six"
-    )
-    write_rows(json_path, rows, benchmark="views", cameras=cameras, **about(bench, seeds))
-    series = {
-        "whole picture": {n: [r["test"]["psnr"] for r in found] for n, found in results.items()},
-        "where it moves": {n: [r["test_moving"]["psnr"] for r in found] for n, found in results.items()},
-        "where it moves, at rest": {
-            n: [r["static_baseline"]["test_moving"]["psnr"] for r in found] for n, found in results.items()
-        },
+    scene = bench.run.config.name
+    blocks = {
+        "whole picture": lambda r: r["test"],
+        "where it moves": lambda r: r["test_moving"],
+        "where it moves, at rest": lambda r: r["static_baseline"]["test_moving"],
     }
-    chart = lines(
-        json_path.with_suffix(".png"),
-        series,
-        "moving cameras",
-        "PSNR of test views, dB",
-        bench.run.config.name,
-    )
-    say_files(bench.run.talk, json_path, chart)
-    return rows
+    series = {
+        name: {n: [of(r)["psnr"] for r in found] for n, found in results.items()}
+        for name, of in blocks.items()
+    }
+    chart = lines(json_path.with_suffix(".png"), series, "moving cameras", "PSNR of test views, dB", scene)
+    bench.run.talk.say(PAPER)
+    title = f"Number of moving cameras, {scene}"
+    return bench.publish(title, rows, json_path, seeds, chart, benchmark="views", cameras=cameras)
 
 
 def _trained(bench: Bench, seed: int, cameras: Sequence[str]) -> dict:

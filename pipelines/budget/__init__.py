@@ -1,1 +1,1 @@
-"""What a run may use and what its stages need: memory, disk, time; estimated, handed out, watched (docs/budgets.md)."""
+"""What a run may use of memory, disk and time: handed out, and watched (docs/budgets.md)."""

@@ -9,17 +9,13 @@ class Allowance:
     """None everywhere: as much as there is.
 
     Attributes:
-        memory: Main memory of a training with the process around it, bytes.
+        memory: Main memory of the stage with the process around it, bytes.
         gpu: Memory of the GPU that a training may take, bytes.
-        at_once: Pictures, pairs or threads to work on at once.
-        side_px: Longer side to which pictures of the sweep are reduced for structure from motion.
         until: When it should be done, on the clock of `time.monotonic`, seconds.
     """
 
     memory: int | None = None
     gpu: int | None = None
-    at_once: int | None = None
-    side_px: int | None = None
     until: float | None = None
 
     @property

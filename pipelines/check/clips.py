@@ -31,13 +31,11 @@ class SweepSeen:
     """The sweep, looked at.
 
     Attributes:
-        look: Size, brightness, times.
         planned: What ingest will use of it.
         features: Of the pictures that are compared, in order.
         rows: What is said of them.
     """
 
-    look: Look
     planned: CameraFrames
     features: list[Features]
     rows: list[HealthRow]
@@ -70,7 +68,7 @@ def see_sweep(path: Path, progress: Progress) -> SweepSeen:
     glance = glance_at_sweep(found, between)
     where = [f"{look.times_s[i]:.1f} s" if look.is_clip else f"photo {i + 1}" for i in kept]
     rows = check_rows.sweep_rows(glance, steadiness(look.greys), look.black, where)
-    return SweepSeen(look, planned_frames(look, "sweep", path.name, sharpness=sharp), found, rows)
+    return SweepSeen(planned_frames(look, "sweep", path.name, sharpness=sharp), found, rows)
 
 
 def camera_rows(name: str, look: Look, session: CaptureSession, sweep: Sequence[Features]) -> list[HealthRow]:

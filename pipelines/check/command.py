@@ -15,26 +15,21 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.planned import planned_frames
 from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
-from devrf.capture.survey import Look, find_material, look_at_clip
+from devrf.capture.survey import find_material, look_at_clip
 from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.budget.disk import rooms_of
-from devrf.pipelines.budget.material import Material, find_sources
-from devrf.pipelines.budget.material import find_material as find_run_material
-from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clips import CLIP_PICTURES, camera_rows, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
-from devrf.pipelines.check.estimate import estimate_rows, seen_material
+from devrf.pipelines.check.resources import resource_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
-from devrf.pipelines.device import resolve_device
 from devrf.pipelines.health.rig import scale_rows
 from devrf.pipelines.health.rows import HealthRow, Verdict, note, worst
-from devrf.pipelines.stages import ingest, stage_names
+from devrf.pipelines.stages import ingest
 
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
-RESOURCES, FILES = "disk and time", "files"
+RESOURCES, FILES = "disk and memory", "files"
 SHOWN = (RESOURCES, FILES)  # whose rows are printed even where all is well
 NO_GO = "NO-GO: mend what is marked so and check again"
 WORDS: dict[Verdict, str] = {"ok": "go", "warn": "warn", "fail": "no-go"}
@@ -50,8 +45,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     begin = time.monotonic()
     if config.kind == "dataset":
         sections = {FILES: [note("data set", "can be read; there are no raw files to look at")]}
-        material = find_run_material(config, scene_dir, run_dir, stage_names())
-        sections[RESOURCES] = _resources(config, scene_dir, run_dir, material)
+        sections[RESOURCES] = resource_rows(config, scene_dir, run_dir)
     else:
         with talk.progress("checking") as progress:
             sections = look_at_capture(config, scene_dir, run_dir, progress)
@@ -83,24 +77,22 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     """All rows of a scene made of raw files."""
     session = capture_session(config, scene_dir)
     sections: Sections = {}
-    planned: dict[str, CameraFrames] = {}
-    looks: dict[str, Look] = {}
     sweep: list[Features] = []
     if session.static is not None:
         seen = see_sweep(session.static, part(progress, 0.0, 0.5))
-        looks[SWEEP], planned[SWEEP], sweep = seen.look, seen.planned, seen.features
+        sweep = seen.features
         sections["sweep"] = [*ingest.health(FrameSet({SWEEP: seen.planned})), *seen.rows]
     sounds: dict[str, Sound] = {}
     moving: dict[str, CameraFrames] = {}
     for n, (name, path) in enumerate(session.cameras.items()):
         progress(0.5 + 0.25 * n / len(session.cameras), name)
-        looks[name] = look_at_clip(path, CLIP_PICTURES)
+        look = look_at_clip(path, CLIP_PICTURES)
         sound = _sound(path)
         if sound is not None:
             sounds[name] = sound
         role = "test" if name in session.test_names else "camera"
-        moving[name] = planned_frames(looks[name], role, path.name, sound)
-        sections[f"camera {name}"] = camera_rows(name, looks[name], session, sweep)
+        moving[name] = planned_frames(look, role, path.name, sound)
+        sections[f"camera {name}"] = camera_rows(name, look, session, sweep)
     if moving:
         sections["all cameras"] = ingest.health(FrameSet(moving))
         progress(0.75, "clocks")
@@ -110,17 +102,8 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
     sections["scale"] = _scale(config)
     sections[FILES] = left_out(config, session, scene_dir)
-    progress(0.95, RESOURCES)
-    material = seen_material(config, find_sources(config, scene_dir, run_dir), looks)
-    sections[RESOURCES] = _resources(config, scene_dir, run_dir, material)
+    sections[RESOURCES] = resource_rows(config, scene_dir, run_dir)
     return {title: rows for title, rows in sections.items() if rows}
-
-
-def _resources(config: SceneConfig, scene_dir: Path, run_dir: Path, material: Material) -> list[HealthRow]:
-    """Rows about what a run needs and what there is."""
-    rooms = rooms_of(config, scene_dir, run_dir, stage_names())
-    device = resolve_device("auto")
-    return estimate_rows(config, run_dir, material, rooms, allowed_bytes(config), device)
 
 
 def _scale(config: SceneConfig) -> list[HealthRow]:

@@ -1,14 +1,14 @@
 """The measures of several runs, and which of their differences are more than chance."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from devrf.pipelines.compare.runs import SEED, ComparedRun, ViewKey
-from devrf.pipelines.compare.same_views import common_views
-from devrf.pipelines.report.run import at
-from devrf.reconstruct.paired import Gain, paired_gain
-from devrf.reconstruct.paired_views import gain_over_time
+from devrf.pipelines.compare.runs import ComparedRun, common_views
+from devrf.pipelines.report.run import at, is_number
+from devrf.reconstruct.paired import Gain, gain_over_time, paired_gain
+
+SEED = "reconstruct.seed"
 
 
 @dataclass(frozen=True)
@@ -52,139 +52,76 @@ MEASURES = (
 
 @dataclass(frozen=True)
 class Difference:
-    """A run against the first one.
+    """A run against the first one, or a group of repeated runs against the first group.
 
     Attributes:
         measure: What was measured.
-        run: Name of the run.
-        views: Views that both have; 0 where the measure is not taken view by view.
-        gain: The mean difference and its interval; of what is no mean over views only the difference.
-        verdict: better, worse, or `open`: the interval holds 0; `same`: not a single view differs; None: there is no
-            interval.
+        runs, against: Names of the runs.
+        pairs: Views that both have, or seeds; none where the measure is one number of each run.
+        gain: The mean difference and its interval; of what is no mean over pairs only the difference.
     """
 
     measure: Measure
-    run: str
-    views: int
+    runs: tuple[str, ...]
+    against: tuple[str, ...]
+    pairs: tuple[Any, ...]
     gain: Gain
-    verdict: str | None
 
-
-@dataclass(frozen=True)
-class SeedDifference:
-    """Two groups of repeated runs, paired by seed.
-
-    Attributes:
-        measure: What was measured.
-        groups: The names of the runs of both groups, the first group's first.
-        seeds: That both have.
-        gain: Of the second group over the first.
-        verdict: As in `Difference`.
-    """
-
-    measure: Measure
-    groups: tuple[tuple[str, ...], tuple[str, ...]]
-    seeds: tuple[int, ...]
-    gain: Gain
-    verdict: str | None
+    @property
+    def verdict(self) -> str | None:
+        """better, worse, or `open`: the interval holds 0; `same`: no pair differs; None: there is no interval."""
+        if not self.pairs:
+            return None
+        if self.gain.nothing:
+            return "same"
+        if self.gain.half is None:
+            return None
+        return {1: "better", -1: "worse", 0: "open"}[
+            self.gain.side() * (-1 if self.measure.low_is_good else 1)
+        ]
 
 
 def value_of(run: ComparedRun, measure: Measure) -> float | None:
     """A measure of a run; None where it was not measured."""
-    return _value(at(run.metrics, measure.key))
+    value = at(run.metrics, measure.key)
+    return float(value) if is_number(value) else None
 
 
-def measured(runs: Sequence[ComparedRun]) -> list[Measure]:
-    """Measures that at least one of the runs has."""
-    return [m for m in MEASURES if any(value_of(run, m) is not None for run in runs)]
-
-
-def differences(base: ComparedRun, other: ComparedRun) -> list[Difference]:
+def differences(base: ComparedRun, other: ComparedRun) -> Iterator[Difference]:
     """All measures that both runs have, the other against the base; intervals over their common views."""
-    found = []
     for measure in MEASURES:
-        of_views = None if measure.in_view is None else _over_views(measure, base, other)
+        names = (other.name,), (base.name,)
         a, b = value_of(base, measure), value_of(other, measure)
-        if of_views is not None:
-            gain, views = of_views
-            found.append(Difference(measure, other.name, views, gain, _verdict(gain, measure)))
-        elif measure.in_view is None and a is not None and b is not None:
-            found.append(Difference(measure, other.name, 0, Gain(b - a, None, (b - a,)), None))
-    return found
-
-
-def repeats(runs: Sequence[ComparedRun]) -> list[list[ComparedRun]]:
-    """Runs in groups that differ in nothing but their seed, in the order of their first run.
-
-    A run that does not say how it was made (no stamps) is a group of its own.
-    """
-    groups: dict[str, list[ComparedRun]] = {}
-    for run in runs:
-        if not run.config:
-            groups[run.name] = [run]
+        if measure.in_view is None:
+            if a is not None and b is not None:
+                yield Difference(measure, *names, (), Gain(b - a, None, (b - a,)))
             continue
+        there, here = base.views[measure.of_moving], other.views[measure.of_moving]
+        both = {
+            k: (at(there[k], measure.in_view), at(here[k], measure.in_view))
+            for k in common_views(there, here)
+        }
+        both = {k: values for k, values in both.items() if all(map(is_number, values))}
+        if both:
+            times = [there[k].get("time") for k in both]
+            order = [k[1] if time is None else time for k, time in zip(both, times, strict=True)]
+            without, with_it = zip(*both.values(), strict=True)
+            yield Difference(measure, *names, tuple(both), gain_over_time(with_it, without, order))
+
+
+def seed_differences(runs: Sequence[ComparedRun]) -> Iterator[Difference]:
+    """Every group of runs that differ in nothing but their seed against the first, where they share two or more."""
+    groups: dict[str, dict[int, ComparedRun]] = {}
+    for run in runs:
         config = {key: value for key, value in run.config.items() if key != SEED}
         code = {stage: at(stamp, "identity.code") for stage, stamp in run.stamps.items()}
-        groups.setdefault(repr((sorted(config.items()), sorted(code.items()))), []).append(run)
-    return list(groups.values())
-
-
-def seed_differences(runs: Sequence[ComparedRun]) -> list[SeedDifference]:
-    """Every group of repeats against the first, where they share two seeds or more."""
-    first, *others = repeats(runs)
-    found = []
+        made_of = repr((sorted(config.items()), sorted(code.items()))) if config else run.name
+        groups.setdefault(made_of, {})[run.metrics.get("seed", 0)] = run
+    first, *others = groups.values()
     for group in others:
-        by_seed = [{_seed(run): run for run in g} for g in (first, group)]
-        seeds = tuple(sorted(s for s in by_seed[0] if s in by_seed[1] and s is not None))
-        if len(seeds) < 2:
-            continue
-        for measure in MEASURES:
-            a, b = ([value_of(g[s], measure) for s in seeds] for g in by_seed)
-            if None in a or None in b:
-                continue
-            gain = paired_gain([v for v in b if v is not None], [v for v in a if v is not None])
-            names = tuple(r.name for r in first), tuple(r.name for r in group)
-            found.append(SeedDifference(measure, names, seeds, gain, _verdict(gain, measure)))
-    return found
-
-
-def _over_views(measure: Measure, base: ComparedRun, other: ComparedRun) -> tuple[Gain, int] | None:
-    """The paired difference and how many views it is of; None where no view has the measure in both runs."""
-    assert measure.in_view is not None
-    there, here = ((r.moving if measure.of_moving else r.still) for r in (base, other))
-    pairs: list[tuple[ViewKey, float, float]] = []
-    for key in common_views(there, here):
-        a, b = _value(at(there[key], measure.in_view)), _value(at(here[key], measure.in_view))
-        if a is not None and b is not None:
-            pairs.append((key, a, b))
-    if not pairs:
-        return None
-    times = [_time(there[key], key) for key, _, _ in pairs]
-    cameras = len({camera for (camera, _), _, _ in pairs})
-    gain = gain_over_time([b for _, _, b in pairs], [a for _, a, _ in pairs], times, cameras)
-    return gain, len(pairs)
-
-
-def _verdict(gain: Gain, measure: Measure) -> str | None:
-    if gain.nothing:
-        return "same"
-    if gain.half is None:
-        return None
-    side = gain.side() * (-1 if measure.low_is_good else 1)
-    return {1: "better", -1: "worse", 0: "open"}[side]
-
-
-def _time(row: dict[str, Any], key: ViewKey) -> float:
-    """When a view was taken; of a picture at rest its place in the sweep."""
-    time = _value(row.get("time"))
-    return float(key[1]) if time is None else time
-
-
-def _seed(run: ComparedRun) -> int | None:
-    seed = run.metrics.get("seed")
-    return seed if isinstance(seed, int) else None
-
-
-def _value(value: Any) -> float | None:
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if is_number and value == value and abs(value) != float("inf") else None
+        seeds = sorted(first.keys() & group.keys())
+        for measure in MEASURES if len(seeds) > 1 else ():
+            without, with_it = ([value_of(of[seed], measure) for seed in seeds] for of in (first, group))
+            if None not in (*without, *with_it):
+                names = ((*(run.name for run in of.values()),) for of in (group, first))
+                yield Difference(measure, *names, tuple(seeds), paired_gain(with_it, without))

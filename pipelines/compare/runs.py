@@ -1,21 +1,26 @@
-"""The runs that are compared: found by what the user named, read, and named so that they can be told apart."""
+"""The runs that are compared: found by what the user named, read, and whether they show the same pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
 from devrf.capture.errors import InputError
 from devrf.pipelines.cli_options import configured
-from devrf.pipelines.report.run import RunFolder, at
+from devrf.pipelines.report.pictures import read_picture
+from devrf.pipelines.report.run import METRICS, RunFolder, at, evenly
 from devrf.pipelines.report.views import collect_views
 from devrf.pipelines.runner.plan import last_error
 from devrf.pipelines.stages import stage_names
 from devrf.pipelines.stamps.stamp import read_stamp
 
-METRICS = "evaluate/metrics.json"
-SEED = "reconstruct.seed"
+LOOKED_AT = 3  # views whose true pictures are held against each other
+OTHER_PICTURE = 12.0  # mean difference in grey levels from which two true pictures show something else
+SAME_PICTURE = 0.5  # below: another decoder's rounding
 
 ViewKey = tuple[str, int]  # camera and frame
 
@@ -38,14 +43,12 @@ class ComparedRun:
         return self.folder.object(METRICS)
 
     @cached_property
-    def moving(self) -> dict[ViewKey, dict[str, Any]]:
-        """Test views of the moving scene in their order, as they stand in `per_view`."""
-        return {_key(view.row): view.row for view in collect_views(self.metrics)[0]}
-
-    @cached_property
-    def still(self) -> dict[ViewKey, dict[str, Any]]:
-        """Held-out pictures of the scene at rest."""
-        return {_key(view.row): view.row for view in collect_views(self.metrics)[1]}
+    def views(self) -> dict[bool, dict[ViewKey, dict[str, Any]]]:
+        """Test views as they stand in `per_view`; True: of the moving scene in their order, False: of it at rest."""
+        moving, still = collect_views(self.metrics)
+        return {
+            is_moving: {_key(v.row): v.row for v in of} for is_moving, of in ((True, moving), (False, still))
+        }
 
     @cached_property
     def stamps(self) -> dict[str, dict[str, Any]]:
@@ -60,6 +63,11 @@ class ComparedRun:
         for stamp in self.stamps.values():
             merged |= at(stamp, "identity.config") or {}
         return merged
+
+    def picture(self, key: ViewKey, kind: str) -> np.ndarray | None:
+        """A picture of a view (`true`, `rendered`), uint8 RGB [H, W, 3]; None where it is not there."""
+        file = (self.views[True].get(key) or self.views[False].get(key) or {}).get(kind)
+        return read_picture(self.folder.path / "evaluate" / file) if isinstance(file, str) else None
 
 
 def find_runs(named: Sequence[Path]) -> list[ComparedRun]:
@@ -79,6 +87,59 @@ def find_runs(named: Sequence[Path]) -> list[ComparedRun]:
                 f"{named[n]}: is the same run as {named[folders.index(folder)]} ({folder}); name each run once"
             )
     return [_read(name, folder) for name, folder in zip(_names(folders), folders, strict=True)]
+
+
+def limits_of(base: ComparedRun, other: ComparedRun) -> tuple[str | None, list[str]]:
+    """Why the measures of two runs cannot be held against each other (None: they can), and what limits it.
+
+    Raises:
+        InputError: They have no test view in common, or their test views show other scenes.
+    """
+    both = f"{base.name} and {other.name}"
+    common = [
+        key for moving in (True, False) for key in common_views(base.views[moving], other.views[moving])
+    ]
+    if not common:
+        raise InputError(
+            f"{both} have no test view in common ({_cameras(base)}; {_cameras(other)}): another scene, or other test "
+            "cameras; compare runs of one scene with the same capture.test_cameras"
+        )
+    notes = []
+    for moving, what in ((True, "test views"), (False, "held-out pictures")):
+        a, b = base.views[moving], other.views[moving]
+        if len(shared := common_views(a, b)) < max(len(a), len(b)):
+            notes.append(
+                f"{both}: {len(shared)} of {len(a)} and {len(b)} {what} are the same; only those are compared"
+            )
+    for key in evenly(common, LOOKED_AT):
+        a, b = base.picture(key, "true"), other.picture(key, "true")
+        if a is None or b is None:
+            continue
+        size = min(a.shape[1], b.shape[1]), min(a.shape[0], b.shape[0])
+        small = [cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.float32) for p in (a, b)]
+        apart = float(np.abs(small[0] - small[1]).mean())
+        if apart > OTHER_PICTURE:
+            raise InputError(
+                f"{both} show something else in {key[0]}, frame {key[1]}: the true pictures differ by {apart:.0f} grey "
+                f"levels (expected at most {OTHER_PICTURE:g}); compare runs of one scene"
+            )
+        if a.shape != b.shape:
+            return (
+                f"{both} were measured on pictures {a.shape[1]} and {b.shape[1]} pixels wide "
+                "(reconstruct.image_scale): smaller pictures are easier, so their measures cannot be compared"
+            ), notes
+        if apart > SAME_PICTURE:
+            notes.append(
+                f"{both}: the true pictures differ by {apart:.1f} grey levels (other colours or mattes), which is part "
+                "of every difference"
+            )
+            break
+    return None, notes
+
+
+def common_views(a: Iterable[ViewKey], *others: Iterable[ViewKey]) -> list[ViewKey]:
+    """Views that all share, in the order of the first."""
+    return [key for key in a if all(key in other for other in others)]
 
 
 def _run_folder(path: Path) -> Path:
@@ -107,7 +168,7 @@ def _read(name: str, path: Path) -> ComparedRun:
             f"{path}: is not finished: there is no {METRICS}, {state}{failed}; finish it with "
             "devrf-pipeline run first, or name the run folder itself where a run was given another output"
         )
-    if not run.moving and not run.still:
+    if not any(run.views.values()):
         raise InputError(
             f"{path / METRICS}: lists no test views (per_view), so there is nothing to compare; a test camera "
             "(capture.test_cameras) or a sweep (evaluate.holdout_every) gives some"
@@ -127,3 +188,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
 def _key(row: dict[str, Any]) -> ViewKey:
     index = row.get("index")
     return str(row.get("camera")), index if isinstance(index, int) else -1
+
+
+def _cameras(run: ComparedRun) -> str:
+    return f"{run.name}: {', '.join(sorted({camera for views in run.views.values() for camera, _ in views}))}"

@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from devrf.flow.methods import Preset, mistake
+from devrf.flow.methods import mistake
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
@@ -171,8 +171,6 @@ class RawConfig(_Section):
     white_balance: Annotated[WhiteBalance, BeforeValidator(_white_balance)] = "auto"
     """Multipliers [r, g, b, g2] for all RAW photos, above 0, at most 100; auto: daylight by the sensor of each
     folder's first photo."""
-    keep_linear: bool = False
-    """Keep RAW photos in linear light with 16 bits too."""
 
 
 class MattesConfig(_Section):
@@ -302,8 +300,6 @@ class StaticPosesConfig(_Section):
     """Folder of masks of what moves or reflects in the sweep, black is ignored: `IMG_1.jpg.png` or `IMG_1.png` by
     photo, `000012.png` or `12.png` by frame of a film; of the picture's size, upright. Pictures without one are
     used whole."""
-    check_seed: bool = False
-    """Map with another seed too, and report how far the poses move."""
     time_minutes: float | None = Field(default=30.0, gt=0)
     """Time for this stage; pairs (farthest first), pictures and mappers that do not fit into it are left out and
     named. null: no limit."""
@@ -365,14 +361,12 @@ class FlowConfig(_Section):
 
     method: str = "dis"
     """Estimator: dis, raft, or one that an installed package adds."""
-    preset: Preset | None = None
-    """Of dis; default: medium."""
     weights: PathText | None = None
     """For raft: the authors' checkpoint or torchvision's state dict, small or large."""
 
     @model_validator(mode="after")
     def _usable(self) -> "FlowConfig":
-        if wrong := mistake(self.method, self.weights, self.preset):
+        if wrong := mistake(self.method, self.weights):
             raise ValueError(wrong)
         return self
 
@@ -397,9 +391,6 @@ class ReconstructConfig(_Section):
     """Key times of the motion; never more than a camera has pictures."""
     learning_rate: float = Field(default=1.0, gt=0, le=1000)
     """Learning rates of both trainings, relative to the preset's; smaller where a training diverges."""
-    learn_clocks: bool = False
-    """Learn an offset of each camera's clock between the levels of the motion, within what `sync` leaves open;
-    experimental."""
     adapt: bool | None = None
     """Decide by the scene how many voxels, key times and levels it needs and whether fine-tuning pays, where not
     given here."""
@@ -411,8 +402,8 @@ class BudgetConfig(_Section):
     """What a run may use."""
 
     memory_gb: float | None = Field(default=None, gt=0)
-    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, or are
-    refused. Default: what the machine and its cgroups leave, less a tenth."""
+    """Main memory of a run and of all processes it starts; stages do less at once to keep within it, and
+    a run that takes more is ended. Default: what the machine and its cgroups leave, less a tenth."""
     gpu_memory_gb: float | None = Field(default=None, gt=0)
     """Most of a GPU's memory to take: training is fitted to it, rendering and RAFT try again with less at once,
     else the stage ends with a message. Never tried on a GPU."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.config.words import (
     Say,
@@ -62,6 +63,8 @@ def _message(item: Any, location: tuple, data: dict) -> str:
     if isinstance(data, list) and kind != "value_error":
         return f"{shortened(data)}; expected {expectation(field)}"
     if kind == "extra_forbidden":
+        if gone := GONE.get(".".join(map(str, location))):
+            return f"is no longer a key: {gone}"
         keys = keys_at(location[:-1])
         hint = suggestion(str(location[-1]), keys) or f"; expected one of {', '.join(keys)}"
         return f"unknown key{hint}"

@@ -6,7 +6,6 @@ import numpy as np
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
-from devrf.capture.formats.round_trip import RoundTrip, of_cameras
 from devrf.pipelines.export import splats as shared
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import Trained
@@ -36,20 +35,18 @@ def write(request: Request) -> None:
     with request.new_folder() as new, request.talk.progress("export player") as progress:
         made = shared.made(trained, count, lambda done, text: progress((1 - LAST) * done, text))
         packed = pack(made.gaussians, made.ways)
-        views = _views(trained)
-        about = {**_about(trained, made), "splats": packed.about, "views": [_told(*view) for view in views]}
+        views = [_told(*view) for view in _views(trained)]
+        about = {**_about(trained, made), "splats": packed.about, "views": views}
         path = new / PAGE
         page = player_page(request.title, _subtitle(trained), about, packed.data)
         path.write_text(page, encoding="utf-8")
         progress(1.0, f"{path.stat().st_size / 1e6:.1f} MB written")
-        again = [(camera, _camera(view)) for (_, camera, _), view in zip(views, about["views"], strict=True)]
         trained.describe(
             new,
             files=f"{PAGE}: one page that needs nothing else; open it in a browser, or send it to anyone.",
             axes="the box frame of the model, `world_from_box` in export.json leads to the world of the calibration.",
             lengths=f"box units; one is {trained.scale:.6g} {trained.unit}",
             facts={"splats": packed.about, "bytes": path.stat().st_size},
-            checks=[("the views in the page", _checked(trained, again))],
         )
 
 
@@ -117,18 +114,3 @@ def _told(name: str, camera: Camera, target: np.ndarray) -> dict[str, Any]:
             "size": [camera.width, camera.height],
         },
     }
-
-
-def _camera(view: dict[str, Any]) -> Camera:
-    """The camera that a view says."""
-    (fx, fy), (cx, cy), (width, height) = (view["lens"][part] for part in ("focal", "centre", "size"))
-    R, eye = np.array(view["turn"]).reshape(3, 3), np.array(view["eye"])
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return Camera(width, height, K, np.column_stack([R, -R @ eye]))
-
-
-def _checked(trained: Trained, pairs: list[tuple[Camera, Camera]]) -> RoundTrip:
-    """The page's cameras against the scene's, without lens distortion, in the box frame."""
-    from devrf.reconstruct.splats.gaussians import pinhole
-
-    return of_cameras(trained.boxed, [(pinhole(meant), again) for meant, again in pairs], PAGE)

@@ -2,7 +2,6 @@
 
 import json
 import textwrap
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,6 @@ from devrf.calibration.bounds import upright
 from devrf.capture.errors import InputError
 from devrf.capture.formats import read_scene
 from devrf.capture.formats.export import README
-from devrf.capture.formats.round_trip import RoundTrip
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.export import times
 from devrf.pipelines.export.request import Request
@@ -115,21 +113,17 @@ class Trained:
         files: str,
         axes: str,
         facts: dict[str, Any],
-        checks: Sequence[tuple[str, RoundTrip]],
         lengths: str | None = None,
     ) -> None:
-        """Write README.txt and export.json, and add the worst check to what is told.
+        """Write README.txt and export.json.
 
         Args:
             folder: Of the export.
             files: What lies there, in words.
             axes: Of the files, in words.
             facts: More for programs.
-            checks: What was read back, and what came of it.
             lengths: What lengths in the files are in; None: the world's.
         """
-        whose, worst = max(checks, key=lambda check: check[1].worst_px)
-        self.request.notes.append(worst.said(whose))
         up = self.upright_from_world[2]
         paragraphs = [
             f"The trained model of a scene in the format {self.request.name}.",
@@ -154,7 +148,6 @@ class Trained:
             "world_from_box": self.world_from_box.tolist(),
             "t0_s": self.scene.t0_s,
             "t1_s": self.scene.t1_s,
-            "checked": {"points": worst.points, "cameras": worst.cameras, "worst_px": worst.worst_px},
             "notes": self.request.notes,
             **facts,
         }

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devrf.capture.arrays import read_npz
-from devrf.capture.formats.round_trip import RoundTrip, of_points
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import Trained
 
@@ -49,16 +47,14 @@ def write(request: Request) -> None:
         for n, (name, place, volume) in enumerate(_volumes(trained)):
             put.volume(name, place, volume)
             progress((n + 1) / (len(trained.moments) + 2), f"{name} {'' if place is None else place[0] + 1}")
-        density, read = put.rest()
         trained.describe(
             new,
             files=f"{FILES[request.name]} Density is how much light is absorbed per unit of length (1 - exp(-density * "
             "length) is the opacity of a layer), rgb the 8-bit sRGB colour that the training cameras see on average, 0 "
             "where it is empty. Motion is in units of the box frame: a point seen at x at a time rests at x + "
             "backward; what rests at x is then at x + forward. Between key times both are blended.",
-            axes=read["axes"],
+            axes=attributes["axes"],
             facts={"volumes": attributes},
-            checks=[("the vertices' places", _checked(trained, field, density, read))],
         )
 
 
@@ -108,26 +104,6 @@ def _attributes(trained: Trained, field: "Field") -> dict[str, Any]:
     return value
 
 
-def _checked(trained: Trained, field: "Field", density: np.ndarray, read: dict[str, Any]) -> RoundTrip:
-    """Occupied vertices where the model has them, against where the file says they are."""
-    import torch
-
-    from devrf.reconstruct.ndc import Ndc
-
-    occupied = np.argwhere(density > 0)
-    some = occupied[np.linspace(0, len(occupied) - 1, min(200, len(occupied))).astype(int)]
-    lo, hi = field.aabb.numpy().astype(np.float64)
-    meant = lo + some / (np.array(field.shape) - 1) * (hi - lo)
-    low, high, matrix = (np.array(read[key]) for key in ("box_min", "box_max", "world_from_box"))
-    again = low + some / (np.array(density.shape) - 1) * (high - low)
-    if read["ndc"] is not None:
-        again = Ndc(**read["ndc"]).to_world(torch.from_numpy(again)).numpy()
-    meant = field.to_box(torch.from_numpy(meant)).numpy()
-    return of_points(
-        trained.scene, meant, again @ matrix[:3, :3].T + matrix[:3, 3], str(trained.request.folder)
-    )
-
-
 class _Zarr:
     """One group with an array for each kind of volume; times are put in one by one."""
 
@@ -152,13 +128,6 @@ class _Zarr:
                 self.arrays[at] = self._new(at, (count, *values.shape), (1,), values.dtype)
             self.arrays[at][n] = values
 
-    def rest(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """Density at rest and attributes, read back."""
-        import zarr
-
-        group: Any = zarr.open_group(str(self.path), mode="r")
-        return group["rest/density"][:], dict(group.attrs)
-
     def _new(self, at: str, shape: tuple[int, ...], first: tuple[int, ...], dtype: np.dtype) -> Any:
         import zarr
 
@@ -176,8 +145,3 @@ class _Npz:
         stem = name if place is None else f"{name}_{place[0]:04d}"
         values: dict[str, Any] = {**volume, "attributes": np.array(self.attributes)}
         np.savez_compressed(self.folder / f"{stem}.npz", **values)
-
-    def rest(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """Density at rest and attributes, read back."""
-        read = read_npz(self.folder / "rest.npz", ("density", "attributes"), text=True)
-        return read["density"], json.loads(str(read["attributes"]))

@@ -65,7 +65,7 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> list[HealthRow]:
             warn=MOST_SHIFT,
             low_is_bad=False,
             remedy=f"The clock of {name} disagrees with those of the other cameras: film with sound and clap a few "
-            "times near the middle, or flash a light; or let the training find it (reconstruct.learn_clocks: true).",
+            "times near the middle, or flash a light.",
         )
     )
     return rows

@@ -26,6 +26,7 @@ LISTED = 6  # names in a message
 STARVED = 500  # features of a picture; below it matching is a matter of luck ...
 STARVED_PER_PIXEL = 1 / 250  # ... of small pictures: this many per pixel
 MOVING_SHARE = 0.1  # of a picture's textured tiles
+APART_DEG = 0.5  # two mappers
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 EXIF_WARN, EXIF_BAD = 5.0, 15.0  # percent
 STRAIGHT, BENT = (
@@ -360,18 +361,16 @@ def loop_rows(model: SweepModel) -> list[HealthRow]:
 def _agreement(r: dict[str, Any]) -> list[HealthRow]:
     rows = []
     for compared in r["compared"]:
-        seed = "seed" in compared["name"]
-        limit = 0.1 if seed else 0.5
         apart: dict[str, float] = compared["apart_deg"]
-        beyond = [n for n, deg in apart.items() if deg > limit]
+        beyond = [n for n, deg in apart.items() if deg > APART_DEG]
         rows.append(
             row(
-                "largest turn by another seed" if seed else "largest turn between two mappers",
+                "largest turn between two mappers",
                 max(apart.values(), default=None),
                 "deg",
-                warn=limit,
+                warn=APART_DEG,
                 low_is_bad=False,
-                remedy=f"{compared['against']} and {compared['name']} disagree by more than {limit} degrees on "
+                remedy=f"{compared['against']} and {compared['name']} disagree by more than {APART_DEG} degrees on "
                 f"{len(beyond)} pictures: {_some(beyond)}. Few or wrong matches there: film more overlap and texture.",
             )
         )

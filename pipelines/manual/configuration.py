@@ -30,7 +30,6 @@ MORE = {  # key or section -> page that says more
     "calibration.colour": "colour.md",
     "flow": "flow.md",
     "reconstruct": "reference.md",
-    "reconstruct.learn_clocks": "reference.md#clocks-as-unknowns",
     "reconstruct.adapt": "reference.md#no-more-than-a-scene-needs",
     "budget": "budgets.md",
     "cache": "formats.md#the-cache",

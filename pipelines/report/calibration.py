@@ -1,112 +1,112 @@
-"""The report's calibration section: the sweep's poses and the rig with their doubts."""
+"""How well cameras are known, for the report: what ties them, what boards showed, and what is left over.
 
-from devrf.pipelines.report.html import absent, number, section, table, text
-from devrf.pipelines.report.run import RunFolder, at
+Only what a stage wrote is drawn; what is missing (an older run, another route) is left out.
+"""
 
-POSES, RIG, METRICS = "static_poses/static_poses.json", "rig/rig.json", "evaluate/metrics.json"
-INTRINSICS = {"board": "board", "self": "the sweep", "given": "given"}
-TRUTH = (
-    ("pose_rotation_deg", "sweep, rotation", "°", 3),
-    ("pose_position_m", "sweep, position", "m", 4),
-    ("rig_rotation_deg", "fixed cameras, rotation", "°", 3),
-    ("rig_position_m", "fixed cameras, position", "m", 4),
-    ("rig_position_percent", "fixed cameras, position over distance to the scene", "%", 2),
-    ("sync_ms", "clocks", "ms", 3),
-)
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from jaxtyping import Float
 
-def rig_section(run: RunFolder) -> str:
-    """Structure from motion of the sweep, fixed cameras, scale, and the truth where there is one."""
-    lead = (
-        "How well the cameras are known. Standard deviations are the solver's own; "
-        "a truth exists only for simulated sessions."
-    )
-    body = _sweep(run) + _rig(run) + _truth(run)
-    return section("rig", "Poses and rig", lead, body)
+from devrf.pipelines.report.charts import LINES, WIDE, Chart, draw
+from devrf.pipelines.report.run import RunFolder, at, is_number, table_of
+from devrf.pipelines.report.space import RIG, plans
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def _sweep(run: RunFolder) -> str:
-    poses = run.object(POSES)
-    if not poses:
-        return f"<h3>Sweep</h3>{absent(run.why_absent('static_poses'))}"
-    models = poses.get("models") or []
-    rows = [
-        [
-            f"{number(poses.get('registered'), '', 0, file=POSES, key='registered')} of "
-            f"{number(poses.get('given'), '', 0, file=POSES, key='given')}",
-            number(poses.get("mean_reprojection_px"), "px", 2, file=POSES, key="mean_reprojection_px"),
-            number(poses.get("mean_track_length"), "", 1, file=POSES, key="mean_track_length"),
-            number(
-                poses.get("median_triangulation_angle_deg"),
-                "°",
-                1,
-                file=POSES,
-                key="median_triangulation_angle_deg",
-            ),
-            number(poses.get("points"), "", 0, file=POSES, key="points"),
-            text(f"{poses.get('mapper', '')}, {len(models)} model{'s' if len(models) != 1 else ''}"),
-        ]
-    ]
-    head = ("registered", "reprojection error", "track length", "triangulation angle", "points", "mapper")
-    lost = [str(f) for f in poses.get("unregistered") or []]
-    lost_line = f"<p>Not registered: {text(', '.join(lost))}</p>" if lost else ""
-    return f"<h3>Sweep</h3>{table(head, rows, source=POSES, numeric=(0, 1, 2, 3, 4))}{lost_line}"
+POSES = "static_poses/static_poses.json"
+HELD_OUT = "held-out lengths on the board"  # how the rig stage's rows begin
+FEW, WEAK = 50, 200  # shared corners of a link: fewer do not tie cameras, fewer are weak (rig's health rows)
+FEW_POINTS, WEAK_POINTS = 30, 100  # the same of shared points of the sweep
+MAX_DOTS = 200  # more only make the page heavy
+SECTORS = 8  # of directions in which a board leans
 
 
-def _rig(run: RunFolder) -> str:
-    rig = run.object(RIG)
+def calibration(run: RunFolder) -> dict[str, Any]:
+    """Plans, links, boards, residuals, lengths on boards that no fit has seen, and how far mappers are apart."""
+    drawn, remark = plans(run)
+    apart = {str(c.get("name")): c.get("apart_deg") for c in run.objects(POSES, "compared")}
+    worst = {name: max(found.values()) for name, found in apart.items() if isinstance(found, dict) and found}
+    lengths = [(n, r) for n, r in enumerate(run.health("rig")) if str(r.get("check")).startswith(HELD_OUT)]
+    return {
+        "plans": drawn,
+        "remark": remark,
+        "apart_deg": worst,
+        "links": list(_links(run)),
+        "boards": list(_boards(run)),
+        "left_over": list(_residuals(run)),
+        "held_out": lengths,
+        "HELD_OUT": HELD_OUT,
+    }
+
+
+def _boards(run: RunFolder) -> Iterator[dict[str, Any]]:
+    """What each board calibration left, and where it stands; the sweep's device first."""
+    ids = [str(s.get("camera_id")) for s in run.objects(POSES, "start") if s.get("source") == "board"]
+    known = next((n for n in ids if n in run.cameras(POSES)), "")  # none of its pictures may be in the model
+    places = [("sweep", POSES, known, ["board"])]
+    places += [(name, RIG, name, ["cameras", name, "details", "board"]) for name in run.cameras(RIG)]
+    for name, file, camera, key in places:
+        left = run.object(file, *key)
+        if not left:
+            continue
+        cells, tilts = table_of(left.get("cells")), table_of([left.get("tilt_deg"), left.get("towards_deg")])
+        sectors = 0 if tilts is None else len({int(t % 360 * SECTORS / 360) for t in tilts[1]})
+        yield {
+            "name": name,
+            "left": left,
+            "file": file,
+            "camera": camera,
+            "key": key,
+            "cells": [] if cells is None else cells.tolist(),
+            "most": 1 if cells is None else max(cells.max(), 1),
+            "tilt": ""
+            if tilts is None
+            else f"{tilts[0].min():.0f} to {tilts[0].max():.0f}°, {sectors} of {SECTORS}",
+        }
+
+
+def _links(run: RunFolder) -> Iterator[dict[str, Any]]:
+    """What ties cameras: corners seen at one instant, points shared with each other and with the sweep."""
     cameras = run.cameras(RIG)
-    if not cameras:
-        return f"<h3>Fixed cameras</h3>{absent(run.why_absent('rig'))}"
-    metric = bool(at(rig, "scale.metric"))
-    unit = "m" if metric else "units"
-    rows = []
-    for name, camera in cameras.items():
-        key = f"cameras.{name}"
-        focal = camera["K"][0][0] if camera.get("K") else None
-        rows.append(
-            [
-                f"<strong>{text(name)}</strong>",
-                f"{text(camera.get('width', '?'))} × {text(camera.get('height', '?'))}",
-                number(focal, "px", 1, file=RIG, key=f"{key}.K.0.0"),
-                text(INTRINSICS.get(str(camera.get("intrinsics")), camera.get("intrinsics") or "")),
-                number(camera.get("inliers"), "", 0, file=RIG, key=f"{key}.inliers"),
-                number(camera.get("rms_px"), "px", 2, file=RIG, key=f"{key}.rms_px"),
-                number(at(camera, "std.rotation_deg"), "°", 3, file=RIG, key=f"{key}.std.rotation_deg"),
-                number(at(camera, "std.position"), unit, 4, file=RIG, key=f"{key}.std.position"),
-            ]
-        )
-    scale = rig.get("scale") or {}
-    words = "Metric scale" if metric else "Arbitrary scale"
-    spread = number(scale.get("std"), "%", 2, file=RIG, key="scale.std", scale=100.0)
-    spread = f"; standard deviation {spread}" if scale.get("std") is not None else ""
-    scale_line = f"{words}; source: {text(scale.get('source', 'not said'))}{spread}"
-    head = (
-        "camera",
-        "size, px",
-        "focal length",
-        "from",
-        "points",
-        "error",
-        "std. dev., rotation",
-        "std. dev., position",
-    )
-    body = table(head, rows, source=RIG, numeric=(1, 2, 4, 5, 6, 7))
-    return f"<h3>Fixed cameras</h3>{body}<p>{scale_line}.</p>"
+    found = [(e.get("a"), e.get("b"), e.get("corners"), e.get("points")) for e in run.objects(RIG, "graph")]
+    if run.object(RIG).get("route", "sweep") == "sweep":
+        found += [(name, "sweep", 0, camera.get("inliers")) for name, camera in cameras.items()]
+    for a, b, corners, points in found:
+        if a in cameras and (b in cameras or b == "sweep") and is_number(corners) and is_number(points):
+            firm = corners >= WEAK or points >= WEAK_POINTS
+            tied = corners >= FEW or points >= FEW_POINTS
+            verdict = "ok" if firm else "warn" if tied else "fail"
+            yield {"names": f"{a} and {b}", "corners": corners, "points": points, "verdict": verdict}
 
 
-def _truth(run: RunFolder) -> str:
-    truth = at(run.object(METRICS), "truth")
-    if not isinstance(truth, dict):
-        return ""
-    rows = [
-        [
-            text(label),
-            number(truth.get(key), unit, digits, file=METRICS, key=f"truth.{key}"),
-            number(truth.get(f"{key}_median"), unit, digits, file=METRICS, key=f"truth.{key}_median"),
-        ]
-        for key, label, unit, digits in TRUTH
-        if key in truth
-    ]
-    head = ("error of", "largest", "median")
-    return "<h3>Against the truth</h3>" + table(head, rows, source=METRICS, numeric=(1, 2), narrow=True)
+def _residuals(run: RunFolder) -> Iterator[Chart]:
+    """What is left between seen and predicted pixels, of boards and of the rig."""
+    found = [(b["name"], "board corners", b["left"], b["file"], b["camera"]) for b in _boards(run)]
+    found += [(name, "in the rig", at(c, "details"), RIG, name) for name, c in run.cameras(RIG).items()]
+    for name, what, left, file, camera in found:
+        rows = table_of(at(left, "residuals"), 4)
+        size = table_of([[run.at(file, "cameras", camera, side) for side in ("width", "height")]])
+        if rows is not None and size is not None and size.min() > 0:
+            yield _residual_chart(rows[:MAX_DOTS], *size[0].tolist(), f"{name}: {what}")
+
+
+def _residual_chart(rows: Float[np.ndarray, "n 4"], width: float, height: float, title: str) -> Chart:
+    """Rows x, y, dx, dy in pixels (y down): differences around zero, and where in the picture they were, magnified."""
+    xy, dxy = rows[:, :2], rows[:, 2:]
+    grow = float(f"{0.05 * width / max(np.percentile(np.linalg.norm(dxy, axis=1), 90), 1e-6):.0e}")
+
+    def paint(figure: "Figure") -> None:
+        cloud, picture = figure.subplots(1, 2, width_ratios=(1, width / height))
+        reach = 1.1 * float(np.percentile(np.abs(dxy), 99)) or 1.0
+        cloud.plot(*dxy.T, ".", color=LINES[0], alpha=0.6)
+        cloud.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xlabel="px")
+        ends = np.stack([xy, xy + grow * dxy, np.full_like(xy, np.nan)], axis=1).reshape(-1, 2)
+        picture.plot(*ends.T, color=LINES[0], linewidth=1)
+        picture.plot(*xy.T, ".", color=LINES[0], markersize=3)
+        picture.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xticks=[], yticks=[])
+        picture.set(xlabel=f"in the picture, {grow:g} times larger")
+
+    return draw(paint, WIDE, title, f"{title}: {len(rows)} differences")

@@ -1,130 +1,100 @@
-"""The report's capture section: what each camera recorded, and a few of its pictures."""
+"""What cameras recorded: a few of their pictures, with their mattes, and as they are used after colour correction."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.report.html import absent, figure, number, section, table, text
-from devrf.pipelines.report.mattes import mattes
-from devrf.pipelines.report.pictures import picture_uri, read_picture
+import numpy as np
+
+from devrf.capture.errors import CaptureError
+from devrf.capture.frames import SWEEP
+from devrf.capture.scene import PosedFrame, read_matte
+from devrf.pipelines.report.pictures import file_uri, picture_uri, read_picture, shrink
 from devrf.pipelines.report.run import RunFolder, evenly
 
-THUMBNAIL_WIDTH = 200
-SWEEP_THUMBNAILS, CAMERA_THUMBNAILS = 8, 3
-MAX_THUMBNAIL_CAMERAS = 12  # keeps the page small for a capture of forty cameras
 INGEST = "ingest/ingest.json"
-ROLES = {
-    "sweep": "sweep",
-    "camera": "moving",
-    "test": "test, never trained on",
-    "board": "board",
-    "joint": "board, several cameras",
-}
+WIDTH, HALVES_WIDTH = 200, 380
+OF_SWEEP, OF_CAMERA = 8, 3  # pictures
+MAX_CAMERAS = 12  # keeps the page small for a capture of forty cameras
+DIMMED = 0.25  # of its brightness, under a tint that no picture has all over
+TINT = np.array([0, 90, 60], np.float32)
+
+Reel = tuple[str, list[tuple[str, str]]]  # name of a camera, and its pictures with their captions
 
 
-def capture_section(run: RunFolder) -> str:
-    """Cameras table and contact strip."""
-    lead = "What was filmed, as the decoder found it."
+def capture(run: RunFolder) -> dict[str, Any]:
+    """Pictures of cameras those that filmed the scene, of boards, and with mattes."""
     cameras = run.cameras(INGEST)
-    if cameras:
-        boards = {n: c for n, c in cameras.items() if c.get("role") in ("board", "joint")}
-        filmed = {n: c for n, c in cameras.items() if n not in boards}
-        body = _cameras_table(cameras) + _strip(_ingest_pictures(run.folder("ingest"), filmed))
-        strip = _strip(_ingest_pictures(run.folder("ingest"), boards))
-        body += f"<details><summary>Board clips</summary>{strip}</details>" if strip else ""
-        return section("capture", "Capture", lead, body + mattes(run.scene))
-    pictures = _dataset_pictures(run.scene)
-    if not pictures:
-        return section("capture", "Capture", lead, absent(run.why_absent("ingest")))
-    lead = "A finished data set: its pictures came with cameras and times, so nothing was ingested."
-    return section("capture", "Capture", lead, _strip(pictures) + mattes(run.scene))
+    boards = {n: c for n, c in cameras.items() if c.get("role") in ("board", "joint")}
+    filmed = {n: c for n, c in cameras.items() if n not in boards}
+    static, dynamic = (run.scene.static, run.scene.dynamic) if run.scene is not None else ((), ())
+    from_scene = _reels(static, OF_SWEEP, _posed) + _reels(dynamic, OF_CAMERA, _posed)
+    matted = [frame for frame in (*static, *dynamic) if frame.matte is not None]
+    return {
+        "filmed": _ingested(run, filmed) if cameras else from_scene,
+        "boards": _ingested(run, boards),
+        "mattes": _reels(matted, OF_CAMERA, _dimmed),
+    }
 
 
-def _cameras_table(cameras: dict[str, Any]) -> str:
-    rows = []
-    for name, camera in cameras.items():
-        key = f"cameras.{name}"
-        frames = camera.get("frames") or []
-        used = sum(bool(f.get("used")) for f in frames)
-        rate = number(camera.get("fps_mean"), "", 2, file=INGEST, key=f"{key}.fps_mean", why="pictures")
-        rows.append(
-            [
-                f"<strong>{text(name)}</strong><br><code>{text(camera.get('source', ''))}</code>",
-                text(ROLES.get(str(camera.get("role")), camera.get("role", ""))),
-                f"{text(camera.get('width', '?'))} × {text(camera.get('height', '?'))}",
-                rate if camera.get("fps_mean") else '<span class="none">pictures</span>',
-                f"{used} of {len(frames)}",
-                "yes" if camera.get("has_audio") else "no",
-                text("; ".join(_notes(camera))),
-            ]
-        )
-    head = ("camera", "role", "size, px", "frames/s", "frames used", "sound", "notes")
-    return table(head, rows, source=INGEST, numeric=(2, 3, 4))
+def colours(run: RunFolder) -> dict[str, Any]:
+    """The first picture of each corrected camera: its left half as filmed, its right half as it is used."""
+    frames = [] if run.scene is None else [f for f in run.scene.dynamic if f.look is not None]
+    return {"SWEEP": SWEEP, "halves": _reels(frames, 1, _halves)}
 
 
-def _notes(camera: dict[str, Any]) -> list[str]:
-    notes = [str(note) for note in camera.get("notes") or []]
-    notes += [str(fault["found"]) for fault in camera.get("faults") or []]
-    if camera.get("ended_early"):
-        notes.insert(0, str(camera["ended_early"]))
-    if camera.get("missing_frames"):
-        notes.insert(0, f"{camera['missing_frames']} frames missing")
-    if camera.get("variable_rate") and not any("variable" in note for note in notes):
-        notes.insert(0, "variable frame rate")
-    return notes
-
-
-def _ingest_pictures(folder: Path, cameras: dict[str, Any]) -> list[tuple[str, list[tuple[Path, str]]]]:
-    """Per camera its name and (file, caption) of a few frames."""
-    rows = []
-    for name, camera in list(cameras.items())[:MAX_THUMBNAIL_CAMERAS]:
+def _ingested(run: RunFolder, cameras: dict[str, Any]) -> list[Reel]:
+    """Pictures that stage ingest left."""
+    reels: list[Reel] = []
+    for name, camera in list(cameras.items())[:MAX_CAMERAS]:
         frames = [f for f in camera.get("frames") or [] if f.get("file")]
-        count = SWEEP_THUMBNAILS if camera.get("role") == "sweep" else CAMERA_THUMBNAILS
-        rows.append(
-            (
-                name,
-                [
-                    (folder / _below_ingest(f["file"]), _caption(f.get("index"), f.get("time_s")))
-                    for f in evenly(frames, count)
-                ],
-            )
+        some = evenly(frames, OF_SWEEP if camera.get("role") == "sweep" else OF_CAMERA)
+        files = [run.folder("ingest") / f["file"].removeprefix("ingest/") for f in some]
+        captions = [_caption(f.get("index"), f.get("time_s")) for f in some]
+        reels.append(
+            (name, [(file_uri(file, WIDTH), said) for file, said in zip(files, captions, strict=True)])
         )
-    return rows
+    return reels
 
 
-def _below_ingest(file: str) -> str:
-    return file.removeprefix("ingest/")
+def _reels(
+    frames: Iterable[PosedFrame], most: int, shown: Callable[[PosedFrame], tuple[str, str]]
+) -> list[Reel]:
+    """Of each camera some of its frames, evenly spread."""
+    by_camera: dict[str, list[PosedFrame]] = defaultdict(list)
+    for frame in frames:
+        by_camera[frame.camera_name].append(frame)
+    some = list(by_camera.items())[:MAX_CAMERAS]
+    return [(name, [shown(frame) for frame in evenly(of_camera, most)]) for name, of_camera in some]
 
 
-def _dataset_pictures(scene: Scene | None) -> list[tuple[str, list[tuple[Path, str]]]]:
-    rows = []
-    parts = ((scene.static, SWEEP_THUMBNAILS), (scene.dynamic, CAMERA_THUMBNAILS)) if scene else ()
-    for frames, count in parts:
-        by_camera: dict[str, list[PosedFrame]] = {}
-        for frame in frames:
-            by_camera.setdefault(frame.camera_name, []).append(frame)
-        for name, of_camera in list(by_camera.items())[:MAX_THUMBNAIL_CAMERAS]:
-            rows.append((name, [(f.path, _caption(f.index, f.time_s)) for f in evenly(of_camera, count)]))
-    return rows
+def _posed(frame: PosedFrame) -> tuple[str, str]:
+    return file_uri(frame.path, WIDTH), _caption(frame.index, frame.time_s)
+
+
+def _halves(frame: PosedFrame) -> tuple[str, str]:
+    picture = read_picture(frame.path)
+    if picture is None or frame.look is None:
+        return "", ""
+    middle = picture.shape[1] // 2
+    halves = np.concatenate([picture[:, :middle], frame.look.apply(picture)[:, middle:]], axis=1)
+    return picture_uri(halves, HALVES_WIDTH), "left as filmed, right as used"
+
+
+def _dimmed(frame: PosedFrame) -> tuple[str, str]:
+    """The picture, small, what is not the subject dimmed."""
+    picture = read_picture(frame.path)
+    if picture is None or frame.matte is None:
+        return "", ""
+    try:
+        matte = read_matte(frame.matte, picture.shape[:2])
+    except CaptureError:
+        return "", ""
+    small, opacity = (shrink(p, WIDTH).astype(np.float32) for p in (picture, matte))
+    shown = opacity[..., None] / 255
+    dimmed = shown * small + (1 - shown) * (DIMMED * small + TINT)
+    return picture_uri(dimmed.round().clip(0, 255).astype(np.uint8), WIDTH), f"matte, frame {frame.index}"
 
 
 def _caption(index: object, time_s: object) -> str:
-    time = f", {time_s:.3f} s" if isinstance(time_s, (int, float)) else ""
-    return f"frame {index}{time}"
-
-
-def _strip(rows: Sequence[tuple[str, list[tuple[Path, str]]]]) -> str:
-    out = []
-    for name, pictures in rows:
-        figures = []
-        for path, caption in pictures:
-            image = read_picture(path)
-            if image is not None:
-                uri = picture_uri(image, THUMBNAIL_WIDTH)
-                figures.append(figure(uri, text(caption), f"{name}, {caption}"))
-        if figures:
-            wide = " wide" if len(figures) > CAMERA_THUMBNAILS else ""
-            strip = f'<div class="strip">{"".join(figures)}</div>'
-            out.append(f'<div class="reel{wide}"><h3>{text(name)}</h3>{strip}</div>')
-    return f'<div class="reels">{"".join(out)}</div>' if out else ""
+    return f"frame {index}" + (f", {time_s:.3f} s" if isinstance(time_s, (int, float)) else "")

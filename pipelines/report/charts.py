@@ -1,20 +1,55 @@
-"""Line charts for the report, as inline SVG. Pure functions.
+"""Drawings for the report: matplotlib's SVG in the colours of the page, so that they follow the light and dark theme.
 
-A chart takes its colours from the page (`--s0`, `--s1`, ... in report.css), so it follows the light and
-the dark theme.
+The same values give the same text. matplotlib is imported when the first drawing is made.
 """
 
-import math
-from collections.abc import Sequence
+import io
+import re
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = 6  # --s0 .. --s5 in report.css
-CHART_WIDTH, CHART_HEIGHT = 480, 250  # text stays readable when a phone shows the chart at 340 px
-SMALL_WIDTH, SMALL_HEIGHT = 340, 190  # for three charts in a row
-MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 64, 22, 10, 44
-SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-MAX_CHART_POINTS = 400  # more cannot be seen on 480 units, and only make the page heavy
+LINES = tuple(f"#0000f{n}" for n in range(COLOURS))  # stand for the page's colours, and are replaced by them
+MUTED, RULE = "#00000a", "#00000b"
+THEME = {MUTED: "--muted", RULE: "--rule"} | {c: f"--s{n}" for n, c in enumerate(LINES)}
+WIDE, SMALL, SQUARE, PLAN = (
+    (480, 250),
+    (340, 190),
+    (260, 260),
+    (480, 360),
+)  # px; text is 12 px high in all of them
+NEEDLESS = re.compile(
+    r'font-family:[^;"]*; ?|<g id="[^"]*"/>|(?<=<g) id="[^"]*"| transform="rotate\(-0 [^"]*"'
+)
+PLACES = re.compile(r'(?<= d=")[^"]*|(?<= [xy]=")[^"]*')  # two decimals of them can be seen
+STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "devrf",
+    "text.parse_math": False,  # a dollar in a name is one
+    "font.size": 12,
+    "text.color": MUTED,
+    "axes.labelcolor": MUTED,
+    "axes.edgecolor": RULE,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": RULE,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.major.size": 0,
+    "ytick.major.size": 0,
+    "lines.linewidth": 1.8,
+    "figure.constrained_layout.use": True,
+}
 
 
 @dataclass(frozen=True)
@@ -29,6 +64,15 @@ class Series:
     markers: bool = False
 
 
+@dataclass(frozen=True)
+class Chart:
+    """A drawing for a page: its SVG, the words above it, and the lines that its legend names."""
+
+    svg: str
+    title: str = ""
+    keys: tuple[Series, ...] = ()
+
+
 def line_chart(
     series: Sequence[Series],
     x_label: str,
@@ -36,175 +80,79 @@ def line_chart(
     *,
     log_x: bool = False,
     log_y: bool = False,
-    x_marks: Sequence[tuple[float, str]] = (),
+    marks: Sequence[tuple[float, str]] = (),
     title: str = "",
     small: bool = False,
-) -> str:
-    """A line chart with axes, grid and a legend, as one <figure>; empty text when nothing can be drawn.
+) -> Chart | None:
+    """A line chart with axes, grid and a legend; None when nothing can be drawn.
 
     Args:
         series: Lines; points that are not finite (or not positive on a logarithmic axis) break the line.
         x_label, y_label: Axis titles with units.
         log_x, log_y: Logarithmic axes.
-        x_marks: Vertical lines with a word each (for example where a level begins).
+        marks: Vertical lines with a word each (for example where a level begins).
         title: Words above the chart.
         small: For rows of three.
     """
-    width, height = (SMALL_WIDTH, SMALL_HEIGHT) if small else (CHART_WIDTH, CHART_HEIGHT)
-    lines = [(s, [_drawable(x, y, log_x, log_y) for x, y in zip(s.x, s.y, strict=True)]) for s in series]
-    points = [p for _, ps in lines for p in ps if p is not None]
-    if not points:
-        return ""
-    x_all, y_all = [p[0] for p in points], [p[1] for p in points]
-    x_ticks = _log_ticks(min(x_all), max(x_all)) if log_x else ticks(min(x_all), max(x_all), 5)
-    y_ticks = _log_ticks(min(y_all), max(y_all)) if log_y else ticks(min(y_all), max(y_all), 5)
-    x_low, x_high = (x_ticks[0], x_ticks[-1]) if log_x else (min(x_all), max(x_all))
-    x_high = x_high if x_high > x_low else x_low + 1.0
-    y_low, y_high = y_ticks[0], y_ticks[-1]
-    bottom = height - MARGIN_BOTTOM
+    drawn = [(s, _drawable(s.x, log_x), _drawable(s.y, log_y)) for s in series]
+    drawn = [(s, x, y) for s, x, y in drawn if np.isfinite(x + y).any()]
+    if not drawn:
+        return None
 
-    def px(x: float) -> float:
-        return MARGIN_LEFT + (x - x_low) / (x_high - x_low) * (width - MARGIN_LEFT - MARGIN_RIGHT)
+    def paint(figure: "Figure") -> None:
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    def py(y: float) -> float:
-        return bottom - (y - y_low) / (y_high - y_low) * (bottom - MARGIN_TOP)
+        axes = figure.add_subplot(xlabel=x_label, ylabel=y_label)
+        for s, x, y in drawn:
+            style = "--" if s.dashed else "-"
+            axes.plot(x, y, style, color=LINES[s.colour % COLOURS], marker="o" if s.markers else "")
+        for is_log, axis in ((log_x, axes.xaxis), (log_y, axes.yaxis)):
+            if is_log:
+                axes.set(**{f"{axis.axis_name}scale": "log"})
+                low, high = axis.get_data_interval()
+                axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                axis.set_minor_locator(NullLocator())
+        low, high = axes.get_xlim()
+        for x, word in marks:
+            if low <= x <= high:
+                axes.axvline(x, color=MUTED, linestyle=":", linewidth=1)
+                beside = "left" if x < low + 0.8 * (high - low) else "right"
+                at_top = {"xycoords": ("data", "axes fraction"), "va": "top", "ha": beside}
+                axes.annotate(f" {word} ", (x, 0.98), fontsize=10.5, **at_top)
 
-    parts = [
-        f'<line class="grid" x1="{MARGIN_LEFT}" x2="{width - MARGIN_RIGHT}" '
-        f'y1="{py(y):.1f}" y2="{py(y):.1f}"/>'
-        f'<text class="tick" x="{MARGIN_LEFT - 7}" y="{py(y) + 4:.1f}" text-anchor="end">'
-        f"{_power_text(y) if log_y else _tick_text(y, y_ticks)}</text>"
-        for y in y_ticks
-    ]
-    parts += [
-        f'<text class="tick" x="{px(x):.1f}" y="{bottom + 17}" text-anchor="middle">'
-        f"{_power_text(x) if log_x else _tick_text(x, x_ticks)}</text>"
-        for x in x_ticks
-        if x_low <= x <= x_high
-    ]
-    for x, word in ((math.log10(x) if log_x else x, word) for x, word in x_marks):
-        if x_low <= x <= x_high:
-            parts.append(
-                f'<line class="mark" x1="{px(x):.1f}" x2="{px(x):.1f}" y1="{MARGIN_TOP}" y2="{bottom}"/>'
-                f'<text class="markword" {_beside(px(x), width)} y="{MARGIN_TOP + 10}">{escape(word)}</text>'
-            )
-    for s, ps in lines:
-        parts.append(_line(s, [None if p is None else (px(p[0]), py(p[1])) for p in _thin(ps)]))
-    parts.append(
-        f'<line class="axis" x1="{MARGIN_LEFT}" x2="{width - MARGIN_RIGHT}" '
-        f'y1="{bottom}" y2="{bottom}"/>'
-        f'<text class="label" x="{(MARGIN_LEFT + width - MARGIN_RIGHT) / 2}" y="{height - 8}" '
-        f'text-anchor="middle">{escape(x_label)}</text>'
-        f'<text class="label" transform="translate(13 {(MARGIN_TOP + bottom) / 2}) rotate(-90)" '
-        f'text-anchor="middle">{escape(y_label)}</text>'
-    )
     described = f"{title} {y_label} against {x_label}".strip()
-    svg = (
-        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(described)}">'
-        f"{''.join(parts)}</svg>"
-    )
-    above = f'<figcaption class="legend">{escape(title)}</figcaption>' if title else _legend(series)
-    return f'<figure class="chart{" small" if small else ""}">{above}{svg}</figure>'
+    named = tuple(s for s, _, _ in drawn if s.name)
+    keys = named if len(named) > 1 and not title else ()
+    return draw(paint, SMALL if small else WIDE, title, described, keys)
 
 
-def _beside(x: float, width: int) -> str:
-    """Where the word of a mark at `x` stands: right of it, left of it near the right edge."""
-    return f'x="{x + 3:.1f}"' if x < 0.8 * width else f'x="{x - 3:.1f}" text-anchor="end"'
+def draw(
+    paint: Callable[["Figure"], None],
+    size: tuple[int, int],
+    title: str,
+    described: str,
+    keys: tuple[Series, ...] = (),
+) -> Chart:
+    """What `paint` draws, as SVG in the colours of the page."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    out = io.StringIO()
+    with rc_context(STYLE), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of letters that matplotlib's own font lacks: the browser has them
+        figure = Figure(figsize=(size[0] / 72, size[1] / 72), dpi=72)
+        paint(figure)
+        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
+    head = f'<svg viewBox="0 0 {size[0]} {size[1]}" role="img" aria-label="{escape(described)}">'
+    svg = re.sub(r"^.*?<svg[^>]*>.*?</style>", lambda _: head + "<defs>", out.getvalue(), flags=re.DOTALL)
+    svg = NEEDLESS.sub("", svg)
+    svg = PLACES.sub(lambda found: re.sub(r"(\.\d\d)\d+", r"\1", found[0]), svg)
+    for colour, name in THEME.items():
+        svg = svg.replace(colour, f"var({name})")
+    return Chart(re.sub(r"\s*\n\s*", " ", svg), title, keys)
 
 
-def ticks(low: float, high: float, count: int) -> list[float]:
-    """About `count` round numbers from at or below `low` to at or above `high`."""
-    if not high > low:
-        pad = abs(low) * 0.1 or 1.0
-        low, high = low - pad, high + pad
-    raw = (high - low) / count
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= raw * (1 - 1e-9))
-    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-    return [n * step for n in range(first, last + 1)]
-
-
-def _drawable(x: float | None, y: float | None, log_x: bool, log_y: bool) -> tuple[float, float] | None:
-    if x is None or y is None or not math.isfinite(x) or not math.isfinite(y):
-        return None
-    if (log_x and x <= 0) or (log_y and y <= 0):
-        return None
-    return math.log10(x) if log_x else float(x), math.log10(y) if log_y else float(y)
-
-
-def _log_ticks(low: float, high: float) -> list[float]:
-    """Exponents of round numbers around [low, high]: powers of ten, or 1-2-5 where there are few of them."""
-    first, last = math.floor(low), math.ceil(high)
-    if high - low >= 2:
-        step = max(1, math.ceil((last - first) / 6))
-        return [float(n) for n in range(first, last + step, step)]
-    fine = [n + math.log10(m) for n in range(first - 1, last + 2) for m in (1, 2, 5)]
-    below = [t for t in fine if t <= low + 1e-9]
-    above = [t for t in fine if t >= high - 1e-9]
-    return [t for t in fine if below[-1] <= t <= max(above[0], below[-1] + 0.1)]
-
-
-def _power_text(exponent: float) -> str:
-    if -3 <= exponent < 5:
-        return f"{10.0**exponent:.6g}"
-    power = math.floor(exponent + 1e-9)
-    mantissa = round(10.0 ** (exponent - power))
-    raised = f"10{str(power).translate(SUPERSCRIPT)}"
-    return raised if mantissa == 1 else f"{mantissa}·{raised}"
-
-
-def _tick_text(value: float, all_ticks: Sequence[float]) -> str:
-    if abs(value) >= 1e5:
-        return f"{value:g}"
-    return f"{value:.{_decimals(all_ticks)}f}".replace("-", "\u2212")
-
-
-def _decimals(all_ticks: Sequence[float]) -> int:
-    step = all_ticks[1] - all_ticks[0] if len(all_ticks) > 1 else 1.0
-    return next((d for d in range(5) if abs(round(step, d) - step) < 1e-9 * max(1.0, abs(step))), 5)
-
-
-def _thin(
-    points: list[tuple[float, float] | None],
-) -> list[tuple[float, float] | None]:
-    """At most MAX_CHART_POINTS: of each stretch its lowest and highest, so that spikes stay visible."""
-    if len(points) <= MAX_CHART_POINTS:
-        return points
-    size = math.ceil(2 * len(points) / MAX_CHART_POINTS)
-    out: list[tuple[float, float] | None] = []
-    for start in range(0, len(points), size):
-        there = [p for p in points[start : start + size] if p is not None]
-        if not there:
-            out.append(None)
-            continue
-        out += sorted({min(there, key=lambda p: p[1]), max(there, key=lambda p: p[1])})
-    return out
-
-
-def _line(series: Series, points: list[tuple[float, float] | None]) -> str:
-    commands, pen_down = [], False
-    for p in points:
-        if p is not None:
-            commands.append(f"{'L' if pen_down else 'M'}{p[0]:.1f} {p[1]:.1f}")
-        pen_down = p is not None
-    style = f"stroke:var(--s{series.colour % COLOURS})"
-    dash = ' stroke-dasharray="5 4"' if series.dashed else ""
-    path = f'<path class="line" style="{style}"{dash} d="{"".join(commands)}"/>'
-    if series.markers:
-        fill = f"fill:var(--s{series.colour % COLOURS})"
-        path += "".join(
-            f'<circle style="{fill}" cx="{p[0]:.1f}" cy="{p[1]:.1f}" r="3"/>' for p in points if p is not None
-        )
-    return path
-
-
-def _legend(series: Sequence[Series]) -> str:
-    named = [s for s in series if s.name]
-    if len(named) < 2:
-        return ""
-    items = "".join(
-        f'<span class="key{" dashed" if s.dashed else ""}" style="--c:var(--s{s.colour % COLOURS})">'
-        f"{escape(s.name)}</span>"
-        for s in named
-    )
-    return f'<figcaption class="legend">{items}</figcaption>'
+def _drawable(values: Sequence[float], is_log: bool) -> Float[np.ndarray, " n"]:
+    found = np.array(values, dtype=np.float64)
+    return np.where(np.isfinite(found) & (~is_log | (found > 0)), found, np.nan)

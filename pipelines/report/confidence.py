@@ -1,120 +1,50 @@
-"""The report's confidence: where pictures may be wrong, whether they are, and what a crew should film more."""
+"""Confidence for the report: where pictures may be wrong, whether they are, and what a crew should film more."""
 
-from pathlib import Path
 from typing import Any
 
 from devrf.pipelines.report.charts import Series, line_chart
-from devrf.pipelines.report.html import absent, figure, link, number, section, table, text
-from devrf.pipelines.report.pictures import picture_uri, read_picture
-from devrf.pipelines.report.run import RunFolder, as_float, at, evenly
+from devrf.pipelines.report.pictures import file_uri
+from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at, evenly
 
-METRICS, BUDGET = "evaluate/metrics.json", "evaluate/confidence.json"
 KINDS = ("true", "rendered", "confidence", "error")
 WIDTH, MAX_VIEWS, MAX_REGIONS = 320, 3, 6
 CURVES = {"test": "test views", "test_moving": "where it moves", "test_static": "held-out sweep"}
-LEAD = (
-    "How wrong each pixel is expected to be, from who sees it, how well training pictures are explained there and how "
-    "consistent the motion is; never from the true picture. White is sure, an expected PSNR of 40 dB or more; black is "
-    "10 dB or less."
-)
 
 
-def confidence_section(run: RunFolder) -> str:
-    """Pictures, expected against measured errors, and the weakest regions."""
-    found = run.object(METRICS).get("confidence")
-    if not isinstance(found, dict):
-        return section("confidence", "How sure the pictures are", LEAD, absent(run.why_absent("evaluate")))
-    body = _pictures(run) + _curves(found) + _regions(run, found)
-    return section("confidence", "How sure the pictures are", LEAD, body)
-
-
-def _pictures(run: RunFolder) -> str:
-    folder = run.folder("evaluate")
-    rows = [row for row in run.objects(METRICS, "per_view") if all(kind in row for kind in KINDS)]
-    moving = [row for row in rows if row.get("time") is not None]
-    reels = []
-    for row in evenly(moving or rows, MAX_VIEWS):
-        figures = "".join(_picture(folder, row, kind) for kind in KINDS)
-        name = f"{row.get('camera', '')}, frame {row.get('index', '')}"
-        reels.append(
-            f'<div class="reel wide"><h3>{text(name)}</h3><div class="strip four">{figures}</div></div>'
-        )
-    return f'<div class="reels">{"".join(reels)}</div>' if reels else ""
-
-
-def _picture(folder: Path, row: dict[str, Any], kind: str) -> str:
-    picture = read_picture(folder / str(row[kind]))
-    return "" if picture is None else figure(picture_uri(picture, WIDTH), kind, f"{kind} picture")
-
-
-def _curves(found: dict[str, Any]) -> str:
-    series, rows = [], []
-    for n, (key, name) in enumerate(CURVES.items()):
-        bins = at(found, f"{key}.bins")
-        if not isinstance(bins, list) or not bins:
-            continue
-        if key == "test_static" and at(found, key) == at(found, "test"):
-            continue  # nothing moves: these are the test views
+def confidence(run: RunFolder) -> dict[str, Any]:
+    """Pictures of a few views, expected against measured errors, and the weakest regions."""
+    found = run.object(METRICS, "confidence")
+    curves = {key: name for key, name in CURVES.items() if isinstance(at(found, key, "bins"), list)}
+    if at(found, "test_static") == at(found, "test"):
+        curves.pop("test_static", None)  # nothing moves: these are the test views
+    series = []
+    for n, (key, name) in enumerate(curves.items()):
+        bins = [part for part in found[key]["bins"] if isinstance(part, dict)]
         expected, measured = (
-            [as_float(at(part, which)) for part in bins] for which in ("expected_rms", "measured_rms")
+            [as_float(part.get(which)) for part in bins] for which in ("expected_rms", "measured_rms")
         )
         series.append(Series(name, expected, measured, n, markers=True))
-
-        def cell(measure: str, unit: str, digits: int, key: str = key) -> str:
-            whole = f"{key}.{measure}"
-            return number(at(found, whole), unit, digits, file=METRICS, key=f"confidence.{whole}")
-
-        rows.append(
-            [
-                text(name), cell("expected_rms", "grey levels", 1), cell("measured_rms", "grey levels", 1),
-                cell("spearman", "", 2), cell("ause", "", 2), cell("ause_random", "", 2),
-            ]
-        )  # fmt: skip
-    if not series:
-        why = at(found, "test.why") or "nothing to compare with"
-        return absent(f"Not compared with true pictures: {why}.")
-    ends = [min(x for s in series for x in s.x), max(x for s in series for x in s.x)]
-    series.append(Series("as expected", ends, ends, len(series), dashed=True))
-    chart = line_chart(series, "expected error, grey levels", "measured error, grey levels")
-    head = ("on", "expected", "measured", "rank correlation", "AUSE", "AUSE at random")
-    return (
-        f'<h3>Expected and measured</h3><div class="charts one">{chart}</div>'
-        f"{table(head, rows, source=METRICS, numeric=range(1, len(head)))}"
-        '<p class="source">Each dot is a tenth of the pixels, the surest first. AUSE: how far ranks by confidence are '
-        f"from perfect ones (0). Fitted on training pictures only: {link(BUDGET)}</p>"
-    )
+    values = [x for s in series for x in s.x]
+    if values:
+        ends = [min(values), max(values)]
+        series.append(Series("as expected", ends, ends, len(series), dashed=True))
+    return {
+        "found": found,
+        "curves": curves,
+        "chart": line_chart(series, "expected error, grey levels", "measured error, grey levels"),
+        "regions": run.objects(METRICS, "confidence", "regions")[:MAX_REGIONS],
+        "pictures": _pictures(run),
+    }
 
 
-def _regions(run: RunFolder, found: dict[str, Any]) -> str:
-    regions = run.objects(METRICS, "confidence.regions")
-    lines = []
-    for n, region in enumerate(regions[:MAX_REGIONS]):
-
-        def cell(measure: str, unit: str, digits: int, scale: float = 1.0, n: int = n) -> str:
-            key = f"confidence.regions.{n}.{measure}"
-            return number(regions[n].get(measure), unit, digits, file=METRICS, key=key, scale=scale)
-
-        lines.append(
-            [
-                text(region.get("where", "")), cell("expected_rms", "grey levels", 1), cell("low", "%", 0, 100.0),
-                cell("cameras", "", 1), cell("share", "%", 1, 100.0),
-            ]
-        )  # fmt: skip
-    if not lines:
-        return ""
-    low = number(found.get("low_above"), "grey levels", 0, file=METRICS, key="confidence.low_above")
-    share = number(found.get("low_share"), "%", 0, file=METRICS, key="confidence.low_share", scale=100.0)
-    unseen = ""
-    if found.get("unseen_share") is not None:
-        part = number(found["unseen_share"], "%", 0, file=METRICS, key="confidence.unseen_share", scale=100.0)
-        unseen = f" {part} of what moves is seen by no moving camera: how it moves is a guess."
-    what = "of what moves" if found.get("moves") else "of what is in the box"
-    seen_by = "moving cameras that see it" if found.get("moves") else "sweep pictures that see it"
-    head = ("where it rests", "expected error", "low confidence", seen_by, "share of all")
-    seen_as = text(found.get("as_seen_by", "the camera"))
-    return (
-        f"<h3>Weakest regions</h3><p>As {seen_as} sees it, from all directions of the sweep. {share} {what} is of low "
-        f"confidence: an expected error above {low}.{unseen} To be surer of a region let more cameras see it from "
-        "further apart, and bring the sweep closer to it.</p>"
-        f"{table(head, lines, source=METRICS, numeric=range(1, len(head)))}"
-    )
+def _pictures(run: RunFolder) -> list[tuple[str, list[tuple[str, str]]]]:
+    rows = [row for row in run.objects(METRICS, "per_view") if all(kind in row for kind in KINDS)]
+    moving = [row for row in rows if row.get("time") is not None]
+    folder = run.folder("evaluate")
+    return [
+        (
+            f"{row.get('camera', '')}, frame {row.get('index', '')}",
+            [(file_uri(folder / str(row[kind]), WIDTH), kind) for kind in KINDS],
+        )
+        for row in evenly(moving or rows, MAX_VIEWS)
+    ]

@@ -2,47 +2,39 @@
 
 The page needs no network and no other file; it quotes numbers, and links each to the file it stands in.
 It is made from whatever the run folder holds: a section without content says why. Nothing is computed
-here that a stage did not measure.
+here that a stage did not measure. A section is a template of its key and, here, what a template cannot make:
+drawings and pictures.
 """
 
 import logging
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from devrf.pipelines.report.calibration import rig_section
-from devrf.pipelines.report.capture import capture_section
-from devrf.pipelines.report.clocks import sync_section
-from devrf.pipelines.report.colour import colour_section
-from devrf.pipelines.report.confidence import confidence_section
-from devrf.pipelines.report.evidence import evidence_section
-from devrf.pipelines.report.flow import flow_section
-from devrf.pipelines.report.html import absent, asset, page, section, text
-from devrf.pipelines.report.run import RunFolder
-from devrf.pipelines.report.space import space_section
-from devrf.pipelines.report.speed import speed_section
-from devrf.pipelines.report.stability import stability_section
-from devrf.pipelines.report.summary import METRICS, film, making, stages_table, tiles, verdict
-from devrf.pipelines.report.training import training_section
-from devrf.pipelines.report.views import views_section
+from devrf.pipelines.report.calibration import calibration
+from devrf.pipelines.report.capture import capture, colours
+from devrf.pipelines.report.confidence import confidence
+from devrf.pipelines.report.curves import clocks, speed, stability, training
+from devrf.pipelines.report.flow import flow
+from devrf.pipelines.report.run import METRICS, RunFolder
+from devrf.pipelines.report.summary import summary
+from devrf.pipelines.report.templates import render
+from devrf.pipelines.report.views import views
 
 logger = logging.getLogger(__name__)
 
 MAX_PAGE_BYTES = 15_000_000  # what can still be sent by mail
 ROOMS = (1.0, 0.5, 0.25, 0.1)  # shares of the usual pictures, tried one after the other
-SECTIONS = (  # key, title, what makes it
-    ("capture", "Capture", capture_section),
-    ("space", "Cameras in space", space_section),
-    ("rig", "Rig", rig_section),
-    ("evidence", "Evidence", evidence_section),
-    ("colour", "Colours", colour_section),
-    ("sync", "Clocks", sync_section),
-    ("flow", "Flow", flow_section),
-    ("training", "Training", training_section),
-    ("views", "Views", views_section),
-    ("confidence", "Confidence", confidence_section),
-)
-OPTIONAL = (  # only where it has been measured: by `bench`, not by a stage
-    ("speed", "Speed", speed_section),
-    ("stability", "Stability", stability_section),
+SECTIONS: tuple[tuple[str, str, Callable[[RunFolder], dict[str, Any] | None]], ...] = (
+    ("capture", "Capture", capture),
+    ("rig", "Cameras", calibration),
+    ("colour", "Colours", colours),
+    ("sync", "Clocks", clocks),
+    ("flow", "Flow", flow),
+    ("training", "Training", training),
+    ("views", "Views", views),
+    ("confidence", "Confidence", confidence),
+    ("speed", "Speed", speed),  # these two only where `bench` has measured them: None
+    ("stability", "Stability", stability),
 )
 
 
@@ -63,54 +55,30 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
 
 
 def _page(run: RunFolder, name: str, facts: Sequence[str]) -> str:
-    made = [(key, title, _made(run, key, title, make)) for key, title, make in (*SECTIONS, *OPTIONAL)]
-    made = [(key, title, html) for key, title, html in made if html]
-    sections = "".join(html for _, _, html in made)
-    facts_line = f'<p class="sub">{text(" · ".join(facts))}</p>'
-    numbers = f'<div class="hero">{tiles(run)}{film(run)}</div>{stages_table(run)}'
-    nav = "".join(f'<a href="#{key}">{text(title)}</a>' for key, title, _ in (("top", "Summary", ""), *made))
-    top = (
-        f'<header id="top"><p class="kind">Run report</p><h1>{text(name)}</h1>'
-        f"{facts_line}{verdict(run)}{numbers}</header>"  # the verdict last: it also names unreadable files
-    )
-    return page(
-        f"{name}: run report",
-        f'<nav aria-label="Sections"><div>{nav}</div></nav>{top}<main>{sections}</main>{_footer(run)}'
-        f"<script>{asset('slider.js')}</script><script>{asset('space.js')}</script>",
-    )
+    sections = [part for section in SECTIONS if (part := _made(run, *section)) is not None]
+    values = {"run": run, "METRICS": METRICS, "name": name, "facts": facts}
+    top = render("summary.html", values | summary(run))  # after the sections: it also names unreadable files
+    values |= {
+        "title": f"{name}: run report",
+        "sections": sections,
+        "summary": top,
+        "max_bytes": MAX_PAGE_BYTES,
+    }
+    return render("page.html", values)
 
 
-def _made(run: RunFolder, key: str, title: str, make: Callable[[RunFolder], str]) -> str:
-    """A section; where a damaged file breaks it, that is said and the rest of the page stands."""
+def _made(
+    run: RunFolder, key: str, title: str, make: Callable[[RunFolder], dict[str, Any] | None]
+) -> dict[str, Any] | None:
+    """A section and the stages that it drew on; where a damaged file breaks it, that is said and the others stand."""
     run.drawn_on.clear()
     try:
-        return _traced(run, make(run))
+        values = make(run)
+        if values is None:
+            return None
+        html = render(f"{key}.html", {"run": run, "METRICS": METRICS} | values)
     except Exception as error:
         logger.exception("report: section %s", key)
-        reason = f"This section cannot be made: {type(error).__name__}: {error}"
-        return section(key, title, "", absent(reason))
-
-
-def _traced(run: RunFolder, html: str) -> str:
-    """A section and, below it, when and in which run the stages were made that it drew on."""
-    stages = [stage for stage in run.stages if stage in run.drawn_on]
-    made = [text for stage in stages if (text := making(run, stage))]
-    if not html or not made:
-        return html
-    return f'<div data-stages="{" ".join(stages)}">{html}<p class="source made">From {"; ".join(made)}.</p></div>'
-
-
-def _footer(run: RunFolder) -> str:
-    metrics = run.object(METRICS)
-    versions = metrics.get("versions")
-    words = [f"{k} {v}" for k, v in versions.items()] if isinstance(versions, dict) else []
-    if metrics.get("seed") is not None:
-        words.append(f"seed {metrics['seed']}")
-    line = f"{text(' · '.join(words))}. " if words else ""
-    less = "" if run.film_inside else " The film is linked, not in the page"
-    less += ", and pictures are fewer and smaller than usual" if run.room < ROOMS[0] else ""
-    kept = f"{less}, to keep it below {MAX_PAGE_BYTES / 1e6:.0f} MB." if less else ""
-    return (
-        f"<footer>{line}Dotted numbers lead to the file they stand in, in the folder of its stage, as long as this "
-        f"page lies in the run folder.{kept}</footer>"
-    )
+        html = render("broken.html", {"error": f"{type(error).__name__}: {error}"})
+    stages = [s for s in run.stages if s in run.drawn_on and run.object(f"{s}/stamp.json")]
+    return {"key": key, "title": title, "html": html, "stages": stages}

@@ -1,4 +1,4 @@
-"""Pictures for the report: small, as data URIs, and flow and error as colour. uint8 RGB [H, W, 3]."""
+"""Pictures for the report: small, as data URIs, and flow as colour. uint8 RGB [H, W, 3]."""
 
 import base64
 from pathlib import Path
@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, UInt8
 from devrf.capture.errors import CaptureError
 from devrf.capture.picture_files import read_pixels
 
-ERROR_FULL_SCALE = 0.25  # colour difference (RGB in [0, 1]) shown at full brightness
 JPEG_QUALITY = 82
 
 
@@ -24,15 +23,13 @@ def picture_uri(image: UInt8[np.ndarray, "h w 3"], max_width: int) -> str:
     return data_uri(data.tobytes(), "image/jpeg")
 
 
-def png_bytes(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """The picture as PNG, for drawings with sharp edges."""
-    ok, data = cv2.imencode(".png", image[..., ::-1])
-    if not ok:
-        raise ValueError(f"picture of shape {image.shape} cannot be encoded as PNG")
-    return data.tobytes()
+def file_uri(path: Path, max_width: int) -> str:
+    """The same of a file; empty where it cannot be read."""
+    image = read_picture(path)
+    return "" if image is None else picture_uri(image, max_width)
 
 
-def shrink(image: UInt8[np.ndarray, "h w 3"], max_width: int) -> UInt8[np.ndarray, "h2 w2 3"]:
+def shrink(image: UInt8[np.ndarray, "h w *channels"], max_width: int) -> UInt8[np.ndarray, "h2 w2 *channels"]:
     """The picture at most `max_width` wide, resized by area."""
     height, width = image.shape[:2]
     if width <= max_width:
@@ -58,15 +55,6 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "h w 3"] | None:
     return image
 
 
-def error_picture(
-    true: UInt8[np.ndarray, "h w 3"], rendered: UInt8[np.ndarray, "h w 3"]
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Largest colour difference over channels, black to yellow; yellow from ERROR_FULL_SCALE on."""
-    difference = np.abs(true.astype(np.float32) - rendered.astype(np.float32)).max(2) / 255
-    level = (np.clip(difference / ERROR_FULL_SCALE, 0, 1) * 255).astype(np.uint8)
-    return np.ascontiguousarray(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1])
-
-
 def flow_picture(
     flow: Float[np.ndarray, "h w 2"], valid: Bool[np.ndarray, "h w"], full_scale_px: float
 ) -> UInt8[np.ndarray, "h w 3"]:
@@ -78,13 +66,3 @@ def flow_picture(
     picture = (rgb * 255).round().astype(np.uint8)
     picture[~valid] = 120
     return picture
-
-
-def flow_wheel(size: int) -> UInt8[np.ndarray, "h w 3"]:
-    """The key to `flow_picture`: every direction, up to the full scale at the rim; white outside."""
-    axis = (np.arange(size) + 0.5) / size * 2 - 1
-    flow = np.stack(np.meshgrid(axis, axis), axis=-1)
-    inside = np.hypot(flow[..., 0], flow[..., 1]) <= 1
-    wheel = flow_picture(flow, np.ones_like(inside), 1.0)
-    wheel[~inside] = 255
-    return wheel

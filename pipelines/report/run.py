@@ -2,15 +2,22 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 
+METRICS = "evaluate/metrics.json"
 
+
+@dataclass
 class RunFolder:
     """A run folder, read tolerantly: what is not there is None, what is damaged is noted in `unreadable`.
 
@@ -26,24 +33,16 @@ class RunFolder:
         room: Share of the usual pictures that it has room for.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        stages: Sequence[str],
-        reasons: Mapping[str, str],
-        errors: Mapping[str, str] | None = None,
-        stale: Mapping[str, str] | None = None,
-    ) -> None:
-        self.path = path
-        self.stages = tuple(stages)
-        self.reasons = dict(reasons)
-        self.errors = dict(errors or {})
-        self.stale = dict(stale or {})
-        self.unreadable: dict[str, str] = {}
-        self.drawn_on: set[str] = set()
-        self.film_inside = True
-        self.room = 1.0
-        self._json: dict[str, Any] = {}
+    path: Path
+    stages: Sequence[str]
+    reasons: Mapping[str, str]
+    errors: Mapping[str, str] = field(default_factory=dict)
+    stale: Mapping[str, str] = field(default_factory=dict)
+    unreadable: dict[str, str] = field(default_factory=dict)
+    drawn_on: set[str] = field(default_factory=set)
+    film_inside: bool = True
+    room: float = 1.0
+    _json: dict[str, Any] = field(default_factory=dict)
 
     def has(self, stage: str) -> bool:
         """Whether the stage's folder is there."""
@@ -61,21 +60,28 @@ class RunFolder:
             self._json[file] = self._read(file)
         return self._json[file]
 
-    def object(self, file: str) -> dict[str, Any]:
-        """Content of a JSON file that holds an object; empty where it does not."""
-        value = self.json(file)
+    def at(self, file: str, *path: str | int) -> Any:
+        """The entry of a JSON file under keys and places in lists, None where any step is missing."""
+        return at(self.json(file), *path)
+
+    def object(self, file: str, *path: str | int) -> dict[str, Any]:
+        """An object of a JSON file; empty where there is none."""
+        value = self.at(file, *path)
         return value if isinstance(value, dict) else {}
 
     def cameras(self, file: str) -> dict[str, dict[str, Any]]:
         """The entries under `cameras` of a JSON file, by name."""
-        value = self.object(file).get("cameras")
-        entries = value.items() if isinstance(value, dict) else ()
+        entries = self.object(file, "cameras").items()
         return {str(name): entry for name, entry in entries if isinstance(entry, dict)}
 
-    def objects(self, file: str, key: str) -> list[dict[str, Any]]:
-        """The objects of a list in a JSON file, under a dotted key."""
-        value = at(self.object(file), key)
+    def objects(self, file: str, *path: str | int) -> list[dict[str, Any]]:
+        """The objects of a list in a JSON file."""
+        value = self.at(file, *path)
         return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
+    def health(self, stage: str) -> list[dict[str, Any]]:
+        """The rows a stage wrote about its own result."""
+        return self.objects(f"{stage}/health.json", "rows")
 
     @property
     def scene(self) -> Scene | None:
@@ -93,16 +99,6 @@ class RunFolder:
             self.unreadable["scene/"] = str(error)
             return None
 
-    def why_absent(self, stage: str) -> str:
-        """A sentence for a section whose stage left nothing."""
-        if stage in self.reasons:
-            return f"Does not apply: {self.reasons[stage]}"
-        if self.has(stage):
-            return f"The stage {stage} left nothing that can be shown here."
-        if stage in self.errors:
-            return f"Not available: the stage {stage} failed."
-        return f"Not available: the stage {stage} has not run."
-
     def _read(self, file: str) -> Any:
         try:
             return json.loads((self.path / file).read_text(encoding="utf-8"))
@@ -113,13 +109,45 @@ class RunFolder:
             return None
 
 
-def at(value: Any, key: str) -> Any:
-    """The entry under a dotted key ("test.psnr"), None where any step is missing."""
-    for step in key.split("."):
-        if not isinstance(value, dict) or step not in value:
-            return None
-        value = value[step]
+def at(value: Any, *path: str | int) -> Any:
+    """The entry under keys and places in lists, None where any step is missing.
+
+    A dotted key is several ("test.psnr", "K.0.0") unless it is there as it stands: names may hold dots.
+    """
+    for key in path:
+        steps = (
+            [key]
+            if not isinstance(key, str) or (isinstance(value, dict) and key in value)
+            else key.split(".")
+        )
+        for step in steps:
+            if isinstance(value, dict):
+                value = value.get(step)
+            elif isinstance(value, list) and str(step).isdigit() and int(step) < len(value):
+                value = value[int(step)]
+            else:
+                return None
     return value
+
+
+def is_number(value: object) -> bool:
+    """Whether a value of a file is a finite number."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < float("inf")
+
+
+def as_float(value: Any) -> float:
+    """A number of a file; NaN where there is none, which breaks a line in a chart."""
+    return float(value) if is_number(value) else float("nan")
+
+
+def table_of(value: object, columns: int | None = None) -> Float[np.ndarray, "n m"] | None:
+    """Rows of finite numbers; None for anything else."""
+    try:
+        found = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    good = found.ndim == 2 and found.size > 0 and np.isfinite(found).all()
+    return found if good and columns in (None, found.shape[1]) else None
 
 
 def evenly(items: Sequence[Any], count: int) -> list[Any]:
@@ -129,13 +157,3 @@ def evenly(items: Sequence[Any], count: int) -> list[Any]:
     if count == 1:
         return [items[len(items) // 2]]
     return [items[round(n * (len(items) - 1) / (count - 1))] for n in range(count)]
-
-
-def fewer(count: int, room: float) -> int:
-    """How many of `count` pictures there is room for, one at least."""
-    return max(1, round(count * room))
-
-
-def as_float(value: Any) -> float:
-    """A number of a file; NaN where there is none, which breaks a line in a chart."""
-    return float(value) if isinstance(value, (int, float)) else float("nan")

@@ -112,7 +112,7 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
     start = time.monotonic()
-    budget = Budget(run.config, run.scene_dir, run.run_dir, run.device)
+    budget = Budget(run.config, run.scene_dir, run.run_dir)
     left: list[str] = []  # optional stages for which there is no time
     for number, stage in enumerate(run.stages, 1):
         if not is_chosen(stage.name, run.stages, run.choice):
@@ -216,7 +216,6 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
                 return None
             run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
         say = partial(run.talk.decision, stage.name)
-        allowance = budget.allowance(stage.name, say)
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
             context = StageContext(
@@ -228,7 +227,7 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
                 device=run.device,
                 say=say,
                 made_from=made_from,
-                allowance=allowance,
+                allowance=budget.allowance(),
             )
             with budget.watched():
                 stage.run(context)

@@ -9,7 +9,7 @@ import errno
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 from devrf.capture.durable import sync, sync_tree
@@ -175,18 +175,6 @@ def size_of(path: Path) -> int:
         except OSError:
             pass
     return total
-
-
-def unfinished(run_dir: Path, stages: Iterable[str]) -> int:
-    """Bytes of unfinished work that the next run removes before it begins, or that these stages go on from."""
-    patterns = [
-        f"{NEW}*",
-        ".*.tmp",
-        *(pattern for stage in stages for pattern in (f".{stage}", f".{stage}.*")),
-    ]
-    left = {path for pattern in patterns for path in run_dir.glob(pattern)}
-    left |= {old for old in run_dir.glob(f"{OLD}*") if (run_dir / _stage_of(old, OLD)).exists()}
-    return sum(map(size_of, left))
 
 
 def _stage_of(folder: Path, prefix: str) -> str:

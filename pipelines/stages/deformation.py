@@ -5,9 +5,9 @@ from dataclasses import asdict, replace
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
-from devrf.pipelines.clocks_in_use import clock_stds
+from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.health.in_motion import in_motion_rows
-from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.rows import row
 from devrf.pipelines.health.training import flow_rows, late_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
@@ -21,7 +21,6 @@ from devrf.reconstruct.sizing import levels_for
 from devrf.reconstruct.train_deformation import train_deformation
 
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
-CLOCK_MOVED = 2.0  # standard deviations of a clock, beyond which what sync says of it is doubted
 
 
 def run(context: StageContext) -> None:
@@ -45,7 +44,7 @@ def run(context: StageContext) -> None:
         context.device,
         context.progress,
         checkpoint,
-        clock_stds=clock_stds(context.run_dir),
+        reference=reference_camera(context.run_dir),
     )
     save_deformation(context.out, motion, tuned, rest.canonical.voxel)
     for line in metrics["decisions"]:
@@ -72,26 +71,4 @@ def run(context: StageContext) -> None:
     context.health.extend(in_motion_rows(cameras))
     context.health.extend(restart_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
-    context.health.extend(clock_rows(metrics.get("clocks", {})))
     context.health.extend(late_rows(metrics.get("late_camera")))
-
-
-def clock_rows(clocks: dict[str, dict[str, float]]) -> list[HealthRow]:
-    """Whether what was learned of the clocks agrees with what sync said; none where none was learned."""
-    moved = {name: abs(clock["offset_s"]) / clock["prior_std_s"] for name, clock in clocks.items()}
-    if not moved:
-        return []
-    worst = max(moved, key=lambda name: moved[name])
-    by_ms = 1000 * clocks[worst]["offset_s"]
-    return [
-        row(
-            f"learned clock against sync, worst camera ({worst}, {by_ms:+.1f} ms)",
-            moved[worst],
-            "std. deviations",
-            warn=CLOCK_MOVED,
-            low_is_bad=False,
-            remedy=f"The pictures of {worst} fit the motion better {abs(by_ms):.1f} ms "
-            f"{'later' if by_ms > 0 else 'earlier'} than sync says: look at the clocks in the report, clap near "
-            "the middle of the scene, or give true times in capture.timestamps.",
-        )
-    ]

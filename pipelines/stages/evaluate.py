@@ -39,7 +39,7 @@ def run(context: StageContext) -> None:
     config = context.config
     scene = read_scene(context.run_dir / "scene")
     lpips = lpips_nets(config, context.scene_dir, context.device)
-    model = load_trained(context.run_dir, context.device, context.allowance.at_once)
+    model = load_trained(context.run_dir, context.device)
     trained = as_trained(scene, _read(context.run_dir / "deformation" / "metrics.json"))
     confidence = Confidence(trained, model)
     confidence.budget.save(context.out / "confidence.json")

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.cores import usable_cores
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import PosedFrame, load_image
@@ -22,6 +21,7 @@ from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
+from devrf.pipelines.budget.at_once import flow_at_once
 from devrf.pipelines.flow_clips import is_brought, time_of, training_clips
 from devrf.pipelines.health.flow import health
 from devrf.pipelines.health.rows import note
@@ -38,6 +38,9 @@ def run(context: StageContext) -> None:
     clips = training_clips(scene)
     brought = is_brought(clips)
     estimator = None if brought else _estimator(context)
+    pixels = max(frame.camera.width * frame.camera.height for frames in clips.values() for frame in frames)
+    side_by_side = estimator is None or estimator.parallel
+    at_once = flow_at_once(context, pixels) if side_by_side else 1
     unfinished = _unfinished(context)
     checks: dict[str, FlowChecks] = {}
     for n, (camera, frames) in enumerate(clips.items()):
@@ -59,7 +62,7 @@ def run(context: StageContext) -> None:
             (small.width, small.height),
             given(lambda k, paths=paths: _read(paths[k])) if estimator is None else estimated(estimator),
             unfinished,
-            (context.allowance.at_once or usable_cores()) if estimator is None or estimator.parallel else 1,
+            at_once,
             progress,
         )
         checks[camera] = found if _stands_still(frames) else replace(found, shake_px=None)
@@ -95,7 +98,7 @@ def _unfinished(context: StageContext) -> Path:
 def _estimator(context: StageContext) -> FlowEstimator:
     flow = context.config.flow
     weights = context.config.path(context.scene_dir, flow.weights) if flow.weights else None
-    return create_estimator(flow.method, weights, context.device, flow.preset)
+    return create_estimator(flow.method, weights, context.device)
 
 
 def _stands_still(frames: Sequence[PosedFrame]) -> bool:

@@ -11,6 +11,7 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, places, sharp
 from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.session import CaptureSession
 from devrf.capture.srgb import linear_from_srgb
+from devrf.pipelines.budget.raw_files import ingested_at_once
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health.light import light_rows
 from devrf.pipelines.health.rows import HealthRow, note, row
@@ -40,7 +41,7 @@ def run(context: StageContext) -> None:
         ranges,
         only_ranges,
         context.progress,
-        context.allowance.at_once,
+        ingested_at_once(context, session),
     )
     refuse_damaged(frames)
     context.health.extend(health(frames))

@@ -24,7 +24,7 @@ def run(context: StageContext) -> None:
     cameras = film_cameras(scene)
     path = orbit(cameras, scene.aabb, count, film_lens(cameras, pixels))
     times = film_times(scene, count)
-    render = load_renderer(context.run_dir, context.device, context.allowance.at_once)
+    render = load_renderer(context.run_dir, context.device)
     begin = time.perf_counter()
     with video_beside(context.out / "orbit.mp4", fps) as put:
         for n in range(count):

@@ -26,6 +26,7 @@ from devrf.capture.frames import FrameSet
 from devrf.capture.progress import Progress, part
 from devrf.pipelines.board_clips import BoardClips, files_of
 from devrf.pipelines.board_spec import board_spec, lens_choice
+from devrf.pipelines.budget.at_once import registered_at_once
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health.board import board_rows
 from devrf.pipelines.health.rig import (
@@ -231,7 +232,8 @@ class _Job:
         for name, camera in self.moving.items():
             pictures = clean_pictures(name, files_of(self.context.run_dir, camera), rest, clean)
             inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))
-        found = rig_from_sweep(model, inputs, self.context.out, progress, self.context.allowance.at_once)
+        at_once = registered_at_once(self.context, list(self.moving.values()), len(model.names))
+        found = rig_from_sweep(model, inputs, self.context.out, progress, at_once)
         used = {c.details["picture"] for c in found.cameras.values()}
         for picture in clean.iterdir():
             if picture.stem not in used:

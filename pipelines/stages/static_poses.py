@@ -20,7 +20,7 @@ from devrf.capture.picture_files import open_picture
 from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
-from devrf.pipelines.budget.allowance import UNBOUNDED, Allowance
+from devrf.pipelines.budget.at_once import swept_at_once
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.health.board import board_rows
 from devrf.pipelines.health.rows import HealthRow, row
@@ -35,18 +35,20 @@ def run(context: StageContext) -> None:
     capture = context.config.capture
     assert capture is not None and capture.static is not None  # else the stage does not apply
     board = _board(context, frames)
+    sfm = context.config.calibration.static_poses
+    threads, side_px = swept_at_once(context, frames.cameras[SWEEP])
     model, without_mask = recover_sweep(
         ingest,
         frames.cameras[SWEEP],
         context.out,
-        context.config.calibration.static_poses,
+        sfm,
         context.scene_dir,
         context.config.path(context.scene_dir, capture.static),
         known=None if board is None else board.intrinsics,
         progress=context.progress,
-        allowance=context.allowance,
+        options=sweep_options(sfm, context.allowance.left_s, threads, side_px),
     )
-    context.health.extend(coarser_rows(context.allowance.side_px))
+    context.health.extend(coarser_rows(side_px))
     context.health.extend(sweep_rows(model))
     context.health.extend(mask_rows(without_mask))
     if board is not None:
@@ -65,7 +67,7 @@ def recover_sweep(
     source: Path,
     known: Intrinsics | None = None,
     progress: Progress = no_progress,
-    allowance: Allowance = UNBOUNDED,
+    options: SweepOptions | None = None,
 ) -> tuple[SweepModel, list[str]]:
     """Structure from motion of the pictures that ingest left, with all that their tags say.
 
@@ -78,7 +80,7 @@ def recover_sweep(
         source: The sweep itself, a film or a folder of photos.
         known: Intrinsics by a board.
         progress: Told how far it is.
-        allowance: Threads, size of pictures and time that it may use.
+        options: Threads, size of pictures and time that it may use; None: all there are, as the configuration has it.
     Returns:
         The model, and the pictures that have no mask where masks are given.
     """
@@ -96,7 +98,7 @@ def recover_sweep(
             ingest / "frames",
             device_groups(sizes, exif, known),
             out,
-            options=_options(config, allowance),
+            options=options or sweep_options(config),
             ordered=film,
             masks=None if config.masks is None else Path(masks),
             places={name: tags.place for name, tags in exif.items()},
@@ -105,9 +107,9 @@ def recover_sweep(
     return model, without
 
 
-def coarser_rows(side_px: int | None) -> list[HealthRow]:
+def coarser_rows(side_px: int) -> list[HealthRow]:
     """Whether pictures had to be made smaller than they usually are, for want of memory."""
-    if side_px is None:
+    if side_px == MAX_IMAGE_SIZE:
         return []
     return [
         row(
@@ -121,16 +123,15 @@ def coarser_rows(side_px: int | None) -> list[HealthRow]:
     ]
 
 
-def _options(config: StaticPosesConfig, allowance: Allowance) -> SweepOptions:
-    left_s = allowance.left_s
+def sweep_options(
+    config: StaticPosesConfig,
+    left_s: float | None = None,
+    threads: int | None = None,
+    side_px: int = MAX_IMAGE_SIZE,
+) -> SweepOptions:
+    """What the configuration asks for, in no more than the seconds that are left, with so many threads."""
     limits = [m for m in (config.time_minutes, None if left_s is None else left_s / 60) if m is not None]
-    return SweepOptions(
-        config.mapper,
-        config.check_seed,
-        min(limits, default=None),
-        allowance.at_once,
-        allowance.side_px or MAX_IMAGE_SIZE,
-    )
+    return SweepOptions(config.mapper, min(limits, default=None), threads, side_px)
 
 
 def _size(file: Path) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.kernels.splat import FAINT, TILE, splat
+from devrf.reconstruct.kernels.splat import FAINT, TILE
 
 BLUR = 0.3  # square pixels
 NEAREST = 0.05  # box units from the camera's plane: nearer Gaussians are not drawn
@@ -105,21 +105,6 @@ def quats_of(R: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 4"]:
         d - b, c + g, f + h, i - a - e,
     )  # fmt: skip
     return torch.linalg.eigh(torch.stack(rows, dim=1).reshape(-1, 4, 4))[1][:, :, 3]
-
-
-def render_gaussians(
-    gaussians: Gaussians, camera: Camera, behind: Float[Tensor, " 3"]
-) -> Float[Tensor, "H W 3"]:
-    """A picture; differentiable.
-
-    Args:
-        gaussians: What is seen.
-        camera: In the box frame; its lens distortion is left out.
-        behind: Colour behind everything.
-    """
-    flat, depth, spread = flattened(gaussians, camera)
-    offsets, entries = tiles_of(flat.detach(), depth.detach(), spread.detach(), (camera.width, camera.height))
-    return splat(flat, offsets, entries, (camera.width, camera.height), behind)
 
 
 def flattened(

@@ -8,7 +8,7 @@ PHONE = {"width": 390, "height": 844}
 
 # Texts with a digit that nothing leads to a file from: neither their row or line, nor a source below it in the section.
 UNTRACED = r"""() => {
-  const WORDS = "nav, script, style, h1, h2, thead, .lead, .picker, .chooser, footer, .sub, .scale, " // constants, and
+  const WORDS = "nav, script, style, h1, h2, thead, .lead, .picker, footer, .sub, .scale, " // constants, and
     + ".verdict > strong, summary"; // counts of what stands below
   const FILE = "a[href^='../'], a[href^='file:']", LINE = "tr, li, p, .tile, figure, .key-row, .panes, h3, h4";
   const sourced = (node) => {
@@ -102,7 +102,7 @@ def faults_of_structure(page: Any) -> list[str]:
         "[...document.querySelectorAll('img')].filter(i => !i.alt).map(i => 'no alt: ' + i.outerHTML.slice(0, 40))"
     )
     faults += page.evaluate(
-        "[...document.querySelectorAll('svg, canvas, input, button, video')].filter(e => !(e.ariaLabel ||"
+        "[...document.querySelectorAll('svg, input, button, video')].filter(e => !(e.ariaLabel ||"
         " e.textContent.trim() || e.closest('label'))).map(e => 'no name: ' + e.outerHTML.slice(0, 60))"
     )
     return faults

@@ -46,7 +46,7 @@ def test_opens_from_its_file_and_asks_for_nothing(page: Any, report: Path) -> No
     assert opened(page, report) == []
     titles = page.locator("section h2").all_inner_texts()
     assert {"Views", "Training", "Speed and accuracy", "Stability"} <= set(titles)
-    assert page.locator(".space canvas").evaluate("c => c.width") > 100  # drawn
+    assert page.locator("#rig svg").first.bounding_box()["width"] > 100  # drawn
 
 
 def test_the_border_follows_mouse_and_keys(page: Any, report: Path) -> None:

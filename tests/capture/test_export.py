@@ -12,7 +12,7 @@ from plyfile import PlyData
 
 from devrf.capture.camera import Camera, undistort
 from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.formats import DATASET_FORMATS, datasets, read_dataset, write_dataset
+from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
 from devrf.capture.formats.export import MARKER
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.picture_files import read_pixels
@@ -66,7 +66,6 @@ def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background):
     if name in AT_REST:
         said = "are a model of their own" if name == "colmap" else "are left out"
         assert any(f"15 pictures in motion {said}" in note for note in notes)
-    assert any("checked on writing: 200 points" in note for note in notes) and "checked on writing" in text
     if name in ("devrf", "nerfstudio", "blender"):  # box, times and background come back too
         assert (again.background, again.metric, again.near, again.t1_s) == (background, True, 2.0, 5.0)
         np.testing.assert_array_equal(again.box_from_world, scene.box_from_world)
@@ -255,33 +254,3 @@ def test_formats_at_rest_need_a_sweep(odd_scene: Scene, tmp_path: Path):
     for name in ("colmap", "llff", "blender", "devrf"):
         with pytest.raises(CaptureError, match="sweep"):
             write_dataset(name, replace(odd_scene, static=(), points=None), tmp_path / "out")
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong"), [("nerfstudio", "pose"), ("blender", "lens"), ("colmap", "lost"), ("llff", "pose")]
-)
-def test_a_data_set_that_is_read_back_otherwise_is_refused(
-    odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name, wrong: str
-):
-    """A writer with a mistake: nothing is left, and it says by how much."""
-    read = datasets.READERS[name]
-
-    def mistaken(folder: Path, notes: list[str]):
-        found = read(folder, notes)
-        first, *others = found.static
-        K, pose = first.camera.K.copy(), first.camera.cam_from_world.copy()
-        if wrong == "pose":
-            pose[0, 3] += 0.02
-        K[0, 2] += 0.3 * (wrong == "lens")
-        changed = replace(first, camera=replace(first.camera, K=K, cam_from_world=pose))
-        return replace(found, static=(*others,) if wrong == "lost" else (changed, *others))
-
-    monkeypatch.setitem(datasets.READERS, name, mistaken)
-    says = (
-        "2 of 21 pictures are not read back"
-        if wrong == "lost"
-        else r"px from where they were \(allowed: 0.2 px"
-    )
-    with pytest.raises(CaptureError, match=says):
-        write_dataset(name, odd_scene, tmp_path / "out")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["pictures"]

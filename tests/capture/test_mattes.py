@@ -27,7 +27,7 @@ Passing = tuple[np.ndarray, np.ndarray]
 def passing() -> Passing:
     """Pictures of a robot that passes, noisy, and its exact mattes."""
     pytest.importorskip("mitsuba")
-    from devrf.capture.simulate.passing import simulate_passing
+    from tests.capture.passing import simulate_passing
 
     return simulate_passing("robot", 11, SIZE, seed=5, spp=8)
 

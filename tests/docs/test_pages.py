@@ -118,7 +118,8 @@ def test_calls_are_found() -> None:
     """So that the tests above see them: on lines, within sentences, over two lines, and without the program's name."""
     words = [" ".join(call.words) for call in calls_on(REPOSITORY / "docs" / "reference.md")]
     assert any(line.startswith("bench speed SCENE --preset fast") and "--set-for" in line for line in words)
-    assert "bench sync --only learned" in words
+    words = [" ".join(call.words) for call in calls_on(REPOSITORY / "docs" / "results.md")]
+    assert "bench calibration --only colour" in words
     assert sum(len(calls_on(page)) for page in PAGES) > 80
 
 

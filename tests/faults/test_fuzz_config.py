@@ -46,11 +46,11 @@ BASES: dict[str, dict[str, Any]] = {
                 "type": "charuco", "squares": [8, 6], "square_m": 0.06, "marker_m": 0.045,
                 "dictionary": "DICT_5X5_100", "inverted": "auto", "legacy": True, "clips": {"cam0": "board.mp4"},
             },
-            "raw": {"white_balance": [2.0, 1.0, 1.5, 1.0], "keep_linear": False},
+            "raw": {"white_balance": [2.0, 1.0, 1.5, 1.0]},
             "white": {"static": "photo.png"},
         },
         "calibration": {
-            "static_poses": {"mapper": "incremental", "check_seed": False, "time_minutes": 30.0},
+            "static_poses": {"mapper": "incremental", "time_minutes": 30.0},
             "sync": {"method": "auto", "av_lag_s": {"cam0": 0.01}, "readout_s": {"cam1": 0.01}},
             "rig": {"method": "auto", "known_distance_m": 1.5},
             "colour": {"method": "auto", "chart": {"static": "photo.png", "cam0": "photo.png"}},

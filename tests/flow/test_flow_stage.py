@@ -181,11 +181,11 @@ def test_pairs_of_another_method_are_not_taken_over(context: StageContext, monke
     with pytest.raises(KeyboardInterrupt):
         flow.run(context)
     config = context.config.model_copy(
-        update={"flow": context.config.flow.model_copy(update={"preset": "fast"})}
+        update={"flow": context.config.flow.model_copy(update={"method": "raft"})}
     )
     fresh = Counted(1000)
     monkeypatch.setattr(flow, "_estimator", lambda context: fresh)
-    made_from = {"config": {"flow.preset": "fast"}}
+    made_from = {"config": {"flow.method": "raft"}}
     flow.run(replace(context, config=config, made_from=made_from))
     assert fresh.asked == 2 * 6  # all pairs of both cameras but the gap
 

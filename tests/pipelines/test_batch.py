@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -81,21 +80,6 @@ def test_the_summary_says_what_the_stages_left(whole: Path) -> None:
     assert row["numbers"]["psnr"] == measured["test"]["psnr"]
     assert row["nodes"] == [os.uname().nodename] and row["seconds"] > stamp["seconds"]
     assert Path(row["report"]) == whole / "a/run/report/index.html"
-
-
-def test_the_page_links_to_the_reports_and_escapes(whole: Path) -> None:
-    links = []
-
-    class Links(HTMLParser):
-        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-            links.extend(value for name, value in attrs if name in ("href", "src") and value)
-
-    text = (whole / "out/batch.html").read_text()
-    Links().feed(text)
-    assert [(whole / "out" / link).resolve() for link in links] == [
-        whole / name / "run/report/index.html" for name in ("a", "b")
-    ]
-    assert "<script" not in text
 
 
 def test_a_rerun_does_only_what_is_missing(whole: Path, devrf: Command) -> None:
@@ -182,8 +166,8 @@ def test_groups_split_where_training_begins(tmp_path: Path) -> None:
             if moves or s.name != "flow"
         ]
         found = groups(config, standing, gpu)
-        assert [g.gpu for g in found] == [gpu and "canonical" in g.stages for g in found]
-        return [group.stages for group in found]
+        assert all(on_gpu == (gpu and "canonical" in stages) for stages, on_gpu in found)
+        return [stages for stages, _ in found]
 
     assert split() == [names[:3], names[3:]]
     assert split(gpu=False) == [names]
@@ -206,15 +190,14 @@ def test_a_task_gets_one_of_the_gpus_that_the_user_gave(
         monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     else:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", seen)
-    task = Task(0, Path("scene.yaml"), Path("run"), ("canonical",), (), 1, True)
+    task = Task(Path("scene.yaml"), Path("run"), ("canonical",), (), 1, True)
     assert batch_task._environment(task, 1)["CUDA_VISIBLE_DEVICES"] == expected
     assert batch_task._environment(task, None).get("CUDA_VISIBLE_DEVICES") == seen
 
 
 def test_stopped_before_it_listens_it_is_no_failure(tmp_path: Path) -> None:
-    task = Task(
-        0, tiny_scene(tmp_path, "a", LONG), tmp_path / "a/run", ("scene",), ("--device", "cpu"), 1, False
-    )
+    scene = tiny_scene(tmp_path, "a", LONG)
+    task = Task(scene, tmp_path / "a/run", ("scene",), ("--device", "cpu"), 1, False)
     asked = iter((False, True))  # once the process has only just been started
     assert run_task(task, lambda: next(asked)).code == STOPPED
 
@@ -272,7 +255,7 @@ def test_killed_it_leaves_no_run_behind(tmp_path: Path) -> None:
 def test_a_run_that_is_killed_is_a_failure_with_a_message(tmp_path: Path) -> None:
     scene = tiny_scene(tmp_path, "a", LONG)
     run_dir = tmp_path / "a/run"
-    task = Task(0, scene, run_dir, ("scene", "canonical"), ("--device", "cpu"), 1, False)
+    task = Task(scene, run_dir, ("scene", "canonical"), ("--device", "cpu"), 1, False)
 
     def kill_it() -> bool:
         for lock in run_dir.glob(".lock"):
@@ -288,7 +271,7 @@ def test_a_run_that_is_killed_is_a_failure_with_a_message(tmp_path: Path) -> Non
 
 def test_an_error_of_ours_ends_the_run_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, run_dir = tiny_scene(tmp_path, "a", LONG), tmp_path / "a/run"
-    task = Task(0, scene, run_dir, ("scene", "canonical"), ("--device", "cpu"), 1, False)
+    task = Task(scene, run_dir, ("scene", "canonical"), ("--device", "cpu"), 1, False)
     started: list[subprocess.Popen] = []
     start = subprocess.Popen
 

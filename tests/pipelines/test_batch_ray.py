@@ -174,10 +174,7 @@ def test_without_ray_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
         RayCluster(None, None, 1, "cpu")
 
 
-@pytest.mark.parametrize(
-    ("address", "expected"),
-    [("127.0.0.1:9", "nothing answers there"), ("here", "expected HOST:PORT, or auto")],
-)
-def test_an_address_where_nothing_answers(address: str, expected: str) -> None:
-    with pytest.raises(InputError, match=expected):
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "here"])
+def test_an_address_where_nothing_answers(address: str) -> None:
+    with pytest.raises(InputError, match=f"--address {address}: nothing answers there"):
         RayCluster(address, None, 1, "cpu")

@@ -11,9 +11,9 @@ import pytest
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.batch import command
+from devrf.pipelines.batch import command, work
 from devrf.pipelines.batch.inputs import OUTSIDE, inputs_of
-from devrf.pipelines.batch.scenes import Options
+from devrf.pipelines.batch.scenes import Options, look
 from devrf.pipelines.batch.scratch import SCRATCH, Scratch, Stored, scratch_dir
 from devrf.pipelines.batch.store import Store, StoreError
 from devrf.pipelines.batch.task import Task, run_task
@@ -66,15 +66,13 @@ def pull(store: Store, stage: str, run_dir: Path) -> None:
         store.pull("a", stage, store.stamps("a", [stage])[stage], workspace)
 
 
-def stored_task(
-    folder: Path, url: str, name: str, stages: tuple[str, ...] = ("scene",), scene: int = 0
-) -> Task:
+def stored_task(folder: Path, url: str, name: str, stages: tuple[str, ...] = ("scene",)) -> Task:
     """A task on a scene whose raw files are in the store."""
     path = tiny_scene(folder, name)
     inputs = inputs_of(load_scene(path), path, Digests(folder / name / "run"))
     Store(url).put_inputs(inputs.here)
     stored = Stored(url, name, path.name, inputs.files)
-    return Task(scene, path, folder / name / "run", stages, ("--device", "cpu"), 1, False, stored=stored)
+    return Task(path, folder / name / "run", stages, ("--device", "cpu"), 1, False, stored=stored)
 
 
 def test_a_full_disk_where_stages_are_looked_at_is_an_error_of_the_scene(
@@ -84,10 +82,9 @@ def test_a_full_disk_where_stages_are_looked_at_is_an_error_of_the_scene(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(command, "mirror", full)
-    scene = tiny_scene(tmp_path, "a")
-    place = command._Place(tmp_path / "out", Store(url), print)
+    (scene,) = look([tiny_scene(tmp_path, "a")], Options())
     with pytest.raises(DevrfError, match="scenes/a: cannot be written .No space left on device.; make room"):
-        place.refresh(load_scene(scene), scene.parent)
+        command._seen_in(scene, tmp_path / "out", Store(url), Talk("quiet"))
 
 
 def test_scenes_come_and_results_go(tmp_path: Path, scratch: Path, url: str) -> None:
@@ -277,7 +274,7 @@ def test_a_raw_file_that_vanishes_ends_its_scene_alone(
     """Between the look at it and the store's, or while it is on its way."""
     for name in ("a", "b"):
         tiny_scene(tmp_path, name)
-    owner, name = (Store, "_put") if uploading else (command, "inputs_of")
+    owner, name = (Store, "_put") if uploading else (work, "inputs_of")
     real = getattr(owner, name)
 
     def vanishes(*arguments: Any) -> Any:

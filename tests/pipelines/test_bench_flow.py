@@ -23,6 +23,5 @@ def test_without_weights_only_dis_is_measured(devrf, data_dir: Path, tmp_path: P
     assert raft["value"] is None and "weights/raft-small.pth" in raft["why"]
     dis = rows["flow/Venus/dis medium/end-point error"]
     assert dis["met"] and 0.1 < dis["value"] <= dis["goal"] == 0.40
-    assert rows["flow/Venus/dis ultrafast/end-point error"]["value"] > dis["value"]
     stored = rows["flow/RubberWhale/dis medium/on disk"]
     assert stored["met"] and 0.1 < stored["value"] <= stored["goal"] == 2.5

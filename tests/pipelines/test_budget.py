@@ -1,186 +1,161 @@
-"""Budgets: estimates against what was measured, and how a stage is fitted into less."""
+"""Budgets: how many pictures a stage works on at once within the memory that it may use."""
 
+import re
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import EXAMPLE
-from tests.pipelines.planned_captures import configured, planned, source
 
-from devrf.capture.amounts import size_text
-from devrf.capture.camera import Camera
-from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.budget.estimate import stage_needs, static_poses_need
-from devrf.pipelines.budget.fit import SIDES_PX, Fit, fit
-from devrf.pipelines.budget.material import Material, find_material
-from devrf.pipelines.budget.need import BudgetError, Need, most_on_disk
-from devrf.pipelines.budget.training import BASE, FEW_S, SECONDS
-from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.config.scene import FlowConfig, SceneConfig
+from devrf.capture.frames import CameraFrames, FrameRecord
+from devrf.capture.pictures import write_picture
+from devrf.capture.session import CaptureSession
+from devrf.capture.video import VideoInfo
+from devrf.capture.video_writer import write_video
+from devrf.pipelines.budget import at_once, raw_files
+from devrf.pipelines.budget.allowance import Allowance
+from devrf.pipelines.budget.at_once import BASE, fitting, flow_at_once, registered_at_once, swept_at_once
+from devrf.pipelines.budget.raw_files import ingested_at_once
+from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import coarser_rows
-from devrf.pipelines.trained_model import PIECES
 
 GB = 10**9
-
-# Peaks of stages of the example session with `tiny` on two cores, each in a process of its own: GB of all its
-# processes together, MB that its folder held in the end and at most, seconds (docs/budgets.md).
-GOOD_MB = (
-    2 * 4 * 46.6
-)  # a value's copy at the last good point, old and new checkpoint: computed, newer than the rest
-MEASURED = {
-    "ingest": (0.41, 34.0, 34.0, 4.6),
-    "static_poses": (0.68, 18.3, 34.5, 36.9),
-    "sync": (0.40, 0.2, 0.2, 2.9),
-    "rig": (0.62, 1.9, 9.0, 28.0),
-    "colour": (0.38, 0.0, 0.0, 6.4),
-    "scene": (0.73, 1.8, 1.8, 30.2),
-    "flow": (0.36, 4.7, 4.7, 14.1),
-    "canonical": (1.92, 14.7, 916.5 + GOOD_MB, 127.9),
-    "deformation": (1.03, 1.2, 26.3, 69.6),
-    "evaluate": (0.99, 17.1, 17.1, 43.2),
-    "render": (1.03, 0.5, 0.5, 64.8),
-    "report": (0.41, 4.0, 4.0, 6.0),
-}
-MEMORY_FACTOR = 1.5
-FEW_MB = 15.0  # what is not counted stage by stage
+LARGE = 3840, 2160
 
 
-@pytest.fixture
-def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devrf.pipelines.budget.estimate.usable_cores", lambda: 2)
+@pytest.fixture(autouse=True)
+def eight_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(at_once, "usable_cores", lambda: 8)
+
+
+def within(memory: float | None, said: list[str] | None = None) -> StageContext:
+    """A stage that may use so many bytes."""
+    config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4"}})
+    allowance = Allowance(None if memory is None else int(memory))
+    say, here = ([] if said is None else said).append, Path()
+    return StageContext(config, here, here, here, lambda *_: None, "cpu", say=say, allowance=allowance)
+
+
+def filmed(width: int, height: int, count: int = 1) -> CameraFrames:
+    frames = tuple(FrameRecord(n, None, 1.0, True, f"{n}.jpg") for n in range(count))
+    return CameraFrames("sweep", "s", width, height, None, False, False, None, 0, frames)
+
+
+@pytest.mark.parametrize(
+    ("memory", "fits"), [(None, 8), (9 * GB, 8), (9 * GB - 1, 7), (4 * GB, 3), (2 * GB, 1), (GB // 2, 1)]
+)
+def test_fewer_pictures_at_once_where_memory_is_short_and_that_is_said(memory: int | None, fits: int) -> None:
+    """A gigabyte whatever is done, and one for each picture; one is tried where none fits."""
+    said: list[str] = []
+    assert fitting(within(memory, said), GB, GB) == fits
+    assert len(said) == (fits < 8) and all(f"{fits} instead of 8 at once" in line for line in said)
+
+
+def test_pairs_of_large_pictures_take_what_was_measured() -> None:
+    """One pair took 1.82 GB, two 2.87 GB (docs/budgets.md), less than a stage's libraries."""
+    pixels = LARGE[0] * LARGE[1]
+    assert [flow_at_once(within(gb * GB), pixels) for gb in (1.82, 2.87, 1.5 * 2.87)] == [1, 1, 2]
+
+
+def test_clips_and_photos_take_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six pictures of a clip took 0.54 GB (docs/budgets.md); more bits and sound take more, photos one at a time."""
+    clip = VideoInfo(Path("c.mp4"), *LARGE, "h264", 60.0, 1800, 30.0, False, 0)
+
+    def ingested(gb: float, static: Path | None = None, **changes: object) -> int:
+        monkeypatch.setattr(raw_files, "probe_video", lambda path: replace(clip, **changes))
+        return ingested_at_once(within(gb * GB), CaptureSession(static=static, cameras={"cam0": clip.path}))
+
+    assert 4 <= ingested(0.54 + 0.35) <= 6
+    assert ingested(0.54 + 0.35, bits=10) == 1 < ingested(2.5, bits=10) < 8
+    sound = 60 * 48_000 * 16 / GB
+    assert ingested(1.0, has_audio=True) == ingested(1.0 - sound) < ingested(1.0)
+    (tmp_path / "photos").mkdir()
+    write_picture(tmp_path / "photos" / "0.jpg", np.zeros((LARGE[1], LARGE[0], 3), np.uint8))
+    assert ingested(0.6 + BASE / GB, tmp_path / "photos") == ingested(0.6 + BASE / GB)
+    monkeypatch.setattr(raw_files, "is_raw", lambda path: True)
+    assert ingested(0.6 + BASE / GB, tmp_path / "photos") < ingested(0.6 + BASE / GB)
+
+
+def test_the_sweep_is_reduced_only_where_not_one_picture_fits() -> None:
+    """Features at 1280, 960, 720 pixels take 98, 55, 31 MB a picture of 4:3, beside what all of them take."""
+    sweep = filmed(4000, 3000, 120)
+    base = BASE + 0.16 * GB + 5 * 12e6 + 120 * 3e6
+    found = [swept_at_once(within(base + mb * 1e6), sweep) for mb in (99 * 8, 2.5 * 99, 60, 40, 1)]
+    assert found == [(8, 1280), (2, 1280), (1, 960), (1, 720), (1, 540)]
+    assert swept_at_once(within(None), sweep) == (8, 1280)
+    (row,) = coarser_rows(720)
+    assert row.verdict == "warn" and row.value == 720 and coarser_rows(1280) == []
+
+
+def test_small_pictures_of_fixed_cameras_are_doubled_before_they_are_searched() -> None:
+    """640x480 pixels twice as large take 98 MB, those of 2560x1920 reduced to 1280 the same."""
+    for size in ((640, 480), (2560, 1920)):
+        base = BASE + 0.16 * GB + 30 * size[0] * size[1] + 50 * 1e6
+        assert registered_at_once(within(base + 3.5 * 98.4e6), [filmed(*size), filmed(64, 48)], 50) == 3
 
 
 @pytest.fixture(scope="module")
-def example() -> tuple[SceneConfig, Material]:
-    config = load_scene(EXAMPLE / "scene.yaml", [])
-    return config, find_material(config, EXAMPLE, EXAMPLE / "none")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep and a camera of 1920x1080."""
+    folder = tmp_path_factory.mktemp("clips")
+    rng = np.random.default_rng(0)
+    coarse = rng.integers(0, 255, (68, 120, 3)).astype(np.uint8).repeat(16, 0).repeat(16, 1)
+    pictures = [np.ascontiguousarray(np.roll(coarse, 4 * n, 1)[:1080]) for n in range(24)]
+    write_video(folder / "static.mp4", pictures, 24.0)
+    shutil.copy(folder / "static.mp4", folder / "cam0.mp4")
+    (folder / "scene.yaml").write_text(
+        "name: x\noutput: run\npreset: tiny\ncapture: {static: static.mp4, cameras: {cam0: cam0.mp4}}\n"
+    )
+    return folder
 
 
-def test_estimates_of_the_example_are_near_what_was_measured(
-    example: tuple[SceneConfig, Material], two_cores: None
-) -> None:
-    needs = stage_needs(*example)
-    assert list(needs) == list(MEASURED)
-    for name, (memory_gb, left_mb, most_mb, seconds) in MEASURED.items():
-        need = needs[name]
-        assert 0.9 * memory_gb < Fit(need, need.at_once).memory / GB < MEMORY_FACTOR * memory_gb, name
-        assert left_mb / 1.5 < need.left / 1e6 < 1.5 * left_mb + FEW_MB, name
-        assert most_mb / 1.5 < need.disk / 1e6, name
-        assert need.seconds is not None and seconds / 3 < need.seconds < 3 * seconds, name
+def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tmp_path: Path) -> None:
+    """In processes of their own, as if there were 16 cores; the disk is slow, so that all are at work at once."""
+    program = (
+        "import os, re, sys, time\nfrom pathlib import Path\n"
+        "from devrf.capture import picture_writer\n"
+        "os.environ.pop('OMP_NUM_THREADS', None)\n"
+        "os.sched_getaffinity = lambda pid: set(range(16))\n"
+        "from devrf.pipelines.budget.keep import Budget\nfrom devrf.pipelines.config.load import load_scene\n"
+        "from devrf.pipelines.stage import StageContext\nfrom devrf.pipelines.stages import ingest\n"
+        "scene, out, *budget = sys.argv[1:]\n"
+        "write, in_hand, most = picture_writer._write, [], []\n"
+        "def slowly(path, frame):\n"
+        "    in_hand.append(path)\n"
+        "    time.sleep(0.1)\n"
+        "    most.append(len(in_hand))\n"
+        "    write(path, frame)\n"
+        "    in_hand.remove(path)\n"
+        "picture_writer._write = slowly\n"
+        "config, folder, said = load_scene(Path(scene) / 'scene.yaml', budget), Path(scene), []\n"
+        "allowance = Budget(config, folder, Path(out)).allowance()\n"
+        "Path(out).mkdir()\n"
+        "context = StageContext(\n"
+        "    config, folder, Path(out), Path(out), lambda *a: None, 'cpu', say=said.append, allowance=allowance\n"
+        ")\n"
+        "ingest.run(context)\n"
+        "peak = re.search(r'VmHWM:\\s+(\\d+)', Path('/proc/self/status').read_text())[1]\n"
+        "assert 'torch' not in sys.modules, 'ingest loads 0.3 GB for nothing'\n"
+        "print(max(most), peak, *said)\n"
+    )
 
+    def ingested(name: str, *budget: str) -> tuple[int, int, str, dict[Path, bytes]]:
+        """Most pictures in hand, most kilobytes, what was said, files."""
+        out = tmp_path / name
+        command = [sys.executable, "-c", program, str(clips), str(out), *budget]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        in_hand, kilobytes, *said = done.stdout.split()
+        files = {p.relative_to(out): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+        return int(in_hand), int(kilobytes), " ".join(said), files
 
-def test_the_time_of_a_training_follows_what_is_asked_for() -> None:
-    def seconds(stage: str, *asked: str) -> float | None:
-        config = load_scene(EXAMPLE / "scene.yaml", [f"reconstruct.{text}" for text in asked])
-        return stage_needs(config, find_material(config, EXAMPLE, EXAMPLE / "none"))[stage].seconds
-
-    def share(stage: str, *asked: str) -> float:
-        found = seconds(stage, *asked)
-        assert found is not None
-        return (found - FEW_S) / (SECONDS[stage]["tiny"] - FEW_S)
-
-    assert share("canonical") == share("deformation") == 1
-    assert share("canonical", "canonical_iterations=200") == pytest.approx(1 / 3)
-    assert share("canonical", "rays=1024", "motion_iterations=40") == 1  # samples bound what rays cost
-    assert share("deformation", "motion_iterations=40") == pytest.approx(0.4)
-    assert share("deformation", "rays=3072", "canonical_iterations=200") == pytest.approx(2)
-    assert share("deformation", "key_times=5") == pytest.approx(5 / 25)
-
-
-def test_fine_tuning_leaves_a_model_and_checkpoints_of_its_own() -> None:
-    """Of every number in the box of the scene at rest: values and two moments of four bytes, old and new at once."""
-
-    def need(*asked: str) -> Need:
-        config = load_scene(EXAMPLE / "scene.yaml", asked)
-        return stage_needs(config, find_material(config, EXAMPLE, EXAMPLE / "none"))["deformation"]
-
-    plain, tuned = need(), need("reconstruct.fine_tuning_iterations=10")
-    numbers = 13 * 112**3
-    assert tuned.passing - plain.passing == 2 * 3 * 4 * numbers
-    assert tuned.left - plain.left == pytest.approx(0.35 * numbers, abs=1)
-
-
-@pytest.fixture
-def config() -> SceneConfig:
-    return configured()
-
-
-# GB with one and with two at once, of a process of its own: 30 pictures of 3840x2160 (docs/budgets.md)
-@pytest.mark.parametrize(("stage", "one_gb", "two_gb"), [("ingest", 0.25, 0.32), ("flow", 1.82, 2.87)])
-def test_large_pictures_cost_what_was_measured(
-    config: SceneConfig, two_cores: None, stage: str, one_gb: float, two_gb: float
-) -> None:
-    sweep = source(role="sweep", used=120)
-    need = stage_needs(config, planned(config, static=sweep, cam0=source()))[stage]
-    assert need.at_once == 2
-    assert one_gb < need.least / GB < 1.5 * one_gb + 0.35  # with libraries of the whole pipeline
-    assert two_gb < Fit(need, need.at_once).memory / GB < 1.5 * two_gb + 0.35
-    more = need.each / GB / (two_gb - one_gb)
-    assert 0.7 < more < 1.8
-
-
-def test_what_fits_is_done_with_fewer_at_once(config: SceneConfig) -> None:
-    need = Need("flow", GB, GB, 8)
-    config = config.model_copy(update={"flow": FlowConfig(method="raft", weights="raft.pth")})
-    found = [fit(need, config, planned(config, static=source(role="sweep")), n * GB) for n in (20, 9, 4, 2)]
-    assert [f.at_once for f in found] == [8, 8, 3, 1]
-    assert found[1].said is None and "3 instead of 8 at once" in (found[2].said or "")
-    with pytest.raises(BudgetError, match="^needs about 2 GB.*left on this machine; close.*flow.method: dis"):
-        fit(need, config, planned(config, static=source(role="sweep")), 2 * GB - 1)
-
-
-def test_only_remedies_that_can_help_are_named(config: SceneConfig) -> None:
-    material = planned(config, static=source(role="sweep"), cam0=source())
-    camera = Camera(64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), np.eye(4)[:3])
-    first = PosedFrame(Path("0.png"), camera, "cam0", 0, 0.0, 0.0, "train")
-    second = replace(first, index=1, time_s=1.0, time=1.0, flow=Path("1.npz"))
-    box = np.array([[-1.0, -1, -1], [1, 1, 1]])
-    scene = Scene((), (first, second), np.eye(4), box, 0.1, 3.0, "inward", "white", 0.0, 1.0, None, 1.0)
-    brought = replace(material, scene=scene)
-
-    def said(stage: str, material: Material = material, **changes: object) -> str:
-        changed = config.model_copy(update=changes)
-        with pytest.raises(BudgetError) as refused:
-            fit(Need(stage, GB, GB), changed, material, GB)
-        return str(refused.value).partition("or use ")[2]
-
-    raft = FlowConfig(method="raft", weights="raft.pth")
-    assert said("flow", flow=raft) == "flow.method: dis, or smaller pictures"
-    assert said("flow") == said("flow", brought, flow=raft) == "smaller pictures"
-    assert "--preset tiny" in said("render") and "--preset" not in said("render", preset="tiny")
-    assert not said("report")
-    with pytest.raises(BudgetError, match="larger machine$"):
-        fit(Need("ingest", BASE, 1), config, material, BASE)  # libraries alone fill it
-
-
-@pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_with_enough_memory_all_rays_are_rendered_at_once(config: SceneConfig, device: str) -> None:
-    material = planned(config, static=source(role="sweep", used=120), cam0=source())
-    needs = stage_needs(config, material, device)
-    for stage in ("evaluate", "render"):
-        found = fit(needs[stage], config, material, 100 * GB, device)
-        assert found.at_once == PIECES and found.said is None
-
-
-def test_the_sweep_is_reduced_before_it_is_refused(config: SceneConfig, two_cores: None) -> None:
-    material = planned(config, static=source(role="sweep", used=120))
-    need = static_poses_need(config, material)
-    smaller = static_poses_need(config, material, 720)
-    found = fit(need, config, material, smaller.least)
-    assert (found.side_px, found.at_once) == (720, 1)
-    assert "features at 720 instead of 1280 pixels" in (found.said or "")
-    (row,) = coarser_rows(found.side_px)
-    assert row.verdict == "warn" and "budget.memory_gb" in row.remedy and coarser_rows(None) == []
-    tight = config.model_copy(update={"budget": config.budget.model_copy(update={"memory_gb": 0.5})})
-    with pytest.raises(BudgetError, match=r"^needs.*budget.memory_gb is 0.5; raise it.*fewer pictures"):
-        fit(need, tight, material, GB // 2)
-    assert SIDES_PX[0] > SIDES_PX[-1]
-
-
-def test_disk_counts_what_stays_and_what_passes() -> None:
-    needs = [Need("a", 0, left=10, passing=5), Need("b", 0, left=1, passing=20), Need("c", 0, left=3)]
-    assert [most_on_disk(needs[:n]) for n in (1, 2, 3)] == [15, 31, 31]
-    assert most_on_disk([]) == 0
-    assert most_on_disk(needs, {"a": 10, "c": 100}) == 21  # the old folder of a goes before b begins
-    assert [size_text(n) for n in (5e6, 0.36e9, 19e9, 250e9)] == ["5 MB", "0.36 GB", "19 GB", "250 GB"]
+    in_hand, kilobytes, said, pictures = ingested("tight", "budget.memory_gb=0.5")
+    fewer = re.search(r"(\d+) instead of 16", said)
+    assert fewer is not None and in_hand <= int(fewer[1]) < 8
+    assert 1024 * kilobytes < 0.5e9 and len(pictures) > 40
+    in_hand, _, said, same = ingested("free")
+    assert "instead" not in said and in_hand > 8 and same == pictures

@@ -2,46 +2,31 @@
 
 import shutil
 import time
-from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.pipelines.planned_captures import configured, leave, planned, source
 from tests.pipelines.small_stages import job, small_stages, write
 
-from devrf.pipelines.budget import disk, keep
+from devrf.pipelines.budget import disk
 from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import Room, room_of, watched
-from devrf.pipelines.budget.keep import Budget
-from devrf.pipelines.budget.need import Need
-from devrf.pipelines.config.scene import StaticPosesConfig
+from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.static_poses import _options
+from devrf.pipelines.stages.static_poses import sweep_options
 from devrf.pipelines.stamps.cache import USERS
 
-GB = 10**9
+
+def configured(**sections: object) -> SceneConfig:
+    """A capture of a sweep and one camera."""
+    capture = {"static": "s.mp4", "cameras": {"cam0": "c.mp4"}}
+    return SceneConfig.model_validate({"name": "x", "capture": capture, **sections})
 
 
-def room(folder: Path, disk_gb: float | None = None, stages: Collection[str] = ()) -> Room:
-    return room_of(configured(budget={"disk_gb": disk_gb}), folder, folder, stages)
-
-
-def test_unfinished_work_counts_as_room_for_those_who_go_on_from_it(tmp_path: Path) -> None:
-    for name, size in (
-        (".flow/cam0/1.npz", 1),
-        (".canonical.box.safetensors", 2),
-        (".digests.json.7.tmp", 4),
-    ):
-        leave(tmp_path / name, size * 10**6)
-    for name, size in ((".new-flow-7-abc/1.npz", 8), (".old-rig-abc/rig.json", 16), ("rig/rig.json", 32)):
-        leave(tmp_path / name, size * 10**6)
-    left = 100 - 63
-    assert room(tmp_path, 0.1).count == left * 10**6
-    for stages, back in ((["flow"], 29), (["canonical"], 30), (["flow", "canonical"], 31), (["rig"], 28)):
-        assert room(tmp_path, 0.1, stages).count == (left + back) * 10**6
+def room(folder: Path, disk_gb: float | None = None) -> Room:
+    return room_of(configured(budget={"disk_gb": disk_gb}), folder, folder)
 
 
 def test_a_stage_is_stopped_before_the_disk_is_full(
@@ -85,20 +70,14 @@ def test_nothing_is_stopped_while_there_is_room(tmp_path: Path, monkeypatch: pyt
     assert found.count == -1_000_000 and "budget.disk_gb is 0.001" in found.bound
 
 
-def test_no_room_is_said_before_a_stage_begins(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    material = planned(configured(), static=source(role="sweep"))
-    monkeypatch.setattr(
-        Budget, "_known", lambda self, stages: (material, {"flow": Need("flow", 0, left=5 * GB)})
-    )
-    monkeypatch.setattr(keep, "room_of", lambda *_: Room(2 * GB, "2 GB are free", "free some"))
+def test_no_room_is_said_before_a_stage_begins(folder: Path, capsys: pytest.CaptureFixture) -> None:
     began: list[str] = []
-    first, second, *_ = small_stages(second=lambda context: began.append("flow"))
-    run = job(folder, (first, replace(second, name="flow")))
-    assert execute(run) == FAILED and run.executed == ["first"] and not began
+    (folder / "run").mkdir()
+    (folder / "run" / "notes.txt").write_bytes(bytes(3_000_000))
+    run = job(folder, small_stages(second=lambda context: began.append("second")), "budget.disk_gb=0.002")
+    assert execute(run) == FAILED and not run.executed and not began
     said = capsys.readouterr().err
-    assert "flow: it needs about 5 GB on the disk, 3 GB more than there is: 2 GB are free; free some" in said
+    assert "first: stopped before the disk is full: budget.disk_gb is 0.002" in said
 
 
 def test_a_run_without_time_ends_between_stages_and_goes_on(
@@ -123,29 +102,28 @@ def test_a_run_without_time_ends_between_stages_and_goes_on(
 def test_the_film_is_left_for_later_and_the_report_is_not(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    material = planned(configured(), static=source(role="sweep"))
-    monkeypatch.setattr(
-        Budget, "_known", lambda self, stages: (material, {"render": Need("render", 0, seconds=100.0)})
-    )
-    first, second, *_ = small_stages()
-    made = (
-        first,
+    now, passed_s = time.monotonic, [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now() + passed_s[0])
+
+    def slow(context: StageContext) -> None:
+        passed_s[0] += 60
+        write("first")(context)
+
+    first, second, *_ = small_stages(first=slow)
+    film, report = (
         replace(second, name="render", reads=()),
         replace(second, name="report", reads=("render",)),
     )
-    run = job(folder, made, "budget.time_minutes=1")
+    run = job(folder, (first, film, report), "budget.time_minutes=1")
     assert execute(run) == FAILED and run.executed == ["first", "report"]
     assert "render is left; run again" in capsys.readouterr().err
-    run = job(folder, made, "budget.time_minutes=2")
+    run = job(folder, (first, film, report), "budget.time_minutes=1")
     assert execute(run) == DONE and run.executed == ["render", "report"]
 
 
 def test_structure_from_motion_takes_no_more_time_than_is_left() -> None:
-    soon = Allowance(until=time.monotonic() + 60, at_once=3, side_px=720)
-    options = _options(StaticPosesConfig(), soon)
-    assert options.time_minutes == pytest.approx(1, abs=0.1) and (options.threads, options.side_px) == (
-        3,
-        720,
-    )
-    assert _options(StaticPosesConfig(time_minutes=0.5), soon).time_minutes == 0.5
-    assert _options(StaticPosesConfig(time_minutes=None), Allowance()).time_minutes is None
+    config = StaticPosesConfig(time_minutes=2)
+    assert [sweep_options(config, left_s).time_minutes for left_s in (60.0, 600.0, None)] == [1, 2, 2]
+    assert sweep_options(StaticPosesConfig(time_minutes=None)).time_minutes is None
+    assert 59 < (Allowance(until=time.monotonic() + 60).left_s or 0) <= 60
+    assert Allowance(until=time.monotonic() - 1).left_s == 0 and Allowance().left_s is None

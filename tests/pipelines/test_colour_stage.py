@@ -52,7 +52,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scene file of a session whose cameras and clocks are given."""
     folder = tmp_path_factory.mktemp("coloured")
     for n, name in enumerate(STANDS):
-        write_video(folder / f"{name}.mp4", _film(name, n), FPS, crf=12)
+        write_video(folder / f"{name}.mp4", _film(name, n), FPS, {"crf": "12"})
         write_png(folder / f"chart_{name}.png", room.show_chart(LOOKS[name], seed=n))
     cameras = {name: RigCamera(camera, "given") for name, camera in STANDS.items()}
     write_rig(folder / "given.json", Rig(cameras, Scale(True, "given", 1.0, None), "given"))

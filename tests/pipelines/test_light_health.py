@@ -10,7 +10,7 @@ from tests.conftest import Command
 from devrf.calibration.flicker import Change, Flicker, LightFound, judge_light
 from devrf.capture.light import LightCourse
 from devrf.capture.pictures import write_picture
-from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
+from devrf.capture.raw_set import develop_set, read_raw_sidecar
 from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
@@ -33,7 +33,7 @@ def rows_of(tmp_path: Path, files: list[dict]) -> list[HealthRow]:
         known = {**LEVELS, "raw": mosaic(picture(), "RGGB", LEVELS["black"], LEVELS["white"]), **file}
         write_dng(tmp_path / f"IMG_{n}.dng", **known)
     jobs = [(n, tmp_path / f"IMG_{n}.dng") for n in range(len(files))]
-    develop_set(jobs, tmp_path / "out", "static", RawOptions())
+    develop_set(jobs, tmp_path / "out", "static")
     return raw_rows("static", read_raw_sidecar(tmp_path / "out" / "raw" / "static.json"))
 
 
@@ -167,7 +167,7 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     (tmp_path / "scene.yaml").write_text(
         "name: light\noutput: run\ncapture:\n  static: sweep\n"
         "  cameras: {cam0: cam0.mp4, cam1: cam1.mp4, cam2: cam2.mp4, cam3: cam3.mp4}\n"
-        "  raw: {keep_linear: true, white_balance: [2, 1, 1, 1]}\n  white: {cam1: white.png}\n"
+        "  raw: {white_balance: [2, 1, 1, 1]}\n  white: {cam1: white.png}\n"
         "  board: {squares: [8, 6], square_m: 0.06, marker_m: 0.045, clips: {cam0: board}}\n"
     )
     result = devrf("run", tmp_path, "--until", "ingest")
@@ -187,7 +187,6 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     assert not [check for check in rows if "board_cam0" in check and "photos" in check]
     for name, count in (("static", 3), ("board_cam0", 2)):
         assert len(list((out / "frames" / name).glob("*.png"))) == count
-        assert len(list((out / "linear" / name).glob("*.png"))) == count
         assert read_raw_sidecar(out / "raw" / f"{name}.json")["recipe"]["white_balance"] == [2, 1, 1, 1]
     assert np.load(out / "white" / "cam1.npy").shape == (48, 64, 3)
     assert judge_light(LightCourse.read(out / "light" / "cam3.npy")).steady

@@ -8,6 +8,7 @@ import pytest
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.error import ConfigError
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 
@@ -94,11 +95,6 @@ def test_kinds_of_capture(folder: Path, text: str, kind: str) -> None:
         ("flow: {method: raft}", "flow: weights is missing; method raft needs"),
         ("flow: {method: farneback}", "flow: method 'farneback' is not known, expected dis, raft"),
         ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' are of no use; method dis needs none"),
-        (
-            "flow: {method: raft, weights: static.mp4, preset: fast}",
-            "flow: preset 'fast' is of no use; only method dis has presets",
-        ),
-        ("flow: {preset: slow}", "flow.preset: 'slow'; expected ultrafast, fast, medium"),
         ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': no such file or folder"),
         (
             "calibration: {sync: {method: sound}}",
@@ -209,6 +205,12 @@ def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> No
     assert any(expected in line for line in found), found
 
 
+@pytest.mark.parametrize("key", GONE)
+def test_keys_that_are_gone_are_named_so(folder: Path, key: str) -> None:
+    """As one mistake; a name in the table is no key."""
+    assert mistakes(folder, GOOD, (f"{key}=1",)) == [f"--set {key}: {GONE[key]}"]
+
+
 def test_every_mistake_at_once(folder: Path) -> None:
     found = mistakes(
         folder,
@@ -217,7 +219,8 @@ outptu: runs/x
 preset: tinny
 capture: {static: gone.mp4, cameras: {cam0: cam0.mp4, cam1: gone1.mp4}, test_cameras: [cam9]}
 reconstruct: {resolutoin: 160, rays: 3}
-flow: {method: raft}
+flow: {method: raft, preset: fast}
+calibration: {static_poses: {check_seed: true}}
 """,
         ("evaluate.holdout=3", "nonsense"),
     )
@@ -232,11 +235,13 @@ flow: {method: raft}
         "scene.yaml: reconstruct.resolutoin: unknown key",
         "scene.yaml: reconstruct.rays: 3",
         "scene.yaml: flow: weights is missing",
+        f"scene.yaml: flow.preset: is no longer a key: {GONE['flow.preset']}",
+        "scene.yaml: calibration.static_poses.check_seed: is no longer a key",
         "--set evaluate.holdout: unknown key, did you mean holdout_every?",
         "--set nonsense: expected key=value",
     ):
         assert part in text, f"{part!r} not in\n{text}"
-    assert len(found) == 11
+    assert len(found) == 13
 
 
 @pytest.mark.parametrize(

@@ -333,7 +333,8 @@ def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Sessi
     scene = session.scene("mattes")[0]
     options = CanonicalOptions(
         resolution=20, iterations=50, rays=384, samples=8192, channels=6, mlp_width=16, scale_at=(0.5,), opacity=0.1,
-        alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20, hull_resolution=24,
+        alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
+        hull_resolution=24,
     )  # fmt: skip
     model = train_canonical(scene, options)
     assert model.shell is None
@@ -344,19 +345,22 @@ def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Sessi
     np.testing.assert_allclose(rendered[0, 0], 1, atol=0.02)
 
 
-def test_the_report_shows_them(session: Session) -> None:
-    from devrf.pipelines.report.mattes import mattes
+def test_the_report_shows_them(session: Session, tmp_path: Path) -> None:
+    from devrf.pipelines.report.capture import capture
+    from devrf.pipelines.report.run import RunFolder
+
+    def shown(scene: Scene) -> list[tuple[str, list[bool]]]:
+        run = RunFolder(tmp_path, ("scene",), {})
+        run.__dict__["_scene"] = scene  # as read
+        return [(name, [bool(uri) for uri, _ in pictures]) for name, pictures in capture(run)["mattes"]]
 
     session.write_mattes("mattes", "cam0")
     scene = session.scene("mattes")[0]
-    page = mattes(scene)
-    assert page.count("data:image/jpeg") == 3 and "<h3>cam0</h3>" in page and "static" not in page
-    assert mattes(session.scene(None)[0]) == "" and mattes(None) == ""
-    assert scene.dynamic[0].matte is not None
+    assert shown(scene) == [("cam0", [True] * 3)] and shown(session.scene(None)[0]) == []
     for frame in scene.dynamic:
         assert frame.matte is not None
         frame.matte.unlink()  # a run folder that was tidied up by hand
-    assert "data:image" not in mattes(scene)
+    assert shown(scene) == [("cam0", [False] * 3)]
 
 
 def test_a_man_who_stays_in_his_chair_has_no_clean_plate(data_dir: Path, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_config_keys_exist(stage: Stage) -> None:
 @pytest.mark.parametrize("key", sorted(ReconstructConfig.model_fields))
 def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bool) -> None:
     """And on no other: hours of training must not be done again for a key of the motion."""
-    values: dict[str, object] = {"image_scale": 0.37, "adapt": False, "learn_clocks": True}
+    values: dict[str, object] = {"image_scale": 0.37, "adapt": False}
     frame = PosedFrame(Path("p.png"), Camera(8, 8, np.eye(3), np.eye(3, 4)), "static", 0, None, None, "train")
     box, ndc = np.array([[-1.0, -1, -1], [1, 1, 1]]), (1.0, 1.0) if forward else None
     scene = Scene((frame,), (), np.eye(4), box, 0.0, 1.0, "inward", "white", 0.0, 1.0, None, 1.0, ndc=ndc)

@@ -6,10 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.options import CanonicalOptions
+from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import train_canonical
 
@@ -19,7 +21,7 @@ WIDTH, HEIGHT, FOCAL = 48, 40, 60.0
 
 REST = CanonicalOptions(
     resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
-    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
+    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0,
     occupancy_every=20, hull_resolution=40,
 )  # fmt: skip
 
@@ -67,6 +69,15 @@ def look_at(eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT) -> Camera
     R = np.stack([right, np.cross(forward, right), forward])
     K = np.array([[FOCAL, 0, width / 2 + 0.7], [0, FOCAL * 1.02, height / 2 - 0.4], [0, 0, 1]])
     return Camera(width, height, K, np.column_stack([R, -R @ eye]))
+
+
+def held_rays(cameras: list[Camera], pictures: list[np.ndarray], times: list[float] | None = None) -> RaySet:
+    """Rays of pictures in memory, without entries of a scene."""
+    rays = RaySet.__new__(RaySet)
+    rays._fill((), cameras, pictures, "cpu")
+    if times is not None:
+        rays.times = torch.tensor(times, dtype=torch.float32)
+    return rays
 
 
 def around(n: int, phase: float, height: float) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter, shift
+from tests.reconstruct.conftest import held_rays
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
@@ -28,7 +29,7 @@ def _rays() -> RaySet:
         shift(pattern, (0, STEP * n, 0), mode="nearest").clip(0, 255).astype(np.uint8) for n in range(3)
     ]
     camera = Camera(WIDTH, HEIGHT, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(4)[:3])
-    rays = RaySet.from_arrays([camera] * 6, pictures * 2, [0.0, 0.5, 1.0] * 2)
+    rays = held_rays([camera] * 6, pictures * 2, [0.0, 0.5, 1.0] * 2)
     rays.frames = tuple(
         PosedFrame(Path(), camera, name, step * n, n / 2, n / 2, "train")
         for name, step in zip(NAMES, (1, 2), strict=True)

@@ -12,7 +12,7 @@ import torch
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene, load_image
 from devrf.reconstruct import fine_tune as fine_tuning
-from devrf.reconstruct.fine_tune import fine_tune
+from devrf.reconstruct.fine_tune import LR, fine_tune
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
@@ -21,11 +21,11 @@ from devrf.reconstruct.train_canonical import train_canonical
 
 REST = CanonicalOptions(
     resolution=36, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),
-    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20,
+    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
     hull_resolution=40,
 )  # fmt: skip
 TUNING = MotionOptions(
-    levels=(4,), iterations=(1,), rays=400, importance=0.7, adapt=True, fine_tuning=60, fine_tuning_lr=0.1
+    levels=(4,), iterations=(1,), rays=400, importance=0.7, adapt=True, fine_tuning=60, learning_rate=0.1 / LR
 )
 
 
@@ -82,7 +82,7 @@ def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel,
 
 
 def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
-    motion, few = _true_motion(ball, rest), replace(TUNING, fine_tuning=2, fine_tuning_lr=1e-5)
+    motion, few = _true_motion(ball, rest), replace(TUNING, fine_tuning=2, learning_rate=1e-5 / LR)
     tuned = fine_tune(ball.scene, rest, motion, few)
     assert tuned.model is None and tuned.gain_db is not None and abs(tuned.gain_db) < 0.1
     assert "fine-tuning: none instead of 2 iterations (it gained" in str(tuned.decision)
@@ -103,7 +103,8 @@ def test_a_motion_too_large_for_the_device_is_taken_in_parts(
     )
     windows = [(0, 1), (1, 2)]
     monkeypatch.setattr(fine_tuning, "_windows", lambda motion, device: windows)
-    tuned = fine_tune(scene, rest, motion, replace(TUNING, live_every=5))
+    monkeypatch.setattr(fine_tuning, "WINDOW_EVERY", 5)
+    tuned = fine_tune(scene, rest, motion, TUNING)
     model = DynamicModel(rest, motion)
     assert tuned.model is not None and (tuned.gain_db or 0) > 2
     assert _error(scene, replace(model, in_motion=tuned.model)) < 0.75 * _error(scene, model)

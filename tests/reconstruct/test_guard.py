@@ -149,7 +149,7 @@ def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     """As well as with the right ones, to 1.5 dB; and bit by bit the same if it is killed on the way."""
     good = train_canonical(ball.scene, QUICK)
     assert good.metrics["restarts"] == 0
-    wild = replace(QUICK, lr_grid=30 * QUICK.lr_grid, lr_mlp=30 * QUICK.lr_mlp)
+    wild = replace(QUICK, learning_rate=30 * QUICK.learning_rate)
     caught = train_canonical(ball.scene, wild)
     assert caught.metrics["restarts"] >= 1 and "last good point" in caplog.text
     assert caught.metrics["train_psnr"] > good.metrics["train_psnr"] - 1.5
@@ -175,7 +175,7 @@ def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestMo
 
 def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> None:
     motion, _ = train_motion(ball.scene, rest, {}, replace(MOTION, iterations=(10,)))
-    options = replace(MOTION, fine_tuning=20, fine_tuning_lr=300.0, fine_tuning_given=True)
+    options = replace(MOTION, fine_tuning=20, learning_rate=1e4, fine_tuning_given=True)
     tuned = fine_tuning.fine_tune(ball.scene, rest, motion, options)
     assert tuned.metrics["restarts"] >= 1 and tuned.metrics["rate"] < 1
     assert (tuned.gain_db or 0) > -3  # no more than doubles the error: else it would have gone back again

@@ -9,7 +9,7 @@ from tests.reconstruct.conftest import ball_clips
 
 from devrf.capture.scene import Scene
 from devrf.pipelines.health.training import late_rows
-from devrf.reconstruct.clocks import LearnedClock, with_clocks
+from devrf.reconstruct.clocks import with_offset
 from devrf.reconstruct.late_camera import WIDE, fits_better, moved_by, offset_pictures
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions, preset
@@ -21,7 +21,6 @@ pytestmark = pytest.mark.full
 TIMES, LATE = 11, 2  # pictures of each camera; pictures by which one is late
 TRAVEL = np.array([0.6, 0.0, 0.3])
 GAP_S = 1 / (TIMES - 1)
-STDS = {"cam0": 0.0, "cam1": 1e-4, "cam2": 1e-4, "cam3": 1e-4}  # sync is sure
 COST = {
     "seconds": 1.0, "iterations": 2, "rays": 3, "restarts": 1, "rate": 1.0, "peak_rss_gb": 1.0, "peak_gpu_gb": None,
 }  # fmt: skip
@@ -81,11 +80,11 @@ def trained(ball, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
 def test_a_camera_two_pictures_late_is_brought_back(
     moving: Scene, rest: RestModel, trained: list[Scene]
 ) -> None:
-    late = with_clocks(moving, {"cam1": LearnedClock(LATE * GAP_S, None, 0.0)})
+    late = with_offset(moving, "cam1", LATE * GAP_S)
     late = replace(
         late, dynamic=tuple(f for f in late.dynamic if f.camera_name != "cam1" or f.index < TIMES - LATE)
     )
-    _, _, metrics = train_deformation(late, rest, {}, MOTION, clock_stds=STDS)
+    _, _, metrics = train_deformation(late, rest, {}, MOTION, reference="cam0")
     found = metrics["late_camera"]
     assert found["name"] == "cam1" and found["pictures"] == pytest.approx(-LATE, abs=0.25)
     assert found["offset_s"] == pytest.approx(found["pictures"] * GAP_S)
@@ -100,7 +99,7 @@ def test_a_camera_two_pictures_late_is_brought_back(
 
 
 def test_right_clocks_stay_and_cost_no_training(moving: Scene, rest: RestModel, trained: list[Scene]) -> None:
-    _, _, metrics = train_deformation(moving, rest, {}, MOTION, clock_stds=STDS)
+    _, _, metrics = train_deformation(moving, rest, {}, MOTION, reference="cam0")
     assert "late_camera" not in metrics and late_rows(metrics.get("late_camera")) == []
     assert len(trained) == 1
 
@@ -120,7 +119,3 @@ def test_a_second_motion_is_kept_only_if_it_fits_better_by_more_than_chance() ->
 
 def test_the_published_recipe_looks_for_none() -> None:
     assert not preset("reference").motion.find_late_camera and preset("fast").motion.find_late_camera
-
-
-def test_clocks_that_are_learned_are_not_looked_for() -> None:
-    assert not preset("fast", learn_clocks=True).motion.find_late_camera

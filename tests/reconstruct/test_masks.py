@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.reconstruct.conftest import held_rays
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import write_png
@@ -13,7 +14,6 @@ from devrf.flow.store import CameraFlow
 from devrf.reconstruct.error_map import error_map
 from devrf.reconstruct.hull import silhouette
 from devrf.reconstruct.moving_pixels import changing_pixels
-from devrf.reconstruct.rays import RaySet
 
 WIDTH, HEIGHT = 140, 90
 CAMERA = Camera(WIDTH, HEIGHT, np.array([[100.0, 0, 70], [0, 100, 45], [0, 0, 1]]), np.eye(4)[:3])
@@ -33,7 +33,7 @@ def film(noise: float = 2.0) -> list[np.ndarray]:
 
 
 def mask_of(pictures: list[np.ndarray]) -> np.ndarray:
-    found = changing_pixels(RaySet.from_arrays([CAMERA] * len(pictures), pictures)).of_frame
+    found = changing_pixels(held_rays([CAMERA] * len(pictures), pictures)).of_frame
     mask = np.zeros(WIDTH * HEIGHT, bool)
     mask[found[0].numpy()] = True
     return mask.reshape(HEIGHT, WIDTH)
@@ -50,7 +50,7 @@ def test_what_moves_over_its_own_colour_is_found_by_flow() -> None:
     rng = np.random.default_rng(1)
     pictures = [rng.integers(100, 104, (HEIGHT, WIDTH, 3)).astype(np.uint8) for _ in range(3)]
     frames = tuple(PosedFrame(Path(f"{n}.png"), CAMERA, "cam0", n, None, n / 2, "train") for n in range(3))
-    rays = RaySet.from_arrays([CAMERA] * 3, pictures)
+    rays = held_rays([CAMERA] * 3, pictures)
     rays.frames = frames
     flow = np.zeros((2, HEIGHT, WIDTH, 2), np.float16)
     flow[0, 30:50, 40:70, 0] = 3.0

@@ -202,7 +202,7 @@ def test_size_of_a_scene(ball) -> None:
 
 def test_rays_in_parts_have_the_same_gradient(ball) -> None:
     """After one iteration Adam has moved every value by its rate, so the second tells."""
-    options = replace(REST, iterations=2, lr_grid=0.01, lr_mlp=1e-4)
+    options = replace(REST, iterations=2, lr_grid=0.1, learning_rate=0.1)
     whole, parted = (
         train_canonical(ball.scene, replace(options, parts=parts), "cpu").canonical for parts in (1, 3)
     )

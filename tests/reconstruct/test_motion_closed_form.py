@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.reconstruct.conftest import held_rays
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
@@ -21,7 +22,6 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.pixel_flow import PUBLISHED_WIDTH, PixelFlow
-from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
 
@@ -31,7 +31,7 @@ STEP = np.array(
 )  # one picture to the next, box units: more than a voxel, within reach of the rates
 REST = CanonicalOptions(
     resolution=36, iterations=150, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),
-    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3, occupancy_every=20,
+    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
     hull_resolution=40,
 )  # fmt: skip
 
@@ -75,7 +75,7 @@ def test_flow_loss_is_zero_at_the_true_motion(size: tuple[int, int]) -> None:
             cameras.append(Camera(*size, K, np.column_stack([np.eye(3), [0.1 * n, 0.0, 3.0]])))
             names.append(f"cam{n}")
     blank = [np.zeros((size[1], size[0], 3), np.uint8)] * 6
-    rays = RaySet.from_arrays(cameras, blank, [0.0, 0.5, 1.0] * 2)
+    rays = held_rays(cameras, blank, [0.0, 0.5, 1.0] * 2)
     rays.frames = tuple(
         PosedFrame(Path(), c, name, n % 3, n % 3 / 2, n % 3 / 2, "train")
         for n, (c, name) in enumerate(zip(cameras, names, strict=True))
@@ -103,7 +103,7 @@ def test_flow_loss_is_zero_at_the_true_motion(size: tuple[int, int]) -> None:
 @pytest.mark.parametrize(("weighted", "expected"), [(True, [0.2, 1.0, 0.0]), (False, [1.0, 1.0, 0.0])])
 def test_flow_counts_by_its_confidence(weighted: bool, expected: list[float]) -> None:
     camera = Camera(8, 6, np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]), np.eye(4)[:3])
-    rays = RaySet.from_arrays([camera] * 2, [np.zeros((6, 8, 3), np.uint8)] * 2, [0.0, 1.0])
+    rays = held_rays([camera] * 2, [np.zeros((6, 8, 3), np.uint8)] * 2, [0.0, 1.0])
     rays.frames = tuple(PosedFrame(Path(), camera, "cam0", n, float(n), float(n), "train") for n in range(2))
     confidence = np.full((1, 6, 8), 15, np.uint8)
     confidence[0, 2, 3:6] = 3, 15, 0

@@ -15,16 +15,16 @@ pytestmark = pytest.mark.full
 
 EVERYTHING = Options(
     replace(preset("fast").canonical, variation=1.0, opacity=0.1),
-    replace(preset("fast").motion, one_camera=True, learn_clocks=True),
+    replace(preset("fast").motion, one_camera=True),
 )
 NOT_PARTS = {  # sizes, effort, and machinery without which there is no training
     CanonicalOptions: {
         "resolution", "iterations", "rays", "rays_given", "samples", "channels", "planes", "shell_resolution",
-        "stepsize", "alpha_init", "lr_mlp", "parts", "coarse_rays", "coarse_size", "hull_resolution", "box_margin",
+        "learning_rate", "parts", "coarse_rays", "coarse_size", "hull_resolution",
         "occupancy_every", "seed",
     },
     MotionOptions: {
-        "rays", "rays_given", "resolution", "most_keys", "live_every", "fine_tuning_given", "fine_tuning_lr", "seed",
+        "rays", "rays_given", "resolution", "most_keys", "learning_rate", "fine_tuning_given", "seed",
     },
 }  # fmt: skip
 
@@ -61,7 +61,7 @@ def test_what_a_preset_lacks_is_not_in_use(ball, name: str) -> None:
     assert ("fine_tuning" in used) == ("deferred" in used) == (name == "fast")
     assert ("importance" in used) == ("rest_rate" in used) == ("small_mlp" in used) == (name != "reference")
     assert ("one_camera" in used) == (name == "reference")
-    assert not {"learn_clocks", "rest_variation", "exact_times"} & used
+    assert not {"rest_variation", "exact_times"} & used
 
 
 def test_what_means_nothing_for_a_scene_is_not_in_use(ball) -> None:
@@ -86,8 +86,6 @@ def test_a_late_camera_is_looked_for_among_three(ball) -> None:
     three = tuple(replace(f, camera_name=f"cam{n % 3}") for n, f in enumerate(train))
     scene = replace(ball.scene, dynamic=three)
     assert part.in_use(scene, options)
-    learned = preset("tiny", learn_clocks=True)
-    assert not part.in_use(scene, learned)
     two = replace(scene, dynamic=tuple(f for f in three if f.camera_name != "cam2"))
     assert not part.in_use(two, options)
 

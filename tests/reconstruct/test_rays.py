@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.reconstruct.conftest import held_rays
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
@@ -26,7 +27,7 @@ def _set() -> RaySet:
     pictures = [
         np.arange(c.height * c.width * 3, dtype=np.uint8).reshape(c.height, c.width, 3) for c in _cameras()
     ]
-    return RaySet.from_arrays(_cameras(), pictures, [0.25, 0.75])
+    return held_rays(_cameras(), pictures, [0.25, 0.75])
 
 
 def test_rays_pass_through_their_pixels() -> None:

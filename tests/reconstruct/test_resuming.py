@@ -21,6 +21,7 @@ from torch import Tensor
 from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import Scene
 from devrf.reconstruct import fine_tune as fine_tuning
+from devrf.reconstruct import train_motion as motion_training
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.rest_model import RestModel
@@ -38,8 +39,17 @@ SHORT = replace(
 )  # it grows at iterations 6 and 12
 MOTION = MotionOptions(
     levels=(4, 6), iterations=(5, 3), rays=300, importance=0.7, lr=6e-3, most_keys=4, weight_threshold=1e-3,
-    adapt=True, fine_tuning=8, fine_tuning_given=True, live_every=3,
+    adapt=True, fine_tuning=8, fine_tuning_given=True,
 )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is done every few iterations is done within these trainings too."""
+    monkeypatch.setattr(fine_tuning, "WINDOW_EVERY", 3)
+    monkeypatch.setattr(motion_training, "LIVE_EVERY", 3)
+
+
 TIMES = ("seconds", "rays_per_s", "peak_rss_gb", "fine_tuning_s")
 
 

@@ -19,7 +19,7 @@ from devrf.reconstruct.watch import Watch
 
 REST = CanonicalOptions(
     resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
-    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.3, lr_mlp=5e-3,
+    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0,
     occupancy_every=20, hull_resolution=40, shell_resolution=32, coarse_iterations=24, coarse_rays=512,
     coarse_size=32,
 )  # fmt: skip

@@ -1,11 +1,12 @@
 """What a part of an accuracy benchmark gets, and how the parts become one table."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, write_rows
+from devrf.pipelines.bench.rows import Row, publish
 from devrf.pipelines.console import Talk
 from devrf.pipelines.stages.evaluate import versions
 
@@ -29,8 +30,10 @@ class Cases:
         folder = None if self.data is None else self.data / name
         return folder if folder is not None and folder.is_dir() else None
 
-
-Part = Callable[[Cases], list[Row]]
+    def folder(self, name: str) -> Path:
+        """A part's own folder in `out`, made where it is not there."""
+        (self.out / name).mkdir(parents=True, exist_ok=True)
+        return self.out / name
 
 
 def not_there(name: str, unit: str, capture: str) -> Row:
@@ -38,21 +41,16 @@ def not_there(name: str, unit: str, capture: str) -> Row:
     return Row(name, None, unit, why=f"{capture} is not in the folder of captures (--data)")
 
 
-def run_parts(
-    title: str, parts: Mapping[str, Part], chosen: Sequence[str], cases: Cases, json_path: Path
-) -> list[Row]:
-    """Measure the chosen parts, print one table, write the rows.
+def run_parts(title: str, parts: Mapping[str, str], cases: Cases, json_path: Path) -> list[Row]:
+    """Measure parts (name -> module, in which the function has that name), print one table, write the rows.
 
     A part that cannot be calibrated is a row without a value that says why, and the others go on.
     """
     rows: list[Row] = []
-    for name in chosen:
+    for name, module in parts.items():
         cases.talk.say(f"{title}: {name}")
         try:
-            rows += parts[name](cases)
+            rows += getattr(import_module(f"devrf.pipelines.bench.{module}"), name)(cases)
         except DevrfError as error:
             rows.append(Row(f"{title}/{name}", None, "", met=False, why=str(error)))
-    print_rows(cases.talk, f"bench {title}", rows)
-    write_rows(json_path, rows, benchmark=title, versions=versions())
-    say_files(cases.talk, json_path)
-    return rows
+    return publish(cases.talk, f"bench {title}", rows, json_path, benchmark=title, versions=versions())

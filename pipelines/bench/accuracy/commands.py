@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,94 +10,63 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.bench.arguments import JsonOption, check_places, names_of
 from devrf.pipelines.cli_options import QuietOption, errors_told, talk_of
 
-if TYPE_CHECKING:
-    from devrf.pipelines.bench.accuracy.cases import Part
-
-DataOption = Annotated[
-    Path | None, typer.Option(help="Folder of real captures with references, a folder each")
-]
-PARTS_HELP = "Some of the parts, by name, with commas between; default: all of "
-
-
-def calibration(
-    data: DataOption = None,
-    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "boards,colour,sweeps,rigs")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for what the parts make; default: bench-calibration")
-    ] = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Boards, rigs, sweeps and colours against references, on real captures and simulated ones."""
-    from devrf.pipelines.bench.accuracy.parts import CALIBRATION
-
-    _accuracy("calibration", CALIBRATION, data, only, out, json, quiet)
-
-
-def sync(
-    data: DataOption = None,
-    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "flash,learned,motion,sound")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for what the parts make; default: bench-sync")
-    ] = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Clocks from sound, light and motion against known offsets, on real captures and simulated ones."""
-    from devrf.pipelines.bench.accuracy.parts import SYNC
-
-    _accuracy("sync", SYNC, data, only, out, json, quiet)
+ACCURACY: dict[str, tuple[str, dict[str, str]]] = {
+    "calibration": (
+        "Boards, rigs, sweeps and colours against references, on real captures and simulated ones.",
+        {name: f"accuracy.{name}" for name in ("boards", "colour", "sweeps", "rigs")},
+    ),
+    "sync": (
+        "Clocks from sound, light and motion against known offsets, on real captures and simulated ones.",
+        {
+            "flash": "accuracy.sync_flash",
+            "motion": "accuracy.sync_motion",
+            "sound": "accuracy.sync_sound",
+        },
+    ),
+    "flow": (
+        "Every method's error on pairs with truth, seconds per pair, and bytes per pixel on disk.",
+        dict.fromkeys(("accuracy", "speed", "store"), "accuracy.flow_pairs"),
+    ),
+    "ingest": (
+        "Speed of ingest against plain decoding, memory against length, RAW photos, and what storing pictures costs.",
+        dict.fromkeys(("speed", "memory", "raw", "quality"), "ingest"),
+    ),
+}
+"""By command: what it says of itself, and its parts: functions from `Cases` to rows, each with its module."""
 
 
-def flow(
-    data: DataOption = None,
-    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "accuracy,speed,store")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for what the parts make; default: bench-flow")
-    ] = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Every method's error on pairs with truth, seconds per pair, and bytes per pixel on disk."""
-    from devrf.pipelines.bench.accuracy.parts import FLOW
-
-    _accuracy("flow", FLOW, data, only, out, json, quiet)
+def add_accuracy(group: typer.Typer) -> None:
+    """Add these commands to a group."""
+    for title, (about, parts) in ACCURACY.items():
+        _add(group, title, about, parts)
 
 
-def ingest(
-    data: DataOption = None,
-    only: Annotated[str | None, typer.Option(help=PARTS_HELP + "speed,memory,raw,quality")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for what the parts make; default: bench-ingest")
-    ] = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Speed of ingest against plain decoding, memory against length, RAW photos, and what storing pictures costs."""
-    from devrf.pipelines.bench.ingest import INGEST
+def _add(group: typer.Typer, title: str, about: str, parts: Mapping[str, str]) -> None:
+    which = f"Some of the parts, by name, with commas between; default: all of {','.join(parts)}"
+    where = f"Folder for what the parts make; default: bench-{title}"
 
-    _accuracy("ingest", INGEST, data, only, out, json, quiet)
+    def command(
+        data: Annotated[
+            Path | None, typer.Option(help="Folder of real captures with references, a folder each")
+        ] = None,
+        only: Annotated[str | None, typer.Option(help=which)] = None,
+        out: Annotated[Path | None, typer.Option(help=where)] = None,
+        json: JsonOption = None,
+        quiet: QuietOption = False,
+    ) -> None:
+        from devrf.pipelines.bench.accuracy.cases import Cases, run_parts
 
+        talk = talk_of(quiet)
+        with errors_told(talk):
+            if data is not None and not data.is_dir():
+                raise InputError(
+                    f"--data {data}: no such folder; name the folder that holds the captures' folders"
+                )
+            chosen = {name: parts[name] for name in names_of("--only", only or ",".join(parts), list(parts))}
+            folder = out or Path(f"bench-{title}")
+            check_places(folder, json)
+            folder.mkdir(parents=True, exist_ok=True)
+            run_parts(title, chosen, Cases(data, folder, talk), json or folder / f"{title}.json")
 
-def _accuracy(
-    title: str,
-    parts: "Mapping[str, Part]",
-    data: Path | None,
-    only: str | None,
-    out: Path | None,
-    json: Path | None,
-    quiet: bool,
-) -> None:
-    from devrf.pipelines.bench.accuracy.cases import Cases, run_parts
-
-    talk = talk_of(quiet)
-    with errors_told(talk):
-        if data is not None and not data.is_dir():
-            raise InputError(
-                f"--data {data}: no such folder; name the folder that holds the captures' folders"
-            )
-        chosen = list(parts) if only is None else names_of("--only", only, list(parts))
-        folder = out or Path(f"bench-{title}")
-        check_places(folder, json)
-        folder.mkdir(parents=True, exist_ok=True)
-        run_parts(title, parts, chosen, Cases(data, folder, talk), json or folder / f"{title}.json")
+    command.__doc__ = about
+    group.command(title)(command)

@@ -6,7 +6,7 @@ enlarged to 960 x 540, one way, best of a few. Store: both pairs' flow with its 
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -20,22 +20,15 @@ from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.pair import estimated, measured
 from devrf.flow.store import pair_path, write_pair
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
-from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.bench.rows import Row
 
 PAIRS, WEIGHTS = "middlebury_flow", "weights/raft-small.pth"
-METHODS = ("dis ultrafast", "dis fast", "dis medium", "raft small")
-GOAL_PX = {
-    ("RubberWhale", "dis medium"): 0.23,
-    ("RubberWhale", "raft small"): 0.33,
-    ("Venus", "dis medium"): 0.40,
-    ("Venus", "raft small"): 0.38,
+METHODS = ("dis medium", "raft small")
+PUBLISHED_PX = {
+    "RubberWhale": {"dis medium": (0.226, 0.23), "raft small": (0.320, 0.33)},
+    "Venus": {"dis medium": (0.384, 0.40), "raft small": (0.373, 0.38)},
 }
-ANCHOR_PX = {
-    ("RubberWhale", "dis medium"): 0.226,
-    ("RubberWhale", "raft small"): 0.320,
-    ("Venus", "dis medium"): 0.384,
-    ("Venus", "raft small"): 0.373,
-}
+"""By pair and method: what others reach, and the goal."""
 SOURCE = "OpenCV's DIS, and the authors' RAFT with the same weights, 20 steps, on the same pairs"
 UNKNOWN = 1e9  # Middlebury marks pixels without truth by larger values
 SIZE = (960, 540)
@@ -48,82 +41,71 @@ Pair = tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]
 def accuracy(cases: Cases) -> list[Row]:
     """End-point errors."""
     rows: list[Row] = []
-    for name, folder in _pairs(cases):
-        first, second = _pictures(folder)
+    for folder, (first, second), method, estimator in _estimators(cases, METHODS):
+        name = folder.name
+        title = f"flow/{name}/{method}/end-point error"
+        if estimator is None:
+            rows.append(not_there(title, "px", WEIGHTS))
+            continue
         truth, known = _truth(folder / "flow10.flo")
-        for method in METHODS:
-            title, estimator = f"flow/{name}/{method}/end-point error", _estimator(cases, method)
-            if estimator is None:
-                rows.append(not_there(title, "px", WEIGHTS))
-                continue
-            error = float(endpoint_error(estimator.estimate(first, second)[known], truth[known]).mean())
-            anchor = ANCHOR_PX.get((name, method))
-            row = Row(title, error, "px", anchor=anchor, source=SOURCE if anchor else None)
-            goal = GOAL_PX.get((name, method))
-            rows.append(row if goal is None else with_goal(row, goal, low_is_good=True))
+        error = float(endpoint_error(estimator.estimate(first, second)[known], truth[known]).mean())
+        anchor, goal = PUBLISHED_PX[name].get(method, (None, None))
+        rows.append(Row(title, error, "px", anchor=anchor, source=SOURCE if anchor else None).at_most(goal))
     return rows or [not_there("flow/end-point error", "px", PAIRS)]
 
 
 def speed(cases: Cases) -> list[Row]:
     """Seconds per pair, on as many threads as torch and OpenCV take here."""
-    found = dict(_pairs(cases)).get("RubberWhale")
-    if found is None:
-        return [not_there("flow/seconds", "s", PAIRS)]
-    first, second = (cv2.resize(picture, SIZE, interpolation=cv2.INTER_CUBIC) for picture in _pictures(found))
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     cases.talk.say(f"flow: {torch.get_num_threads()} threads; the machine's load beforehand was {load:.1f}")
     rows: list[Row] = []
-    for method in METHODS:
-        title, estimator = f"flow/{SIZE[0]}x{SIZE[1]}/{method}/a pair", _estimator(cases, method)
+    for _, pair, method, estimator in _estimators(cases, METHODS, ("RubberWhale",)):
+        title = f"flow/{SIZE[0]}x{SIZE[1]}/{method}/a pair"
         if estimator is None:
             rows.append(not_there(title, "s", WEIGHTS))
             continue
+        first, second = (cv2.resize(picture, SIZE, interpolation=cv2.INTER_CUBIC) for picture in pair)
         taken = []
         for _ in range(REPEATS):
             start = time.perf_counter()
             estimator.estimate(first, second)
             taken.append(time.perf_counter() - start)
-        row = Row(title, min(taken), "s")  # the least: what the method takes, not what others took meanwhile
-        rows.append(with_goal(row, GOAL_S, low_is_good=True) if method == "raft small" else row)
-    return rows
+        # The least: what the method takes, not what others took meanwhile.
+        rows.append(Row(title, min(taken), "s").at_most(GOAL_S if method == "raft small" else None))
+    return rows or [not_there("flow/seconds", "s", PAIRS)]
 
 
 def store(cases: Cases) -> list[Row]:
     """Bytes per pixel on disk, vectors and confidence."""
     rows: list[Row] = []
-    for name, folder in _pairs(cases):
-        pictures = _pictures(folder)[::-1]  # backward
-        height, width = pictures[0].shape[:2]
-        for method in ("dis medium", "raft small"):
-            title, estimator = f"flow/{name}/{method}/on disk", _estimator(cases, method)
-            if estimator is None:
-                rows.append(not_there(title, "bytes per pixel", WEIGHTS))
-                continue
-            found = measured(estimated(estimator), 1, pictures.__getitem__, (width, height), False, 1)
-            path = pair_path(cases.out / "flow", f"{name} {method}", 1)
-            write_pair(path, found[0], found[1], {})
-            row = Row(title, path.stat().st_size / (width * height), "bytes per pixel")
-            rows.append(with_goal(row, GOAL_BYTES, low_is_good=True))
+    for folder, pair, method, estimator in _estimators(cases, ("dis medium", "raft small")):
+        title, unit = f"flow/{folder.name}/{method}/on disk", "bytes per pixel"
+        if estimator is None:
+            rows.append(not_there(title, unit, WEIGHTS))
+            continue
+        height, width = pair[0].shape[:2]
+        found = measured(estimated(estimator), 1, pair[::-1].__getitem__, (width, height), False, 1)
+        path = pair_path(cases.out / "flow", f"{folder.name} {method}", 1)  # of the second picture: backward
+        write_pair(path, found[0], found[1], {})
+        rows.append(Row(title, path.stat().st_size / (width * height), unit).at_most(GOAL_BYTES))
     return rows or [not_there("flow/on disk", "bytes per pixel", PAIRS)]
 
 
-def _pairs(cases: Cases) -> Iterator[tuple[str, Path]]:
-    folder = cases.real(PAIRS)
-    if folder is not None:
-        yield from ((name, folder / name) for name in ("RubberWhale", "Venus"))
-
-
-def _estimator(cases: Cases, method: str) -> FlowEstimator | None:
-    """None where its weights are not there."""
-    if method.startswith("dis "):
-        return create_estimator("dis", preset=method.split()[1])  # type: ignore[arg-type]
+def _estimators(
+    cases: Cases, methods: Sequence[str], names: Iterable[str] = PUBLISHED_PX
+) -> Iterator[tuple[Path, Pair, str, FlowEstimator | None]]:
+    """Every pair of pictures with every method; nothing without pairs, no estimator without its weights."""
+    pairs = cases.real(PAIRS)
     weights = None if cases.data is None else cases.data / WEIGHTS
-    return create_estimator("raft", weights) if weights is not None and weights.is_file() else None
-
-
-def _pictures(folder: Path) -> Pair:
-    first, second = (read_pixels(folder / f"frame{n}.png") for n in (10, 11))
-    return first, second
+    for folder in () if pairs is None else (pairs / name for name in names):
+        first, second = (read_pixels(folder / f"frame{n}.png") for n in (10, 11))
+        for method in methods:
+            estimator = None
+            if method == "dis medium":
+                estimator = create_estimator("dis")
+            elif weights is not None and weights.is_file():
+                estimator = create_estimator("raft", weights)
+            yield folder, (first, second), method, estimator
 
 
 def _truth(path: Path) -> tuple[Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:

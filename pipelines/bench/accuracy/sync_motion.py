@@ -26,10 +26,11 @@ from devrf.capture.simulate.session_options import SessionOptions
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
-from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.clock_check import timed_pictures
 from devrf.pipelines.stages.sync import used_times
 
+TRUTH = "ground_truth.json"
 SESSIONS = (("sheet", 1), ("column", 2), ("sheet", 3))
 SIZE = (240, 180)  # a minute or two a session; larger pictures only help
 OPTIONS = SessionOptions(
@@ -43,50 +44,58 @@ REAL_SCALE = 0.5  # of the copies: less to encode
 COPIES = {"60 fps, trimmed": (1, (0, 5, 9, 2)), "30 fps, every second frame": (2, (0, 7, 3, 12))}
 
 
-def rows(cases: Cases) -> list[Row]:
-    """Rows about motion."""
-    out = []
+def motion(cases: Cases) -> list[Row]:
+    """Largest errors of clocks: by motion energies alone, and with cameras known."""
+    rows: list[Row] = []
     for scene, seed in SESSIONS:
-        folder = cases.out / "motion" / f"{scene}_{seed}"
-        if not (folder / "ground_truth.json").is_file():
+        folder = cases.folder("motion") / f"{scene}_{seed}"
+        if not (folder / TRUTH).is_file():
             simulate_session(folder, scene, seed=seed, size=SIZE, options=OPTIONS)
-        cameras = _true_cameras(folder)
-        found = _errors_ms(folder, cameras, read_truth(folder / "ground_truth.json"))
-        out += _two_rows(f"sync/motion, simulated {scene} (seed {seed})", found, SIMULATED_GOAL_MS)
-    return out + _real(cases)
+        title = f"sync/motion, simulated {scene} (seed {seed})"
+        truth = read_truth(folder / TRUTH)
+        rows += _measured(title, folder, _true_cameras(folder), truth, SIMULATED_GOAL_MS)
+    capture = cases.real("pose2sim_single")
+    if capture is None:
+        return [*rows, not_there("sync/motion, real", "ms", "pose2sim_single")]
+    found = find_calibration(capture / "calibration" / "Calib.qca.txt").cameras
+    for title, (stride, starts) in COPIES.items():
+        folder = cases.folder(f"motion/pose2sim_{stride}")
+        cameras, clocks = {}, {}
+        for (name, lens), start in zip(found.items(), starts, strict=True):
+            assert lens.cam_from_world is not None
+            size = write_copy(capture / "videos" / f"{name}.mp4", folder, start, stride)
+            K = np.diag([REAL_SCALE, REAL_SCALE, 1.0]) @ lens.K  # the clips miss some columns on the right
+            cameras[name] = Camera(*size, K, lens.cam_from_world, lens.distortion)
+            clocks[name] = TrueClock((start - starts[0]) / REAL_FPS, 0.0)
+        goal_ms = 1e3 * stride / REAL_FPS / 2
+        rows += _measured(f"sync/motion, real, {title}", folder, cameras, Truth({}, {}, clocks), goal_ms)
+    return rows
 
 
-def _two_rows(name: str, found: tuple[dict[str, float], dict[str, float]], goal_ms: float) -> list[Row]:
-    alone, known = (max(errors.values()) if errors else None for errors in found)
-    energies = Row(f"{name}, energies alone, largest", alone, "ms", anchor=VISUALSYNC_MS, source=VISUALSYNC)
-    geometry = Row(f"{name}, cameras known, largest", known, "ms", anchor=VISUALSYNC_MS, source=VISUALSYNC)
-    return [energies, with_goal(geometry, goal_ms, low_is_good=True)]
-
-
-def _errors_ms(
-    folder: Path, cameras: dict[str, Camera], truth: Truth
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Largest error of each clock but the first by energies alone, and with geometry."""
+def _measured(
+    title: str, folder: Path, cameras: dict[str, Camera], truth: Truth, goal_ms: float
+) -> list[Row]:
+    """Largest error of all clocks but the first."""
     session = CaptureSession(cameras={n: folder / f"{n}.mp4" for n in cameras})
     ingest = folder / "ingest"
     frames: FrameSet = write_frames(session, {}, ingest, folder)
-    motion = read_motion(ingest, frames)
+    energies = read_motion(ingest, frames)
     spans = {n: (float(t[0]), float(t[-1])) for n, c in frames.moving.items() if len(t := used_times(c))}
-    alone = synchronise(spans, {}, motion).cameras
-    views = timed_pictures(ingest, frames.moving, cameras, alone, motion)
+    alone = synchronise(spans, {}, energies).cameras
+    views = timed_pictures(ingest, frames.moving, cameras, alone, energies)
     known = refined(alone, check_clocks(views, alone))
-    return _compare(truth, alone, spans), _compare(truth, known, spans)
 
+    def row(how: str, clocks: dict[str, Clock]) -> Row:
+        ours = {n: TrueClock(c.offset_s, c.drift_ppm) for n, c in clocks.items()}
+        off = compare_clocks(truth, ours, spans)
+        worst = max((e for n, e in off.items() if n != next(iter(clocks))), default=None)
+        return Row(f"{title}, {how}, largest", worst, "ms", anchor=VISUALSYNC_MS, source=VISUALSYNC)
 
-def _compare(
-    truth: Truth, clocks: dict[str, Clock], spans: dict[str, tuple[float, float]]
-) -> dict[str, float]:
-    errors = compare_clocks(truth, {n: TrueClock(c.offset_s, c.drift_ppm) for n, c in clocks.items()}, spans)
-    return {n: e for n, e in errors.items() if n != next(iter(clocks))}
+    return [row("energies alone", alone), row("cameras known", known).at_most(goal_ms)]
 
 
 def _true_cameras(folder: Path) -> dict[str, Camera]:
-    truth = json.loads((folder / "ground_truth.json").read_text())
+    truth = json.loads((folder / TRUTH).read_text())
     cameras = {}
     for name, entry in truth["cams"].items():
         K = np.array(entry["K"])
@@ -95,26 +104,6 @@ def _true_cameras(folder: Path) -> dict[str, Camera]:
         lens = np.array([entry["k1"], 0, 0, 0, 0])
         cameras[name] = Camera(truth["width"], truth["height"], K, pose, lens)
     return cameras
-
-
-def _real(cases: Cases) -> list[Row]:
-    capture = cases.real("pose2sim_single")
-    if capture is None:
-        return [not_there("sync/motion, real", "ms", "pose2sim_single")]
-    found = find_calibration(capture / "calibration" / "Calib.qca.txt").cameras
-    out = []
-    for title, (stride, starts) in COPIES.items():
-        folder = cases.out / "motion" / f"pose2sim_{stride}"
-        cameras, clocks = {}, {}
-        for (name, camera), start in zip(found.items(), starts, strict=True):
-            assert camera.cam_from_world is not None and camera.size is not None
-            width, height = write_copy(capture / "videos" / f"{name}.mp4", folder, start, stride)
-            lens = Camera(*camera.size, camera.K, camera.cam_from_world, camera.distortion)
-            cameras[name] = cropped(lens, width, height)
-            clocks[name] = TrueClock((start - starts[0]) / REAL_FPS, 0.0)
-        errors = _errors_ms(folder, cameras, Truth({}, {}, clocks))
-        out += _two_rows(f"sync/motion, real, {title}", errors, 1e3 * stride / REAL_FPS / 2)
-    return out
 
 
 def write_copy(clip: Path, folder: Path, start: int, stride: int) -> tuple[int, int]:
@@ -129,9 +118,3 @@ def write_copy(clip: Path, folder: Path, start: int, stride: int) -> tuple[int, 
         )
         write_video(folder / clip.name, pictures, REAL_FPS / stride)
     return size
-
-
-def cropped(camera: Camera, width: int, height: int) -> Camera:
-    """A calibration of the whole sensor for copies of clips that miss some columns on the right."""
-    K = np.diag([REAL_SCALE, REAL_SCALE, 1.0]) @ camera.K
-    return Camera(width, height, K, camera.cam_from_world, camera.distortion)

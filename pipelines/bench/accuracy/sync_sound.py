@@ -16,13 +16,12 @@ from scipy.signal import fftconvolve
 from devrf.calibration.clocks.sound import sound_delay
 from devrf.capture.audio import RATE_HZ, Sound, read_sound
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
-from devrf.pipelines.bench.rows import Row, with_goal
+from devrf.pipelines.bench.rows import Row
 
 SEEDS = 12
 SECONDS = 12.0
 SNR_DB = -10.0
 ECHO_DECAY_S = 0.09  # of the amplitude: 0.6 s until it is 60 dB weaker
-DIRECT_DB = 0.0  # direct sound against all echoes
 FIRST_ECHO_S = 0.002
 LONGEST_DELAY_S = 2.0
 WRONG_S = 1e-3  # another peak, not the direct sound's
@@ -32,46 +31,56 @@ REAL_DELAY_S, REAL_GOAL_MS = 12.2539, 2.0  # plain correlation of the decoded sa
 ANCHOR = "GCC-PHAT with a parabola, 48 kHz, simulated rooms at -10 dB without a codec: below 0.005 ms, 0 of 12 wrong"
 
 
-def rows(cases: Cases) -> list[Row]:
-    """Rows about sound."""
-    out = []
+def sound(cases: Cases) -> list[Row]:
+    """Errors in simulated rooms, and of the BBC's pair: as it is, and decoded and written into clips as AAC."""
+    folder, rows = cases.folder("sound"), []
     for codecs in (("PCM", "PCM"), ("AAC", "AAC"), ("AAC", "PCM")):
-        errors = [room_error_s(seed, codecs, cases.out / "sound") for seed in range(SEEDS)]
+        errors = [room_error_s(seed, codecs, folder) for seed in range(SEEDS)]
         found = 1e3 * np.abs([e for e in errors if e is not None and abs(e) < WRONG_S])
         name = f"sync/sound, room, {' against '.join(dict.fromkeys(codecs))}"
-        middle = Row(
-            f"{name}, median", float(np.median(found)) if len(found) else None, "ms", anchor=ROOM_GOAL_MS
-        )
-        wrong = Row(f"{name}, refused or wrong of {SEEDS}", float(SEEDS - len(found)), "", source=ANCHOR)
-        out += [with_goal(middle, ROOM_GOAL_MS, low_is_good=True), with_goal(wrong, 0.0, low_is_good=True)]
-    return out + _real(cases)
+        middle, wrong = float(np.median(found)) if len(found) else None, float(SEEDS - len(found))
+        rows += [
+            Row(f"{name}, median", middle, "ms", anchor=ROOM_GOAL_MS).at_most(ROOM_GOAL_MS),
+            Row(f"{name}, refused or wrong of {SEEDS}", wrong, "", source=ANCHOR).at_most(0.0),
+        ]
+    real, name = cases.real("audio_offset"), "sync/sound, real speech"
+    if real is None:
+        return [*rows, not_there(name, "ms", "audio_offset")]
+    speech = [_read(real / f"timbl_{k}.mp3") for k in (1, 2)]
+    again = [
+        _written(folder / f"speech_{k}", one.samples.astype(np.float64), "AAC")
+        for k, one in enumerate(speech)
+    ]
+    for how, (a, b) in (("MP3", speech), ("muxed as AAC", again)):
+        delay_s = _delay_s(a, b)
+        # The reference counts decoded samples; the files' own start times are beside that.
+        off = None if delay_s is None else 1e3 * abs(delay_s - (a.start_s - b.start_s) - REAL_DELAY_S)
+        row = Row(f"{name}, {how}", off, "ms", source="audio_offset: plain correlation at 16 kHz")
+        rows.append(row.at_most(REAL_GOAL_MS))
+    return rows
 
 
 def room_error_s(seed: int, codecs: tuple[str, str], folder: Path) -> float | None:
     """Error of the delay between two microphones in a simulated room; None where it is refused."""
-    folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
     delay_s = float(rng.uniform(-LONGEST_DELAY_S, LONGEST_DELAY_S))
-    sounds = []
-    for codec, samples in zip(codecs, room(rng, delay_s), strict=True):
-        path = folder / f"{seed}_{len(sounds)}.{CODECS[codec][0]}"
-        write_sound(path, samples, codec)
-        sound = read_sound(path)
-        assert sound is not None
-        sounds.append(sound)
-    found = sound_delay(*sounds)
-    return found.correlation.delay_s - delay_s if found is not None and found.accepted else None
+    heard = zip(codecs, room(rng, delay_s), strict=True)
+    one, two = (_written(folder / f"{seed}_{n}", samples, codec) for n, (codec, samples) in enumerate(heard))
+    found_s = _delay_s(one, two)
+    return None if found_s is None else found_s - delay_s
+
+
+def _delay_s(one: Sound, two: Sound) -> float | None:
+    found = sound_delay(one, two)
+    return found.correlation.delay_s if found is not None and found.accepted else None
 
 
 def room(rng: np.random.Generator, delay_s: float) -> list[Float[np.ndarray, " n"]]:
     """What two microphones record; the first one's clip began `delay_s` before the second one's."""
     count, spare = int(SECONDS * RATE_HZ), int((LONGEST_DELAY_S + 1) * RATE_HZ)
     source = rng.standard_normal(count + 2 * spare)
-    loudness = np.interp(
-        np.arange(len(source)) / RATE_HZ,
-        np.arange(0, SECONDS + 10, 0.12),
-        rng.gamma(0.6, 1.0, len(np.arange(0, SECONDS + 10, 0.12))),
-    )
+    swells_s = np.arange(0, SECONDS + 10, 0.12)
+    loudness = np.interp(np.arange(len(source)) / RATE_HZ, swells_s, rng.gamma(0.6, 1.0, len(swells_s)))
     hertz = np.fft.rfftfreq(len(source), 1 / RATE_HZ)
     colour = 1 / np.sqrt(1 + (hertz / 1000) ** 2)  # less and less above 1 kHz, as voices and rustle
     spectrum = np.fft.rfft(source * loudness) * colour
@@ -90,14 +99,15 @@ def _echoes(rng: np.random.Generator) -> Float[np.ndarray, " n"]:
     """Impulse response of a room: the direct sound at 0, then dense decaying noise."""
     t = np.arange(int(6 * ECHO_DECAY_S * RATE_HZ)) / RATE_HZ
     tail = rng.standard_normal(len(t)) * np.exp(-t / ECHO_DECAY_S) * (t > FIRST_ECHO_S)
-    tail *= 10 ** (-DIRECT_DB / 20) / np.sqrt(np.sum(tail**2))
-    tail[0] = 1.0
+    tail /= np.sqrt(np.sum(tail**2))
+    tail[0] = 1.0  # as loud as all echoes
     return tail
 
 
-def write_sound(path: Path, samples: Float[np.ndarray, " n"], codec: str) -> None:
-    """A clip that holds only this sound, its first sample at file time 0."""
-    name, rate = CODECS[codec][1:]
+def _written(path: Path, samples: Float[np.ndarray, " n"], codec: str) -> Sound:
+    """What is read of a clip that holds only this sound, its first sample at file time 0."""
+    suffix, name, rate = CODECS[codec]
+    path = path.with_suffix(f".{suffix}")
     with av.open(str(path), "w") as container:
         stream = container.add_stream(name, rate=RATE_HZ, layout="mono")
         if rate is not None:
@@ -108,35 +118,10 @@ def write_sound(path: Path, samples: Float[np.ndarray, " n"], codec: str) -> Non
             block.sample_rate, block.pts, block.time_base = RATE_HZ, start, Fraction(1, RATE_HZ)
             container.mux(stream.encode(block))
         container.mux(stream.encode(None))
+    return _read(path)
 
 
-def _real(cases: Cases) -> list[Row]:
-    """The BBC's pair: as it is, and decoded and written into clips as AAC."""
-    folder = cases.real("audio_offset")
-    name = "sync/sound, real speech"
-    if folder is None:
-        return [not_there(name, "ms", "audio_offset")]
-    one, two = (read_sound(folder / f"timbl_{k}.mp3") for k in (1, 2))
-    assert one is not None and two is not None
-    rows = []
-    for how, a, b in (("MP3", one, two), ("muxed as AAC", *_muxed((one, two), cases.out / "sound"))):
-        found = sound_delay(a, b)
-        error_ms = None
-        if found is not None and found.accepted:
-            # the reference counts decoded samples; the files' own start times are beside that
-            error_ms = 1e3 * abs(found.correlation.delay_s - (a.start_s - b.start_s) - REAL_DELAY_S)
-        row = Row(f"{name}, {how}", error_ms, "ms", source="audio_offset: plain correlation at 16 kHz")
-        rows.append(with_goal(row, REAL_GOAL_MS, low_is_good=True))
-    return rows
-
-
-def _muxed(sounds: tuple[Sound, Sound], folder: Path) -> list[Sound]:
-    folder.mkdir(parents=True, exist_ok=True)
-    out = []
-    for k, sound in enumerate(sounds):
-        path = folder / f"speech_{k}.mp4"
-        write_sound(path, sound.samples.astype(np.float64), "AAC")
-        again = read_sound(path)
-        assert again is not None
-        out.append(again)
-    return out
+def _read(path: Path) -> Sound:
+    sound = read_sound(path)
+    assert sound is not None
+    return sound

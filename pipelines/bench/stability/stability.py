@@ -9,7 +9,7 @@ from statistics import fmean
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.bench.rows import Row, print_rows, say_files, with_goal, write_rows
+from devrf.pipelines.bench.rows import Row, publish
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, is_made, run_case
 from devrf.pipelines.bench.stability.chart import axis_chart, overview_chart
@@ -105,7 +105,6 @@ def run_stability(
         rows += _points_rows(name, found[name])
     known = heard(results, undisturbed, found)
     rows += _heard_rows(known)
-    print_rows(talk, f"Stability, {base.config.name}", rows)
     for name, why in left_out.items():
         talk.say(f"{name}: {why}")
     json_path.parent.mkdir(parents=True, exist_ok=True)
@@ -126,9 +125,11 @@ def run_stability(
     page.write_text(
         build_page(title, undisturbed, results, found, known, overview, charts, left_out), encoding="utf-8"
     )
-    write_rows(
-        json_path,
+    publish(
+        talk,
+        f"Stability, {base.config.name}",
         rows,
+        json_path,
         benchmark="stability",
         **about(Bench(base, out, scenes[seeds[0]], {}), seeds),
         bar_db=bar,
@@ -139,7 +140,6 @@ def run_stability(
         | {name: getattr(known, name) for name in ("recall", "precision", "precision_or_early")},
         cases=[asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
     )
-    say_files(talk, json_path)
     talk.say(f"  page: {page}")
     return rows
 
@@ -208,8 +208,8 @@ def _heard_rows(known: Heard) -> list[Row]:
         "stability/precision", known.precision, "", why=lost if known.spoken else "nothing is said"
     )
     return [
-        with_goal(recall, HEARD_GOAL),
-        with_goal(precision, HEARD_GOAL),
+        recall.at_least(HEARD_GOAL),
+        precision.at_least(HEARD_GOAL),
         Row("stability/precision, early or hurt", known.precision_or_early, "", why=early),
         Row("stability/undisturbed/complaints", float(len(known.alarms)), "", why=said_anyway),
     ]

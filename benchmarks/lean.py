@@ -1,0 +1,117 @@
+"""How heavy the program is to work with: lines, start-up, a run in which nothing is stale, trainings beside others.
+
+    python benchmarks/lean.py RUN_SCENE --json benchmarks/results/lean-cpu.json [--skip beside]
+
+RUN_SCENE is the scene.yaml of a run that is finished, the example's (`make demo`); it is copied, not changed. Nothing
+else should run meanwhile. Quarter of an hour; the trainings beside a busy program are most of it.
+"""
+
+import argparse
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from lines import PRODUCT, of_folder
+
+from devrf.pipelines.bench.rows import Row, write_rows
+from devrf.pipelines.stages.evaluate import versions
+
+ROOT = Path(__file__).resolve().parent.parent
+PROGRAM = [sys.executable, "-m", "devrf.pipelines.cli"]
+STARTS = 5
+BUSY = "while True: pass"
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--skip", nargs="*", default=[], choices=("lines", "starts", "beside"))
+    asked = parser.parse_args()
+    rows = [
+        *(() if "lines" in asked.skip else _lines()),
+        *(() if "starts" in asked.skip else _starts(asked.scene)),
+        *(() if "beside" in asked.skip else _beside(asked.scene)),
+    ]
+    for row in rows:
+        print(
+            f"{row.name:<32}{row.value:>12.2f} {row.unit:<8} goal {row.goal}  {'met' if row.met else 'missed'}"
+        )
+    if asked.json:
+        write_rows(asked.json, rows, versions=versions())
+
+
+def _lines() -> list[Row]:
+    """Lines of product with benchmarks, of these code, lines of tests."""
+    product = [of_folder(ROOT / room) for room in PRODUCT]
+    counted = {
+        "lines": (sum(n for n, _ in product), 59_500),
+        "code": (sum(n for _, n in product), 42_500),
+        "tests": (of_folder(ROOT / "tests")[0], 31_000),
+    }
+    rows = [(Row(f"lean/{name}", n, "lines"), goal) for name, (n, goal) in counted.items()]
+    return [row.at_most(goal) for row, goal in rows]
+
+
+def _starts(scene: Path) -> list[Row]:
+    """Seconds of `--help` and of a run that has nothing to do: medians, the first of each not counted."""
+    help_s = statistics.median([_seconds([*PROGRAM, "--help"]) for _ in range(1 + STARTS)][1:])
+    fresh = [*PROGRAM, "run", str(scene), "--preset", "tiny", "--quiet"]
+    fresh_s = statistics.median([_seconds(fresh) for _ in range(1 + STARTS)][1:])
+    return [
+        Row("lean/help", help_s, "s").at_most(0.4),
+        Row("lean/nothing_stale", fresh_s, "s").at_most(1.0),
+    ]
+
+
+def _beside(scene: Path) -> list[Row]:
+    """The two trainings beside a program that keeps one core busy, against alone."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "session"
+        shutil.copytree(scene.parent, copy)
+        trainings = [
+            *PROGRAM,
+            "run",
+            str(copy / scene.name),
+            "--preset",
+            "tiny",
+            "--quiet",
+            "--until",
+            "deformation",
+        ]
+        trainings += ["--force", "canonical", "--force", "deformation"]
+        alone_s = _seconds(trainings)
+        with _busy():
+            beside_s = _seconds(trainings)
+    return [Row("lean/beside_over_alone", beside_s / alone_s, "times").at_most(2.2)]
+
+
+@contextmanager
+def _busy() -> Iterator[None]:
+    """One core kept busy."""
+    program = subprocess.Popen([sys.executable, "-c", BUSY])
+    try:
+        yield
+    finally:
+        program.kill()
+        program.wait()
+
+
+def _seconds(command: list[str]) -> float:
+    """Wall-clock seconds of a command, which has to succeed."""
+    start = time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""What the scripts here share: their arguments, and what becomes of their rows."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from devrf.pipelines.bench.rows import Row, publish
+from devrf.pipelines.console import Talk
+from devrf.pipelines.stages.evaluate import versions
+
+
+def arguments(about: str | None, *paths: str, **options: Any) -> argparse.Namespace:
+    """Paths, options with their defaults (`device="auto"`), and --json FILE."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in paths:
+        parser.add_argument(name, type=Path)
+    for name, default in options.items():
+        parser.add_argument(f"--{name}", default=default, type=None if default is None else type(default))
+    parser.add_argument("--json", type=Path)
+    return parser.parse_args()
+
+
+def finish(name: str, rows: Sequence[Row], json: Path | None, **about: Any) -> None:
+    """Print the rows; write them where asked to."""
+    publish(Talk(), name, rows, json, benchmark=name, versions=versions(), **about)

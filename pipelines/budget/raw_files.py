@@ -1,0 +1,36 @@
+"""How many pictures of raw files are decoded, developed and written at once, by what their headers say."""
+
+from devrf.capture.pictures import list_pictures, probe_picture
+from devrf.capture.raw import is_raw
+from devrf.capture.session import CaptureSession
+from devrf.capture.video import probe_video
+from devrf.pipelines.budget.at_once import BASE, fitting
+from devrf.pipelines.stage import StageContext
+
+# Bytes for each pixel of a picture
+REFERENCES = 12  # that the decoder of a clip keeps to predict others from; twice with more than 8 bits
+DECODED, DECODED_DEEP = 7, 30  # for each one decoded or written; with more than 8 bits, on its way to 8
+PHOTO, RAW = 10, 30  # a photo read and measured; a RAW photo developed (12 to 24 megapixels: 23 to 29)
+
+SOUND_READ = 48_000 * 16  # bytes a second of decoded sound
+
+
+def ingested_at_once(context: StageContext, session: CaptureSession) -> int:
+    """Pictures in memory at once, of whatever file they are."""
+    held, each, sound_s = [0], [0], 0.0
+    heard = {*session.cameras.values(), *session.joint_clips.values()}
+    for path in {session.static, *session.board_clips.values(), *heard} - {None}:
+        if path.is_dir():
+            first = list_pictures(path)[0]
+            photo = probe_picture(first)
+            (each if is_raw(first) else held).append(
+                (RAW if is_raw(first) else PHOTO) * photo.width * photo.height
+            )
+            continue
+        clip = probe_video(path)
+        deep, pixels = clip.bits > 8, clip.width * clip.height
+        held.append((REFERENCES + REFERENCES * deep) * pixels)
+        each.append((DECODED_DEEP if deep else DECODED) * pixels)
+        sound_s += clip.duration_s or 0.0 if clip.has_audio and path in heard else 0.0
+    base = BASE + max(held) + int(SOUND_READ * sound_s)
+    return fitting(context, base + max(each), max(each))  # the writer has one more in its hands

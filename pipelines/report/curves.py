@@ -1,0 +1,118 @@
+"""Sections of the report that are curves: training, clocks, and what `bench speed` and `bench stability` measured."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
+from devrf.pipelines.report.run import RunFolder, as_float, at, is_number
+
+LABELS = ("iteration", "seconds", "psnr", "samples", "level", "key", "time")  # of a row; the rest are losses
+LOSSES = {
+    "mse": "re-rendering (mean squared error)",
+    "entropy": "background entropy",
+    "per_point": "colour per point",
+    "cycle": "cycle",
+    "flow": "flow",
+    "variation": "total variation",
+}
+MAX_CURVES = 9  # of pairs of clocks
+
+
+def training(run: RunFolder) -> dict[str, Any]:
+    """PSNR and losses of the rays that were trained on, against iterations, of both stages."""
+    return {"curves": {stage: _training(run, stage) for stage in ("canonical", "deformation")}}
+
+
+def clocks(run: RunFolder) -> dict[str, Any]:
+    """How well pairs of clips match against the delay between them, and how well geometry does."""
+    heard = sorted(run.objects("sync/curves.json", "curves"), key=lambda c: not c.get("accepted"))
+    pairs = run.objects("scene/clock_check.json", "pairs")[:MAX_CURVES]
+    label = {"tracks": "epipolar error, px"}
+    return {
+        "correlation": _drawn(
+            _clock(c, "method", "accepted", "not used", 1, "delay, s", "correlation")
+            for c in heard[:MAX_CURVES]
+        ),
+        "geometry": _drawn(
+            _clock(
+                c, "by", "sharp", "not sharp", 1000, "trial offset, ms", label.get(c.get("by"), "correlation")
+            )
+            for c in pairs
+        ),
+    }
+
+
+def speed(run: RunFolder) -> dict[str, Any] | None:
+    """Accuracy against seconds of several ways to train, from the benchmark beside the run folder."""
+    file = f"../{run.path.name}-bench/speed.json"
+    curves = run.object(file, "curves")
+    if not curves or not isinstance(run.at(file, "rows"), list):
+        return None
+    places = {str(at(row, "name")): n for n, row in enumerate(run.at(file, "rows"))}
+
+    def value(case: str, key: str) -> float:
+        return as_float(run.at(file, "rows", places.get(f"speed/{case}/{key}", -1), "value"))
+
+    series = []
+    for n, case in enumerate(curves):
+        way = run.objects(file, "curves", case)  # how training got there
+        seconds, psnr = ([as_float(point.get(key)) for point in way] for key in ("seconds", "psnr"))
+        series.append(Series("", seconds, psnr, n))
+        series.append(Series(case, [value(case, "seconds")], [value(case, "test/psnr")], n, markers=True))
+    chart = line_chart(series, "seconds of training", "PSNR of test views, dB", log_x=True)
+    return {"file": file, "cases": list(curves), "places": places, "charts": _drawn([chart])}
+
+
+def stability(run: RunFolder) -> dict[str, Any] | None:
+    """Where this scene's result breaks under damage: the suite beside the run folder, whose page has its charts."""
+    file = f"../{run.path.name}-bench/stability.json"
+    if not run.object(file, "axes") or not run.object(file, "points"):
+        return None
+    page = f"{file.removesuffix('.json')}.html"
+    return {"file": file, "page": page if (run.path / page).is_file() else file}
+
+
+def _training(run: RunFolder, stage: str) -> list[Chart]:
+    rows = run.objects(f"{stage}/metrics.json", "curve")
+    iterations = [as_float(row.get("iteration")) for row in rows]
+    losses = [str(key) for key in dict.fromkeys(k for row in rows for k in row) if key not in LABELS]
+    marks = [
+        (as_float(row.get("iteration")), f"level {row['level'] + 1:.0f}")
+        for before, row in zip(rows, rows[1:], strict=False)
+        if is_number(row.get("level")) and row["level"] != before.get("level")
+    ]
+    psnr = Series("PSNR", iterations, [as_float(row.get("psnr")) for row in rows])
+    lines = [
+        Series(LOSSES.get(key) or key, iterations, [as_float(row.get(key)) for row in rows], n)
+        for n, key in enumerate(losses[:COLOURS])
+    ]
+    return _drawn(
+        [
+            line_chart([psnr], "iteration", "PSNR of training rays, dB", marks=marks),
+            line_chart(lines, "iteration", "loss, before its weight", log_y=True, marks=marks),
+        ]
+    )
+
+
+def _clock(
+    curve: dict[str, Any], by: str, good: str, bad: str, scale: float, x_label: str, y_label: str
+) -> Chart | None:
+    """One pair of cameras; `good` says whether its peak is one, `scale` leads from seconds to the axis."""
+    lags, values = curve.get("lags_s"), curve.get("values")
+    if (
+        not isinstance(lags, list)
+        or not isinstance(values, list)
+        or len(lags) < 2
+        or len(lags) != len(values)
+    ):
+        return None
+    title = f"{curve.get('first')} and {curve.get('second')}: {curve.get(by)}"
+    title += "" if curve.get(good) else f", {bad}"
+    delay = curve.get("delay_s", 0.0 if by == "by" else None)
+    marks = [(scale * delay, f"{scale * delay:.4g}")] if is_number(delay) else []
+    series = Series("", [scale * as_float(x) for x in lags], [as_float(y) for y in values])
+    return line_chart([series], x_label, y_label, marks=marks, title=title, small=True)
+
+
+def _drawn(charts: Iterable[Chart | None]) -> list[Chart]:
+    return [chart for chart in charts if chart is not None]

@@ -1,0 +1,54 @@
+"""Pages from templates: every text that comes from outside is escaped there, unless it is marked as ready HTML.
+
+A page needs no other file: styles, scripts, drawings and pictures stand in it.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import ChainableUndefined, Environment, FileSystemLoader
+
+from devrf.pipelines.report.run import is_number
+
+FOLDER = Path(__file__).parent
+
+
+def render(template: str, values: Mapping[str, Any]) -> str:
+    """A page, or a section of one, from a file in `templates/`."""
+    return _environment().get_template(template).render(values)
+
+
+def readable(value: float, digits: int = 2, sign: bool = False) -> str:
+    """Fixed decimals; two significant digits where they would all be zero; spaces between thousands."""
+    small = value != 0 and abs(value) < 0.5 * 10**-digits
+    shown = f"{value:.2g}" if small else f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "\u2212")
+    return f"+{shown}" if sign and value > 0 else shown
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them."""
+    if seconds < 1:
+        return "under 1 s"
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60
+    return f"{minutes:.1f} min" if minutes < 60 else f"{minutes / 60:.1f} h"
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader([FOLDER / "templates", FOLDER]),
+        autoescape=True,
+        undefined=ChainableUndefined,  # what a run did not measure is left out
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"readable": readable, "duration": duration}
+    environment.tests |= {
+        "finite": is_number,
+        "whole": lambda value: is_number(value) and value == int(value),
+    }
+    return environment
