@@ -70,7 +70,7 @@ def said_values(file: Path, mistakes: bool) -> Values:
 
 
 def export_values(folder: Path) -> Values:
-    """What lies in the folder of an export: files by ending, what their headers count, and the names in them."""
+    """What lies in the folder of an export: files by ending, counts of their headers, names of keys and arrays."""
     counts: Counter[str] = Counter()
     names: set[str] = set()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
@@ -78,7 +78,7 @@ def export_values(folder: Path) -> Values:
         counted, named = READERS[path.suffix](path) if path.suffix in READERS else ({}, ())
         counts.update(counted)
         names.update(named)
-    return {**counts, "names": " ".join(sorted(names))}
+    return {**counts, **{f"name.{name}": "there" for name in sorted(names)}}
 
 
 Facts = tuple[dict[str, int], list[str]]  # what is counted, and names of keys and arrays

@@ -89,7 +89,7 @@ def write_frames(
         source = os.path.relpath(path, root)
         if path.is_dir():
             cameras[name] = extract_folder(
-                path, out, name, role, source, keep.most, session.raw, step, workers
+                path, out, name, role, source, keep.most, session.white_balance, step, workers
             )
             return
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step, workers)

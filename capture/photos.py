@@ -21,8 +21,8 @@ from devrf.capture.frames import (
 from devrf.capture.light import clipped_share, highlight_faults
 from devrf.capture.pictures import copy_upright, list_pictures, numbering, probe_picture, read_picture
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.raw import is_raw
-from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions, develop_set
+from devrf.capture.raw import WhiteBalance, is_raw
+from devrf.capture.raw_set import develop_set
 
 FEWEST_OF_A_SIZE = 5  # photos of a sweep; fewer leave their focal length to chance
 LEAST_GAMMA = 1.6  # the curves of displays and cameras are 1.8 to 2.4; less is linear light or a logarithm
@@ -64,7 +64,7 @@ def extract_folder(
     role: Role,
     source: str,
     most: int | None = None,
-    raw: RawOptions = RAW_DEFAULTS,
+    white_balance: WhiteBalance | None = None,
     progress: Progress = no_progress,
     workers: int | None = None,
 ) -> CameraFrames:
@@ -79,7 +79,7 @@ def extract_folder(
     """
     (out / "frames" / name).mkdir(parents=True, exist_ok=True)
     pictures = list_pictures(path)
-    photos = list(_put(pictures, out, name, raw, progress, workers))
+    photos = list(_put(pictures, out, name, white_balance, progress, workers))
     counts = Counter(photo.size for photo in photos)
     size = counts.most_common(1)[0][0]
     taken = {s for s, n in counts.items() if s == size or (role == "sweep" and n >= FEWEST_OF_A_SIZE)}
@@ -114,11 +114,16 @@ def extract_folder(
 
 
 def _put(
-    pictures: list[Path], out: Path, name: str, raw: RawOptions, progress: Progress, workers: int | None
+    pictures: list[Path],
+    out: Path,
+    name: str,
+    white_balance: WhiteBalance | None,
+    progress: Progress,
+    workers: int | None,
 ) -> Iterator[_Photo]:
     """Write each photo to the ingest folder."""
     raws = [(i, picture) for i, picture in enumerate(pictures) if is_raw(picture)]
-    developed = develop_set(raws, out, name, raw, progress, workers) if raws else {}
+    developed = develop_set(raws, out, name, white_balance, progress, workers) if raws else {}
     for i, picture in enumerate(pictures):
         progress(i / len(pictures), f"{name}: {i + 1} of {len(pictures)} photos")
         if i in developed:

@@ -1,6 +1,6 @@
 """Processes that end with the one that started them, and what a process and all that it started take of memory.
 
-Linux only; elsewhere nothing is tied and nothing is found.
+Linux only; elsewhere nothing is tied, and no memory is counted.
 """
 
 import ctypes
@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 
 RUN_MODULE = (
@@ -48,19 +49,14 @@ def adopt_orphans() -> None:
 
 def descendants(pid: int) -> list[int]:
     """All running processes that a process started, and those started by them, parents first."""
-    children: dict[int, list[int]] = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-        except (OSError, IndexError):
-            continue  # it has ended meanwhile
-        if fields[0] not in "ZX":
-            children.setdefault(int(fields[1]), []).append(int(entry.name))
-    found, todo = [], [pid]
-    while todo:
-        new = children.get(todo.pop(), [])
-        found += new
-        todo += new
+    import psutil
+
+    found = []
+    with suppress(psutil.NoSuchProcess):
+        for process in psutil.Process(pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
+                if process.status() != psutil.STATUS_ZOMBIE:
+                    found.append(process.pid)
     return found
 
 

@@ -25,20 +25,6 @@ from devrf.capture.raw import DEMOSAIC, Development, Recipe, WhiteBalance, devel
 
 
 @dataclass(frozen=True)
-class RawOptions:
-    """What a user may decide about RAW photos.
-
-    Attributes:
-        white_balance: Multipliers for R, G, B, second G, for all sets; None: daylight of each set's sensor.
-    """
-
-    white_balance: WhiteBalance | None = None
-
-
-RAW_DEFAULTS = RawOptions()
-
-
-@dataclass(frozen=True)
 class RawPhoto:
     """A RAW photo as it lies on disk.
 
@@ -58,7 +44,7 @@ def develop_set(
     pictures: Sequence[tuple[int, Path]],
     out: Path,
     name: str,
-    options: RawOptions,
+    white_balance: WhiteBalance | None = None,
     progress: Progress = no_progress,
     workers: int | None = None,
 ) -> dict[int, RawPhoto]:
@@ -68,7 +54,7 @@ def develop_set(
         pictures: Index and file of each, of one camera.
         out: The ingest folder.
         name: The folder's name among the cameras.
-        options: White balance.
+        white_balance: Multipliers for R, G, B, second G; None: daylight of the set's sensor.
         progress: Told how far it is.
         workers: Photos developed at once; None: one per core.
     Returns:
@@ -77,7 +63,7 @@ def develop_set(
         InputError: If a file is not a RAW file that LibRaw reads.
         CaptureError: If the content of one is damaged.
     """
-    recipe = recipe_for([path for _, path in pictures], options.white_balance)
+    recipe = recipe_for([path for _, path in pictures], white_balance)
     for folder in (out / "frames" / name, out / "raw"):
         folder.mkdir(parents=True, exist_ok=True)
 

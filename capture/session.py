@@ -18,7 +18,7 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
-from devrf.capture.raw_set import RAW_DEFAULTS, RawOptions
+from devrf.capture.raw import WhiteBalance
 from devrf.capture.sampled import picture_times
 from devrf.capture.video import VideoInfo, probe_video
 
@@ -44,7 +44,7 @@ class CaptureSession:
         board_clips: Name -> clip or folder of photos of the board before this camera alone.
         joint_clips: Name -> clip of the board before several cameras at once; may be the moving clip itself.
         white: Name, or "static" for the sweep's camera -> clip, photo or folder of photos of a white sheet.
-        raw: How RAW photos are developed.
+        white_balance: Multipliers for R, G, B, second G of all RAW photos; None: daylight of each folder's sensor.
         range_s: (from, to) on the first camera's clock, or None for all.
         rest: When the moving clips show the scene as in the sweep.
     """
@@ -56,7 +56,7 @@ class CaptureSession:
     board_clips: Mapping[str, Path] = field(default_factory=_no_files)
     joint_clips: Mapping[str, Path] = field(default_factory=_no_files)
     white: Mapping[str, Path] = field(default_factory=_no_files)
-    raw: RawOptions = RAW_DEFAULTS
+    white_balance: WhiteBalance | None = None
     range_s: tuple[float, float] | None = None
     rest: Rest = "start"
 

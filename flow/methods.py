@@ -4,8 +4,11 @@ A package of your own adds a method by an entry point of the group `devrf.flow`:
 leads to a function of `(weights: Path | None, device: str)` that gives a `FlowEstimator`.
 """
 
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "devrf.flow"
 BUILT_IN = ("dis", "raft")
@@ -40,5 +43,8 @@ def plug_in(method: str) -> str | None:
     return None if method in BUILT_IN else installed()[method].module
 
 
-def installed() -> dict[str, EntryPoint]:
+def installed() -> "dict[str, EntryPoint]":
+    """The estimators of installed packages, by their names."""
+    from importlib.metadata import entry_points  # takes a while, and most ask for a method that is built in
+
     return {point.name: point for point in entry_points(group=GROUP)}

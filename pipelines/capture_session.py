@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from devrf.capture.frames import SWEEP
-from devrf.capture.raw_set import RawOptions
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.config.scene import SceneConfig
 
@@ -30,7 +29,7 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
         board_clips=paths(board.clips) if board else {},
         joint_clips=paths(board.joint_clips) if board else {},
         white=paths(capture.white),
-        raw=RawOptions(None if capture.raw.white_balance == "auto" else capture.raw.white_balance),
+        white_balance=None if capture.raw.white_balance == "auto" else capture.raw.white_balance,
         range_s=capture.range_s,
         rest=capture.rest,
     )

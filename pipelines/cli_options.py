@@ -3,15 +3,16 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from devrf.capture.errors import DevrfError
-from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Loudness, Talk
 from devrf.pipelines.exit_codes import code_of
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 SceneArgument = Annotated[Path, typer.Argument(help="scene.yaml, or the folder that holds it")]
 PresetOption = Annotated[str | None, typer.Option(help="tiny, fast or reference; overrides the file")]
@@ -25,12 +26,14 @@ VerboseOption = Annotated[bool, typer.Option("--verbose", help="Every health row
 
 def configured(
     scene: Path, preset: str | None, overrides: Sequence[str] | None, *, check_files: bool = True
-) -> tuple[SceneConfig, Path]:
+) -> "tuple[SceneConfig, Path]":
     """The configuration that a command names, and the folder its paths are relative to.
 
     Raises:
         InputError: With every mistake in it.
     """
+    from devrf.pipelines.config.load import load_scene
+
     path = scene / "scene.yaml" if scene.is_dir() else scene
     config = load_scene(path, overrides or (), preset=preset, check_files=check_files)
     return config, path.resolve().parent

@@ -5,16 +5,15 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Literal
-
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn as TimeLeftColumn
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 from devrf.capture.progress import Progress as ProgressCallback
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.logs import Events
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Loudness = Literal["quiet", "normal", "verbose"]
 
@@ -38,20 +37,32 @@ class Talk:
         self.events: Events | None = None
         if not logger.handlers:
             logger.addHandler(logging.NullHandler())  # or Python prints what is logged a second time
-        self.out = Console(file=sys.stdout, highlight=False, soft_wrap=True)
-        self.err = Console(file=sys.stderr, highlight=False, soft_wrap=True)
+
+    @cached_property
+    def out(self) -> "Console":
+        """Where it speaks."""
+        from rich.console import Console
+
+        return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+
+    @cached_property
+    def err(self) -> "Console":
+        """Where it says what went wrong."""
+        from rich.console import Console
+
+        return Console(file=sys.stderr, highlight=False, soft_wrap=True)
 
     def say(self, text: str, *, style: str = "") -> None:
         """One line for people; not printed when quiet."""
         logger.info("%s", text)
         if self.loudness != "quiet":
-            self.out.print(escape(text), style=style)
+            self.out.print(text, markup=False, style=style)
 
     def detail(self, text: str) -> None:
         """One line for the curious; printed when verbose."""
         logger.debug("%s", text)
         if self.loudness == "verbose":
-            self.out.print(escape(text), style="dim")
+            self.out.print(text, markup=False, style="dim")
 
     def decision(self, stage: str, text: str) -> None:
         """One line that stays about what a stage decided and why."""
@@ -67,7 +78,7 @@ class Talk:
         """What went wrong."""
         logger.error("%s", text)
         self.event("error", message=text)
-        self.err.print(escape(text), style="red")
+        self.err.print(text, markup=False, style="red")
 
     def health(self, stage: str, rows: list[HealthRow]) -> None:
         """A stage's rows that are not ok (all of them when verbose)."""
@@ -79,7 +90,7 @@ class Talk:
             line = f"  {row.verdict}: {describe(row)}"
             (logger.warning if row.verdict != "ok" else logger.info)("%s", line)
             if self.loudness != "quiet" or row.verdict == "fail":
-                self.out.print(escape(line), style=COLOUR[row.verdict])
+                self.out.print(line, markup=False, style=COLOUR[row.verdict])
 
     @contextmanager
     def progress(self, title: str) -> Iterator[ProgressCallback]:
@@ -101,14 +112,16 @@ class Talk:
         if self.loudness == "quiet":
             yield lambda fraction, message: None
         elif self.out.is_terminal:
-            with Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TaskProgressColumn(),
-                TimeElapsedColumn(),
-                TextColumn("left"),
-                TimeLeftColumn(),
-                TextColumn("{task.fields[message]}"),
+            from rich import progress
+
+            with progress.Progress(
+                progress.TextColumn("{task.description}"),
+                progress.BarColumn(),
+                progress.TaskProgressColumn(),
+                progress.TimeElapsedColumn(),
+                progress.TextColumn("left"),
+                progress.TimeRemainingColumn(),
+                progress.TextColumn("{task.fields[message]}"),
                 console=self.out,
                 transient=True,
             ) as bars:
@@ -129,7 +142,7 @@ class Talk:
             left = (now - start) * (1 - fraction) / fraction
             text = f"  {title} {100 * fraction:.0f} %, {duration(left)} left: {message}"
             logger.debug("%s", text)
-            self.out.print(escape(text))
+            self.out.print(text, markup=False)
 
         return line
 

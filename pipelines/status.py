@@ -1,19 +1,20 @@
 """`devrf-pipeline status`: each stage fresh, stale (and why) or missing; its time and its health."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import COLOUR, describe, duration
 from devrf.pipelines.runner.plan import Standing
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from devrf.pipelines.config.scene import SceneConfig
 
 STYLE = {"fresh": "green", "stale": "yellow", "missing": "red", "not applicable": "dim"}
 
 
-def status_dict(config: SceneConfig, run_dir: Path, found: list[Standing]) -> dict:
+def status_dict(config: "SceneConfig", run_dir: Path, found: list[Standing]) -> dict:
     """What `status --json` prints."""
     return {
         "name": config.name,
@@ -35,8 +36,11 @@ def status_dict(config: SceneConfig, run_dir: Path, found: list[Standing]) -> di
     }
 
 
-def print_status(console: Console, config: SceneConfig, run_dir: Path, found: list[Standing]) -> None:
+def print_status(console: "Console", config: "SceneConfig", run_dir: Path, found: list[Standing]) -> None:
     """The table for people, then what is not healthy."""
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(title=f"{config.name}, preset {config.preset}: {run_dir}", title_justify="left")
     for column in ("stage", "state", "why", "time", "health"):
         table.add_column(column, overflow="fold")

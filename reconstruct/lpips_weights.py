@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from devrf.capture.arrays import ArrayError, read_npz
+from devrf.capture.arrays import read_npz
 from devrf.capture.errors import DevrfError, ReconstructError
 
 if TYPE_CHECKING:
@@ -125,21 +125,13 @@ def _read(path: Path) -> Mapping[str, Any]:
         if path.suffix == ".npz":
             return {key: torch.from_numpy(value) for key, value in read_npz(path).items()}
         state = read_weights(path)
-    except ArrayError as error:
-        raise ReconstructError(f"{error}; get the file again") from error
     except DevrfError as error:
-        raise ReconstructError(str(error)) from error
-    except OSError as error:
-        raise ReconstructError(f"{path}: cannot be read ({_short(error)})") from error
-    except Exception as error:  # torch and numpy raise errors of many kinds
+        raise ReconstructError(f"{error}; get the file again") from error
+    except Exception as error:  # torch raises errors of many kinds
         raise ReconstructError(
-            f"{path}: damaged, or holds more than weights, and is not used; get the file again"
+            f"{path}: damaged, or holds more than weights, and is not used ({_short(error)}); get the file again"
         ) from error
-    if not isinstance(state, Mapping):
-        raise ReconstructError(
-            f"{path}: holds a {type(state).__name__}, expected weights by name (a state dict)"
-        )
-    return state
+    return state if isinstance(state, Mapping) else {}
 
 
 def _downloaded(url: str) -> Mapping[str, Any]:

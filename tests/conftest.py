@@ -55,7 +55,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     for item in items:
         assert isinstance(item, pytest.Function)
-        used = [*item.fixturenames, *(item.callspec.params.values() if hasattr(item, "callspec") else ())]
+        chosen = item.callspec.params.values() if hasattr(item, "callspec") else ()
+        used = {*item.fixturenames, *(value for value in chosen if isinstance(value, str))}
         runs = [name for name in RUNS if name in used]
         item.add_marker(pytest.mark.xdist_group(runs[0] if runs else item.path.stem))
         if "example_run" in runs:

@@ -64,17 +64,29 @@ def test_nothing_is_installed_twice(copy: Path) -> None:
         f'exec {sys.executable} "$@"\n'
     )
     python = fake_python(copy, work)
-    for expected in (1, 1):
-        assert make(copy, "venv", f"PYTHON={python}").returncode == 0
+    dev = ".venv/.installed-dev"  # which brings all that `venv` does
+    for target, expected in (("venv", 1), ("venv", 1), (dev, 2), (dev, 2), ("venv", 2)):
+        assert make(copy, target, f"PYTHON={python}").returncode == 0
         assert len(log.read_text().splitlines()) == expected
     stamp = (copy / ".venv/.installed").stat().st_mtime
     os.utime(copy / "constraints.txt", (stamp + 10, stamp + 10))
     assert make(copy, "venv", f"PYTHON={python}").returncode == 0
-    assert len(log.read_text().splitlines()) == 2
+    assert len(log.read_text().splitlines()) == 3
     assert "-c constraints.txt -e ." in log.read_text()
 
 
-def test_continuous_integration_runs_make_test() -> None:
+def test_continuous_integration_runs_every_test() -> None:
     script = REPOSITORY / ".ci" / "run"
     assert os.access(script, os.X_OK)
-    assert "set -euo pipefail" in script.read_text() and "make test" in script.read_text()
+    assert "set -euo pipefail" in script.read_text() and "make test-full" in script.read_text()
+    quick, full = (
+        [
+            line
+            for line in make(REPOSITORY, "-n", name, "VENV=none").stdout.splitlines()
+            if "none/bin/" in line
+        ]
+        for name in ("test", "test-full")
+    )
+    assert quick == [*full[:-1], f'{full[-1]} -m "not full"']
+    for program in ("ruff format --check", "ruff check", "pyright", "pytest -n 2"):
+        assert sum(program in line for line in full) == 1

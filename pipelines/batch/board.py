@@ -9,6 +9,7 @@ from rich.console import Group
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from devrf.capture.durable import write_json
 from devrf.pipelines.batch.rows import SceneRow, summary
@@ -84,4 +85,4 @@ class Board:
                 table.add_row(escape(row.name), ", ".join(row.made), ", ".join(row.nodes[-1:]))
         counts = Counter(row.state for row in self.rows)
         states = ", ".join(f"{count} {state}" for state, count in counts.items())
-        return Group(table, f"{states}; {duration(time.monotonic() - self._start)}")
+        return Group(table, Text(f"{states}; {duration(time.monotonic() - self._start)}"))

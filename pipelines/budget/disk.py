@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from devrf.capture.amounts import GB, size_text
 from devrf.capture.errors import DevrfError
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.runner.workspace import nearest, size_of
 from devrf.pipelines.stamps.cache import cache_of
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 MARGIN, MARGIN_SHARE = 200_000_000, 0.01  # bytes, and share of a small disk, that other programs are left
 WATCH_S = 1.0  # a stage writes less than the margin meanwhile, but for the fastest disks
@@ -38,7 +41,7 @@ class Room:
     remedy: str
 
 
-def room_of(config: SceneConfig, scene_dir: Path, run_dir: Path) -> Room:
+def room_of(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> Room:
     """Room for a run folder: on the disk that it lies on, or of its budget, whichever leaves less.
 
     Args:
@@ -67,7 +70,7 @@ def room_of(config: SceneConfig, scene_dir: Path, run_dir: Path) -> Room:
     return min(disk, budget, key=lambda room: room.count)
 
 
-def check_room(config: SceneConfig, scene_dir: Path, run_dir: Path) -> None:
+def check_room(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> None:
     """Make sure that something can still be written.
 
     Raises:
@@ -81,7 +84,7 @@ def check_room(config: SceneConfig, scene_dir: Path, run_dir: Path) -> None:
 
 
 @contextmanager
-def watched(config: SceneConfig, scene_dir: Path, run_dir: Path) -> Iterator[None]:
+def watched(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> Iterator[None]:
     """Stop what is done in this block, by a `BudgetError` in the main thread, once there is no room left.
 
     Outside of the main thread nothing can be stopped, and nothing is watched.

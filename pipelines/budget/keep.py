@@ -4,12 +4,15 @@ import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from devrf.capture.amounts import GB
 from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import check_room, watched
 from devrf.pipelines.budget.memory import allowed_bytes
-from devrf.pipelines.config.scene import SceneConfig
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 OPTIONAL = "render"  # nothing but the report reads it
 LAST = "report"  # takes seconds, and is wanted most where a run ends early
@@ -18,7 +21,7 @@ LAST = "report"  # takes seconds, and is wanted most where a run ends early
 class Budget:
     """What one call of `run` may still use. Its time begins now."""
 
-    def __init__(self, config: SceneConfig, scene_dir: Path, run_dir: Path) -> None:
+    def __init__(self, config: "SceneConfig", scene_dir: Path, run_dir: Path) -> None:
         self.config, self.scene_dir, self.run_dir = config, scene_dir, run_dir
         minutes = config.budget.time_minutes
         self._until = None if minutes is None else time.monotonic() + 60 * minutes

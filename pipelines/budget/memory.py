@@ -8,18 +8,20 @@ there, but the kernel drops them before it kills anything, so those that are ina
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from devrf.capture.amounts import GB, size_text
 from devrf.capture.processes import descendants, memory_of
-from devrf.pipelines.config.scene import SceneConfig
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 RESERVE = 0.1  # of what is there: other programs grow, too, ...
 MOST_RESERVE = 1_000_000_000  # ... but not with the size of the machine
-NO_MEMINFO = 0.5  # of the machine's memory, where the system does not say how much of it is free
 UNLIMITED = 1 << 60  # version 1 writes a number near 2^63 for no limit
 
 
-def allowed_bytes(config: SceneConfig) -> int:
+def allowed_bytes(config: "SceneConfig") -> int:
     """Most main memory that this run, with the processes it starts, may hold from now on, bytes.
 
     `budget.memory_gb`, or all that is left less a reserve where that is less or no budget is given: what a budget
@@ -31,7 +33,7 @@ def allowed_bytes(config: SceneConfig) -> int:
     return max(0, there if budget is None else min(there, int(budget * GB)))
 
 
-def memory_bound(config: SceneConfig, allowed: int) -> str:
+def memory_bound(config: "SceneConfig", allowed: int) -> str:
     """What allows no more than `allowed` bytes, and how there can be more, for messages."""
     budget = config.budget.memory_gb
     if budget is not None and allowed >= int(budget * GB):
@@ -43,19 +45,12 @@ def left_bytes(proc: Path = Path("/proc"), cgroups: Path | None = None) -> int:
     """What the machine and each cgroup around this process leave now, whichever is least, bytes.
 
     Args:
-        proc: Where the system tells about processes.
+        proc: Where the system tells about the process and its cgroups.
         cgroups: Where its cgroups are mounted; None: as `proc` says.
     """
-    return min([_machine_left(proc), *_cgroups_left(proc, cgroups)])
+    import psutil
 
-
-def _machine_left(proc: Path) -> int:
-    try:
-        lines = (proc / "meminfo").read_text().splitlines()
-        values = {name: int(rest.split()[0]) for name, _, rest in (line.partition(":") for line in lines)}
-        return 1024 * values["MemAvailable"]
-    except (OSError, ValueError, KeyError, IndexError):
-        return int(NO_MEMINFO * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return min([psutil.virtual_memory().available, *_cgroups_left(proc, cgroups)])
 
 
 def _cgroups_left(proc: Path, mounted: Path | None) -> Iterator[int]:

@@ -1,27 +1,33 @@
 """One run at a time in a folder, also where several machines share its disk.
 
-`.lock` says who works here. On one machine the kernel knows best: the holder keeps the file locked (flock), which ends
-with the process however that ends, and whatever process numbers and host names containers see. Some network file
-systems do not pass such locks on (NFS with `nolock` or `local_lock`): there the holder shows that it lives by touching
-the file. A lock of another machine that was not touched for `LEASE_S`, by the file system's own clock, is a dead one's.
+`.lock` says who works here. On one machine the kernel knows best: the holder keeps the file locked (filelock, by
+flock), which ends with the process however that ends, and whatever process numbers and host names containers see. Some
+network file systems do not pass such locks on (NFS with `nolock` or `local_lock`), and some have none: there the file
+is a lease, and its holder shows that it lives by touching it. A lease of another machine that was not touched for
+`LEASE_S` is a dead one's: by the file system's own clock, or by ours from when we first saw it, whichever is sooner.
 """
 
 import errno
-import fcntl
 import json
 import os
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from devrf.capture.errors import DevrfError, InputError
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 LOCK = ".lock"
 BEAT_S = 10.0  # between two touches
 LEASE_S = 60.0  # six missed touches: a busy server delays one or two
 POLL_S = 1.0  # between two looks at the lock of another machine
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)  # of file systems without them
 
 
 class Lock:
@@ -34,7 +40,8 @@ class Lock:
 
     def __init__(self, folder: Path, say: Callable[[str], None] = lambda text: None) -> None:
         self._path, self._say = folder / LOCK, say
-        self._handle: int | None = None
+        self._kernels: FileLock | None = None
+        self._me: dict[str, Any] | None = None  # what the file says while it is ours
         self._released = threading.Event()
         self._beats = threading.Thread(target=self._beat, name="lock", daemon=True)
 
@@ -44,24 +51,18 @@ class Lock:
         Raises:
             InputError: Another run holds it.
         """
-        while self._handle is None:
-            handle, new = self._open()
-            try:
-                known = _lock(handle)
-                if known is False:
-                    raise self._busy(_holder(handle))
-                if not _same_file(self._path, handle):
-                    os.close(handle)  # released between open and lock: the name is another file now
-                    continue
-                if not new:
-                    self._wait_for_the_dead(handle, kernel_knows=known is True)
-                _write(handle, _me())
-            except BaseException as error:
-                if new and not isinstance(error, InputError):
-                    self._path.unlink(missing_ok=True)
-                os.close(handle)
-                raise
-            self._handle = handle
+        self._kernels, kernel_knows = self._of_the_kernel()
+        try:
+            holder = _holder(self._path)
+            if holder is not None and not (kernel_knows and _machine(holder) == _machine(_myself())):
+                self._wait_for_the_dead(holder)
+            self._write(_myself())
+        except FileNotFoundError:  # released meanwhile: the name will be another file
+            self._kernels.release()
+            return self.take()
+        except BaseException:
+            self._kernels.release()
+            raise
         self._beats.start()
 
     def check(self) -> None:
@@ -70,7 +71,7 @@ class Lock:
         Raises:
             DevrfError: It slept so long that another machine has taken it for dead, or someone removed the file.
         """
-        if self._handle is None or not _same_file(self._path, self._handle):
+        if self._me is None or _holder(self._path) != self._me:
             raise DevrfError(
                 f"{self._path}: is no longer this run's (it was removed, or taken over by another run); "
                 "nothing more is written here; run again when no other run works in this folder"
@@ -78,63 +79,69 @@ class Lock:
 
     def release(self) -> None:
         """Let others run here."""
-        if self._handle is None:
+        if self._me is None or self._kernels is None:
             return
         self._released.set()
         self._beats.join(1.0)  # at once, unless a server does not answer
-        if _same_file(self._path, self._handle):
+        if _holder(self._path) == self._me:
             self._path.unlink(missing_ok=True)
-        os.close(self._handle)
-        self._handle = None
+        self._kernels.release()
+        self._me = None
 
-    def _open(self) -> tuple[int, bool]:
-        """A handle, and whether the file is new."""
-        while True:
-            try:
-                return os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
-            except FileExistsError:
-                pass
-            try:
-                return os.open(self._path, os.O_RDWR), False
-            except FileNotFoundError:
-                continue  # released meanwhile
+    def _of_the_kernel(self) -> "tuple[FileLock, bool]":
+        """The file, locked where the file system knows locks, and whether it does.
 
-    def _wait_for_the_dead(self, handle: int, *, kernel_knows: bool) -> None:
+        Raises:
+            InputError: Another process of this machine has it locked.
+        """
+        from filelock import FileLock, Timeout
+
+        lock = FileLock(self._path, timeout=0, thread_local=False, fallback_to_soft=False)
+        try:
+            lock.acquire()
+        except Timeout:
+            raise self._busy(_holder(self._path)) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            self._path.touch()
+            return lock, False
+        return lock, True
+
+    def _write(self, me: dict[str, Any]) -> None:
+        with self._path.open("r+") as file:
+            try:
+                file.truncate()
+                file.write(json.dumps(me))
+            except BaseException:
+                self._path.unlink(missing_ok=True)
+                raise
+        self._me = me
+
+    def _wait_for_the_dead(self, holder: dict[str, Any]) -> None:
         """Return when the holder is known to be dead.
 
         Raises:
             InputError: It lives.
+            FileNotFoundError: It has released the lock.
         """
-        holder, me = _holder(handle), _me()
-        here = holder is None or (holder["host"], holder.get("boot")) == (me["host"], me["boot"])
-        if kernel_knows and here:
-            return  # a living holder would have it locked
-        if holder is not None and here and holder.get("pids") == me["pids"] and me["started"]:
-            if holder.get("started") == _start_of(holder["pid"]):  # numbers are used again
-                raise self._busy(holder)
+        if _has_ended(holder):
             return
-        touched = os.fstat(handle).st_mtime_ns
-        first = True
-        while (age_s := (self._file_system_ns() - touched) / 1e9) < LEASE_S:
-            if os.fstat(handle).st_mtime_ns != touched:
-                raise self._busy(holder)
-            if first:
-                self._say(
-                    f"{self._path}: held by {_named(holder)}, last sign of life {max(age_s, 0):.0f} s ago; "
-                    f"waiting for another, or until {LEASE_S:.0f} s are over"
-                )
-            first = False
+        touched = self._path.stat().st_mtime_ns
+        with tempfile.TemporaryFile(dir=self._path.parent) as probe:  # what time it is where the folder lies
+            age_s = min(max((os.fstat(probe.fileno()).st_mtime_ns - touched) / 1e9, 0.0), LEASE_S)
+        until = time.monotonic() + LEASE_S - age_s
+        if age_s < LEASE_S:
+            self._say(
+                f"{self._path}: held by {_named(holder)}, last sign of life {age_s:.0f} s ago; "
+                f"waiting for another, or until {LEASE_S:.0f} s are over"
+            )
+        while time.monotonic() < until:
             time.sleep(POLL_S)
+            if self._path.stat().st_mtime_ns != touched:
+                raise self._busy(holder)
 
-    def _file_system_ns(self) -> int:
-        """What time it is where the folder lies."""
-        probe = self._path.with_name(f"{LOCK}.{os.getpid()}.tmp")
-        probe.touch()
-        now = probe.stat().st_mtime_ns
-        probe.unlink()
-        return now
-
-    def _busy(self, holder: dict | None) -> InputError:
+    def _busy(self, holder: dict[str, Any] | None) -> InputError:
         return InputError(
             f"{self._path.parent}: another run ({_named(holder)}) works in this folder; wait for it, stop it, or "
             "use another output"
@@ -142,10 +149,9 @@ class Lock:
 
     def _beat(self) -> None:
         while not self._released.wait(BEAT_S):
-            handle = self._handle
             try:
-                if handle is not None:
-                    os.utime(handle)
+                if _holder(self._path) == self._me:
+                    os.utime(self._path)
             except OSError:
                 pass  # a server that does not answer for a while
 
@@ -156,88 +162,58 @@ def is_held(folder: Path) -> bool:
     A lock left by a process that was killed counts for `LEASE_S`, unless it is known here that the process is gone.
     """
     try:
-        handle = os.open(folder / LOCK, os.O_RDONLY)
+        age_s, holder = time.time() - (folder / LOCK).stat().st_mtime, _holder(folder / LOCK)
     except OSError:
         return False
-    try:
-        holder, me = _holder(handle), _me()
-        if holder is not None and all(holder.get(key) == me[key] for key in ("host", "boot", "pids")):
-            return holder.get("started") == _start_of(holder["pid"])
-        return time.time() - os.fstat(handle).st_mtime < LEASE_S
-    finally:
-        os.close(handle)
+    return age_s < LEASE_S and not (holder is not None and _has_ended(holder))
 
 
-def _lock(handle: int) -> bool | None:
-    """Have the kernel lock a file. False where another process has it; None where this cannot be done."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL):
-            return None
-        raise
-    return True
-
-
-def _same_file(path: Path, handle: int) -> bool:
-    try:
-        return os.path.samestat(path.stat(), os.fstat(handle))
-    except FileNotFoundError:
-        return False
-
-
-def _me() -> dict:
+def _myself() -> dict[str, Any]:
     """What a lock says of its holder."""
     return {
         "pid": os.getpid(),
         "host": socket.gethostname(),
-        "started": _start_of(os.getpid()),
-        "boot": _text("/proc/sys/kernel/random/boot_id"),
-        "pids": _link("/proc/self/ns/pid"),
+        "boot": _known(lambda: Path("/proc/sys/kernel/random/boot_id").read_text().strip()),
+        "pids": _known(lambda: os.readlink("/proc/self/ns/pid")),
         "since": time.strftime("%Y-%m-%d %H:%M:%S"),
     }
 
 
-def _write(handle: int, holder: dict) -> None:
-    os.ftruncate(handle, 0)
-    os.pwrite(handle, json.dumps(holder).encode(), 0)
-    os.fsync(handle)
-
-
-def _holder(handle: int) -> dict | None:
-    """Who a lock names; None where it is empty or cannot be read, as after a power cut."""
+def _holder(path: Path) -> dict[str, Any] | None:
+    """Who a lock names; None where there is none, or it is empty or cannot be read, as after a power cut."""
     try:
-        holder = json.loads(os.pread(handle, 65536, 0))
-    except ValueError:
+        holder = json.loads(path.read_text())
+    except (FileNotFoundError, ValueError):
         return None
     return holder if isinstance(holder, dict) and {"pid", "host", "since"} <= holder.keys() else None
 
 
-def _named(holder: dict | None) -> str:
-    return (
-        "unknown"
-        if holder is None
-        else f"process {holder['pid']} on {holder['host']}, since {holder['since']}"
-    )
+def _named(holder: dict[str, Any] | None) -> str:
+    if holder is None:
+        return "unknown"
+    return f"process {holder['pid']} on {holder['host']}, since {holder['since']}"
 
 
-def _start_of(pid: int) -> str | None:
-    """When a process started, in the kernel's ticks; None where it is gone, a zombie, or cannot be known."""
-    fields = (_text(f"/proc/{pid}/stat") or "").rpartition(")")[2].split()
-    return None if len(fields) < 20 or fields[0] in "ZX" else fields[19]
+def _machine(holder: dict[str, Any]) -> str:
+    """Containers of one machine have names of their own, but one start."""
+    return holder.get("boot") or holder["host"]
 
 
-def _text(path: str) -> str | None:
+def _has_ended(holder: dict[str, Any]) -> bool:
+    """Whether it is known here that a process is gone: one of this machine whose number means the same here."""
+    me = _myself()
+    if any(holder.get(key) != me[key] for key in ("host", "boot", "pids")):
+        return False
+    import psutil
+
     try:
-        return Path(path).read_text().strip()
-    except (OSError, ValueError):
-        return None
+        return psutil.Process(holder["pid"]).status() == psutil.STATUS_ZOMBIE
+    except (psutil.NoSuchProcess, TypeError, ValueError):
+        return True
 
 
-def _link(path: str) -> str | None:
+def _known(look: Callable[[], str]) -> str | None:
     try:
-        return os.readlink(path)
+        return look()
     except OSError:
         return None

@@ -4,16 +4,18 @@ import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from devrf.capture.durable import sync, write_json
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow, Verdict, worst
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.cache import Cache
 from devrf.pipelines.stamps.digests import Digests
 from devrf.pipelines.stamps.reasons import why_stale
 from devrf.pipelines.stamps.stamp import HEALTH, identity, read_stamp, stamp_id
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 State = Literal["fresh", "stale", "missing", "not applicable"]
 ALL = "all"  # --force all
@@ -75,7 +77,7 @@ class Standing:
 def standing(
     stage: Stage,
     stages: Sequence[Stage],
-    config: SceneConfig,
+    config: "SceneConfig",
     scene_dir: Path,
     run_dir: Path,
     digests: Digests,
@@ -138,7 +140,7 @@ def standing(
 
 def standings(
     stages: Sequence[Stage],
-    config: SceneConfig,
+    config: "SceneConfig",
     scene_dir: Path,
     run_dir: Path,
     choice: Choice | None = None,
@@ -168,7 +170,7 @@ def standings(
     return found
 
 
-def reads_of(stage: Stage, stages: Sequence[Stage], config: SceneConfig) -> list[str]:
+def reads_of(stage: Stage, stages: Sequence[Stage], config: "SceneConfig") -> list[str]:
     """The stages that one reads, without those that do not apply."""
     applying = {other.name for other in stages if other.applies(config) is None}
     return [name for name in stage.reads if name in applying]

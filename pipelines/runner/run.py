@@ -4,15 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from devrf.capture.errors import InputError
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.logs import new_run_name
 from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standing, standings
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.cache import Cache, cache_of, check_cache
 from devrf.pipelines.stamps.digests import Digests
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 NEEDS_SWEEP = "canonical"  # the first stage that cannot do without a sweep
 
@@ -34,7 +37,7 @@ class Run:
         fresh: Those, and the ones that were skipped because nothing they depend on has changed.
     """
 
-    config: SceneConfig
+    config: "SceneConfig"
     scene_dir: Path
     stages: Sequence[Stage]
     choice: Choice
@@ -87,7 +90,7 @@ class Run:
         )
 
 
-def check_choice(config: SceneConfig, stages: Sequence[Stage], choice: Choice) -> None:
+def check_choice(config: "SceneConfig", stages: Sequence[Stage], choice: Choice) -> None:
     """Refuse stage names that do not exist and ranges that make no sense.
 
     Raises:

@@ -7,10 +7,13 @@ The work of each stage is in the file of its name, which is imported only when t
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from devrf.flow.methods import plug_in
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage, StageContext
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 
 def _glue(name: str) -> Callable[[StageContext], None]:
@@ -30,42 +33,42 @@ FORMATS_AT_REST = ("blender", "llff", "colmap")
 PAIRS = {"intri": "extri", "extri": "intri", "intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 
 
-def _from_raw_files(config: SceneConfig) -> str | None:
+def _from_raw_files(config: "SceneConfig") -> str | None:
     return NO_RAW_FILES if config.kind == "dataset" else None
 
 
-def _from_the_sweep(config: SceneConfig) -> str | None:
+def _from_the_sweep(config: "SceneConfig") -> str | None:
     return {"dataset": NO_RAW_FILES, "cameras": NO_SWEEP}.get(config.kind)
 
 
-def _from_fixed_cameras(config: SceneConfig) -> str | None:
+def _from_fixed_cameras(config: "SceneConfig") -> str | None:
     return {"dataset": NO_RAW_FILES, "sweep": NO_CAMERAS}.get(config.kind)
 
 
-def _where_something_moves(config: SceneConfig) -> str | None:
+def _where_something_moves(config: "SceneConfig") -> str | None:
     if config.dataset is not None and config.dataset.format in FORMATS_AT_REST:
         return NOTHING_MOVES
     return NO_CAMERAS if config.kind == "sweep" else None
 
 
-def _where_rest_is_known(config: SceneConfig) -> str | None:
+def _where_rest_is_known(config: "SceneConfig") -> str | None:
     return NO_SWEEP if config.kind == "cameras" else None
 
 
-def _where_rest_is_known_and_something_moves(config: SceneConfig) -> str | None:
+def _where_rest_is_known_and_something_moves(config: "SceneConfig") -> str | None:
     return NO_SWEEP if config.kind == "cameras" else _where_something_moves(config)
 
 
-def _always(config: SceneConfig) -> str | None:
+def _always(config: "SceneConfig") -> str | None:
     return None
 
 
-def _truth(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
+def _truth(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
     truth = config.truth_path(scene_dir)
     return {} if truth is None else {"ground truth": truth}
 
 
-def _beside_given(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
+def _beside_given(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
     """A calibration in two files is named by one of them; both count."""
     given = config.calibration.rig.given
     path = config.path(scene_dir, given) if isinstance(given, str) else None
@@ -75,17 +78,17 @@ def _beside_given(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
     return {f"{other.stem} of calibration.rig.given": other}
 
 
-def _data_set(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
+def _data_set(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
     """The pictures of a data set stay where they are."""
     return {} if config.dataset is None else {"dataset": config.path(scene_dir, config.dataset.path)}
 
 
-def _flow_method(config: SceneConfig) -> tuple[str, ...]:
+def _flow_method(config: "SceneConfig") -> tuple[str, ...]:
     module = plug_in(config.flow.method)
     return () if module is None else (module,)
 
 
-def _matte_program(config: SceneConfig, scene_dir: Path) -> dict[str, Path]:
+def _matte_program(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
     """Files among the arguments of the program that makes mattes."""
     mattes = None if config.capture is None else config.capture.mattes
     if mattes is None or mattes.command is None:

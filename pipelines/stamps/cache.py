@@ -15,13 +15,16 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from devrf.capture.amounts import GB
 from devrf.capture.errors import InputError
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.digests import CACHE_TAG, file_digest
 from devrf.pipelines.stamps.stamp import STAMP, identity_key, is_whole, read_stamp, size_in
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 TAG_TEXT = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"  # Cache Directory Tagging Specification, bford.info/cachedir
@@ -138,7 +141,7 @@ class Cache:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def cache_of(config: SceneConfig, scene_dir: Path) -> Cache | None:
+def cache_of(config: "SceneConfig", scene_dir: Path) -> Cache | None:
     """The cache that scene.yaml names, else the user's own, else none."""
     wish = config.cache
     folder = wish.folder or os.environ.get(USERS)

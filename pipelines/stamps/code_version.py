@@ -12,9 +12,12 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
-from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
 
 ROOMS = ("capture", "calibration", "flow", "reconstruct")
 RUNNER = ("config", "runner", "stamps")  # folders of `pipelines`
@@ -196,6 +199,8 @@ def _distribution(module: str) -> tuple[str, str] | None:
     Most bear the module's name. For the others (cv2, PIL, warp) the lists of files are searched, as text: the
     standard library's own table of all modules takes longer than the rest of a start.
     """
+    from importlib import metadata
+
     try:
         found = metadata.distribution(module)
     except metadata.PackageNotFoundError:
@@ -206,5 +211,5 @@ def _distribution(module: str) -> tuple[str, str] | None:
     return None if found is None else (found.name, found.version)
 
 
-def _files_in(distribution: metadata.Distribution) -> str:
+def _files_in(distribution: "Distribution") -> str:
     return "\n" + (distribution.read_text("RECORD") or "")

@@ -12,27 +12,28 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from devrf.pipelines.config.files import input_paths
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.code_version import Code, code_of, series
 from devrf.pipelines.stamps.digests import Digests
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 STAMP = "stamp.json"
 HEALTH = "health.json"
 IN_ORDER = ("capture.cameras",)  # sections whose order counts: the first camera's clock is everyone's
 
 
-def code_of_stage(stage: Stage, config: SceneConfig) -> Code:
+def code_of_stage(stage: Stage, config: "SceneConfig") -> Code:
     """The code that makes a stage."""
     return code_of(stage.module, stage.plug_ins(config))
 
 
 def identity(
     stage: Stage,
-    config: SceneConfig,
+    config: "SceneConfig",
     scene_dir: Path,
     run_dir: Path,
     reads: Iterable[str],
@@ -50,6 +51,8 @@ def identity(
         digests: Source of content digests.
         expected: Content that stages will have which are not made yet, by name.
     """
+    from devrf.pipelines.config.files import input_paths
+
     values: dict[str, Any] = {}
     paths = input_paths(config)
     whole = config.model_dump(mode="json")

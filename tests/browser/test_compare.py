@@ -10,6 +10,8 @@ from tests.pipelines.compare_folders import write_two_runs
 from devrf.pipelines.compare.command import PAGE, compare
 from devrf.pipelines.console import Talk
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def comparison(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,6 +16,8 @@ from devrf.pipelines.export.command import export
 from devrf.pipelines.export.request import Options
 from devrf.reconstruct.model import render_view
 
+pytestmark = pytest.mark.full
+
 SIDE = 320
 TITLE = "ball <1>"
 

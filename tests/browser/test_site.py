@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 REPOSITORY = Path(__file__).parents[2]
 
 

@@ -22,6 +22,8 @@ from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_model
 from devrf.reconstruct.rest_model import RestModel
 
+pytestmark = pytest.mark.full
+
 WINDOW = {"width": 640, "height": 300}
 COMPARED = 80, 80  # pixels of the middle of pictures that are compared
 LIMIT_S = 60.0

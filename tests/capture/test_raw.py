@@ -15,7 +15,7 @@ from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import Development, Recipe, develop, is_raw, recipe_for
-from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
+from devrf.capture.raw_set import develop_set, read_raw_sidecar
 from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
 
@@ -127,7 +127,7 @@ def test_set_on_disk(tmp_path):
         )
     jobs = [(n, tmp_path / f"{n}.dng") for n in (0, 1, 3, 4)]
     out = tmp_path / "out"
-    photos = develop_set(jobs, out, "static", RawOptions())
+    photos = develop_set(jobs, out, "static")
     assert list(photos) == [0, 1, 3, 4]
     sidecar = read_raw_sidecar(out / "raw" / "static.json")
     recipe, files = sidecar["recipe"], sidecar["files"]
@@ -168,7 +168,7 @@ def test_side_by_side_and_no_more(tmp_path, monkeypatch):
     monkeypatch.setattr(raw_set, "develop", slow)
     jobs = [(n, tmp_path / "a.dng") for n in range(3 * cores)]
     done: list[float] = []
-    develop_set(jobs, tmp_path / "out", "static", RawOptions(), lambda share, _: done.append(share))
+    develop_set(jobs, tmp_path / "out", "static", None, lambda share, _: done.append(share))
     assert most == cores and done == sorted(done) and done[-1] == 1
 
 
@@ -182,8 +182,9 @@ def test_folder(tmp_path):
             tmp_path / "in" / f"{n}.dng", mosaic(texture, "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
         )
     out = tmp_path / "out"
-    options = RawOptions(white_balance=(2.0, 1.0, 1.0, 1.0))
-    frames = extract_folder(tmp_path / "in", out, "static", "sweep", "in", most=2, raw=options)
+    frames = extract_folder(
+        tmp_path / "in", out, "static", "sweep", "in", most=2, white_balance=(2.0, 1.0, 1.0, 1.0)
+    )
     assert (frames.width, frames.height) == (WIDTH, HEIGHT)
     assert [frame.index for frame in frames.used] == [1, 3]
     assert sorted(p.name for p in (out / "frames/static").iterdir()) == ["000001.png", "000003.png"]
@@ -242,7 +243,7 @@ def test_damaged(tmp_path):
         develop(path)
     write_dng(tmp_path / "b.dng", mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
     with pytest.raises(CaptureError, match="a.dng"):
-        develop_set([(0, tmp_path / "b.dng"), (1, path)], tmp_path / "out", "static", RawOptions())
+        develop_set([(0, tmp_path / "b.dng"), (1, path)], tmp_path / "out", "static")
     other = recipe_for([tmp_path / "b.dng"])
     high = (20000, 20000, 20000, 20000)
     write_dng(path, mosaic(light(), "RGGB", high, 65535), black=high)

@@ -110,7 +110,7 @@ def installed(monkeypatch):
         EntryPoint(name, f"somebodys_flow:{what}", "devrf.flow")
         for name, what in (("still", "made"), ("broken", "absent"), ("text", "no_estimator"))
     ]
-    monkeypatch.setattr("devrf.flow.methods.entry_points", lambda group: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
 
 
 def made(weights, device):

@@ -10,7 +10,7 @@ from tests.conftest import Command
 from devrf.calibration.flicker import Change, Flicker, LightFound, judge_light
 from devrf.capture.light import LightCourse
 from devrf.capture.pictures import write_picture
-from devrf.capture.raw_set import RawOptions, develop_set, read_raw_sidecar
+from devrf.capture.raw_set import develop_set, read_raw_sidecar
 from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
@@ -33,7 +33,7 @@ def rows_of(tmp_path: Path, files: list[dict]) -> list[HealthRow]:
         known = {**LEVELS, "raw": mosaic(picture(), "RGGB", LEVELS["black"], LEVELS["white"]), **file}
         write_dng(tmp_path / f"IMG_{n}.dng", **known)
     jobs = [(n, tmp_path / f"IMG_{n}.dng") for n in range(len(files))]
-    develop_set(jobs, tmp_path / "out", "static", RawOptions())
+    develop_set(jobs, tmp_path / "out", "static")
     return raw_rows("static", read_raw_sidecar(tmp_path / "out" / "raw" / "static.json"))
 
 

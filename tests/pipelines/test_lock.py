@@ -37,7 +37,7 @@ def holder(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
 
 def says(folder: Path, **changes: object) -> None:
     """A lock of a process of this machine that ended long ago, with some of what it says changed."""
-    holder = {"pid": 2**22 + 1, "host": os.uname().nodename, "started": "1", "since": "2026-01-01 00:00:00"}
+    holder = {"pid": 2**22 + 1, "host": os.uname().nodename, "since": "2026-01-01 00:00:00"}
     holder |= {"boot": Path("/proc/sys/kernel/random/boot_id").read_text().strip()}
     holder |= {"pids": os.readlink("/proc/self/ns/pid")}
     (folder / LOCK).write_text(json.dumps(holder | changes))
@@ -67,17 +67,35 @@ def test_one_that_a_power_cut_has_emptied_is_dead(tmp_path: Path, text: str) -> 
     Lock(tmp_path).take()
 
 
+@pytest.mark.parametrize(
+    ("age_s", "waits"), [(3600.0, False), (0.0, True), (-3600.0, True)], ids=["old", "new", "future"]
+)
 def test_one_of_another_machine_is_dead_when_nobody_touches_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, age_s: float, waits: bool
 ) -> None:
+    """At once where it is old; a time that lies in the future is no reason to wait for longer than a lease."""
     monkeypatch.setattr(lock, "LEASE_S", 0.5)
     monkeypatch.setattr(lock, "POLL_S", 0.05)
     said: list[str] = []
     says(tmp_path, host="node7", boot="another")
+    touched = time.time() - age_s
+    os.utime(tmp_path / LOCK, (touched, touched))
     start = time.monotonic()
     Lock(tmp_path, said.append).take()
-    assert 0.3 < time.monotonic() - start < 5
-    assert "held by process 4194305 on node7" in said[0] and len(said) == 1
+    assert (0.3 < time.monotonic() - start < 5) == waits
+    assert len(said) == waits and all("held by process 4194305 on node7" in line for line in said)
+
+
+def test_one_of_another_machine_that_is_released_meanwhile_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lock, "POLL_S", 0.05)
+    says(tmp_path, host="node7", boot="another")
+    taken = Lock(tmp_path, lambda text: (tmp_path / LOCK).unlink())
+    taken.take()
+    taken.check()
+    with pytest.raises(InputError):
+        Lock(tmp_path).take()
 
 
 def test_one_of_another_machine_that_is_touched_is_alive(
@@ -101,17 +119,27 @@ def test_a_holder_touches_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     taken.release()
 
 
+@pytest.mark.parametrize("errno", lock.NO_LOCKS)
 @pytest.mark.parametrize("living", [True, False])
-def test_without_locks_of_the_file_system_the_process_itself_is_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, living: bool
+def test_without_locks_of_the_file_system_a_lease_decides_and_the_dead_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, living: bool, errno: int
 ) -> None:
-    monkeypatch.setattr(lock, "_lock", lambda handle: None)
-    started = Path(f"/proc/{os.getppid()}/stat").read_text().rsplit(")", 1)[1].split()[19]
-    says(tmp_path, pid=os.getppid(), started=started if living else "1")  # or its number was used again
+    """A living process of this machine keeps the file by touching it; the number of a dead one is known to be free."""
+
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(errno, "no locks")
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    monkeypatch.setattr(lock, "POLL_S", 0.3)
     if not living:
-        return Lock(tmp_path).take()
-    with pytest.raises(InputError, match="another run"):
+        says(tmp_path)
         Lock(tmp_path).take()
+        return
+    says(tmp_path, pid=os.getppid())
+    touches = subprocess.Popen([sys.executable, "-c", f"import os; os.utime({str(tmp_path / LOCK)!r})"])
+    with pytest.raises(InputError, match=f"another run .process {os.getppid()} "):
+        Lock(tmp_path).take()
+    touches.wait()
 
 
 def test_who_has_lost_it_is_told_and_leaves_it_alone(tmp_path: Path) -> None:

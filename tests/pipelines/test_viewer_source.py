@@ -143,7 +143,7 @@ def test_a_lock_is_looked_at_and_not_taken(tmp_path: Path) -> None:
     lock.check()
     lock.release()
     assert not is_held(tmp_path)
-    dead = {"pid": 1, "host": "another", "boot": "b", "pids": "p", "started": "1", "since": "then"}
+    dead = {"pid": 1, "host": "another", "boot": "b", "pids": "p", "since": "then"}
     (tmp_path / ".lock").write_text(json.dumps(dead))
     assert is_held(tmp_path)  # of another machine, touched just now
     old = time.time() - LEASE_S - 1

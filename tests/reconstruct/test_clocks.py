@@ -16,6 +16,8 @@ from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.surroundings import PixelSurroundings
 
+pytestmark = pytest.mark.full
+
 TIMES = 9
 TRAVEL = np.array([0.45, 0.0, 0.25])  # 0.064 box units, 1.5 pixels, from one picture to the next
 GAP_S = 1 / (TIMES - 1)

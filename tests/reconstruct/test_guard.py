@@ -191,6 +191,7 @@ def test_losses_that_double_by_chance_change_nothing(
     assert metrics["restarts"] == metrics["keys_left"] == 0 and torch.equal(motion.backward, again.backward)
 
 
+@pytest.mark.full
 def test_a_motion_that_is_no_number_is_not_kept(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,8 @@ from devrf.reconstruct.options import MotionOptions, preset
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_deformation import train_deformation
 
+pytestmark = pytest.mark.full
+
 TIMES, LATE = 11, 2  # pictures of each camera; pictures by which one is late
 TRAVEL = np.array([0.6, 0.0, 0.3])
 GAP_S = 1 / (TIMES - 1)

@@ -129,7 +129,7 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
         r"features.6.bias is missing, expected \[384\]",
     ),
     "no tensors": (lambda p: torch.save({"features.0.weight": "x"}, p), "features.0.weight is missing"),
-    "a list": (lambda p: torch.save([torch.zeros(3)], p), "holds a list"),
+    "a list": (lambda p: torch.save([torch.zeros(3)], p), "features.0.weight is missing"),
     "not finite": (
         lambda p: torch.save(trunk("alex") | {"features.0.bias": torch.full((64,), torch.nan)}, p),
         "not finite",

@@ -11,6 +11,8 @@ from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options, 
 from devrf.reconstruct.paired import paired_gain
 from devrf.reconstruct.parts import PARTS
 
+pytestmark = pytest.mark.full
+
 EVERYTHING = Options(
     replace(preset("fast").canonical, variation=1.0, opacity=0.1),
     replace(preset("fast").motion, one_camera=True),

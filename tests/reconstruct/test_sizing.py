@@ -210,6 +210,7 @@ def test_adapted_training_resumes_bit_by_bit(
     assert metrics["level_gains_db"] == log["level_gains_db"] and len(log["level_gains_db"]) == 2
 
 
+@pytest.mark.full
 def test_an_easy_scene_ends_up_smaller_and_faster(ball, rest: RestModel) -> None:
     """The ball's straight way, told by flow: three key times instead of five, in half the iterations."""
     step = _straight(4, 1.4)
@@ -234,6 +235,7 @@ def _test_psnr(ball, model: DynamicModel) -> float:
     return float(-10 * np.log10(np.mean(errors)))
 
 
+@pytest.mark.full
 def test_voxels_are_fewer_before_coarse_pictures(ball) -> None:
     scene = replace(ball.scene, image_scale=0.5)
     options = replace(REST, resolution=64, iterations=6, adapt=True)

@@ -48,6 +48,7 @@ def test_scene_at_rest_is_learned(ball, rest: RestModel) -> None:
     assert rest.metrics["curve"][-1]["psnr"] > rest.metrics["curve"][0]["psnr"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("background", ["black", "#336699"])
 def test_any_plain_background(ball, background: str) -> None:
     """Mattes are composited on the colour, and the model sees the same colour behind the subject."""
@@ -93,6 +94,7 @@ def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
     assert metrics["left_box_share"] < 0.2
 
 
+@pytest.mark.full
 def test_pictures_just_past_a_key_do_not_throw_the_next_one(ball, rest: RestModel) -> None:
     """Free-running cameras: two are a hundredth of the keys' spacing late, so that the next key hardly shows."""
     late = {"cam1": 0.003, "cam2": 0.003}
@@ -116,6 +118,7 @@ def test_one_camera_in_each_step(ball, rest: RestModel) -> None:
     assert float(motion.backward[4].abs().max()) > 0
 
 
+@pytest.mark.full
 def test_box_by_a_coarse_model(ball) -> None:
     """The published search finds the ball as the silhouettes do, and draws only rays that meet it."""
     options = replace(REST, iterations=40, box_search="coarse", coarse_iterations=350, coarse_rays=512)
@@ -125,6 +128,7 @@ def test_box_by_a_coarse_model(ball) -> None:
     assert (box.abs() < 1.7 * ball.radius).all()
 
 
+@pytest.mark.full
 def test_surroundings_are_learned_without_mattes(ball) -> None:
     """The same pictures taken as a room: the white around the ball is part of the scene."""
     scene = replace(ball.scene, background="shell", aabb=np.array([[-0.7] * 3, [0.7] * 3]), far=8.0)
