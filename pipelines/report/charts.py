@@ -21,12 +21,7 @@ COLOURS = 6  # --s0 .. --s5 in report.css
 LINES = tuple(f"#0000f{n}" for n in range(COLOURS))  # stand for the page's colours, and are replaced by them
 MUTED, RULE = "#00000a", "#00000b"
 THEME = {MUTED: "--muted", RULE: "--rule"} | {c: f"--s{n}" for n, c in enumerate(LINES)}
-WIDE, SMALL, SQUARE, PLAN = (
-    (480, 250),
-    (340, 190),
-    (260, 260),
-    (480, 360),
-)  # px; text is 12 px high in all of them
+WIDE, SMALL = (480, 250), (340, 190)  # px; text is 12 px high in both
 NEEDLESS = re.compile(
     r'font-family:[^;"]*; ?|<g id="[^"]*"/>|(?<=<g) id="[^"]*"| transform="rotate\(-0 [^"]*"'
 )
