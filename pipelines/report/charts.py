@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +26,7 @@ NEEDLESS = re.compile(
     r'font-family:[^;"]*; ?|<g id="[^"]*"/>|(?<=<g) id="[^"]*"| transform="rotate\(-0 [^"]*"'
 )
 PLACES = re.compile(r'(?<= d=")[^"]*|(?<= [xy]=")[^"]*')  # two decimals of them can be seen
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "devrf",
     "text.parse_math": False,  # a dollar in a name is one

@@ -35,7 +35,13 @@ def clocks(run: RunFolder) -> dict[str, Any]:
         ),
         "geometry": _drawn(
             _clock(
-                c, "by", "sharp", "not sharp", 1e3, "trial offset, ms", label.get(c.get("by"), "correlation")
+                c,
+                "by",
+                "sharp",
+                "not sharp",
+                1e3,
+                "trial offset, ms",
+                label.get(str(c.get("by")), "correlation"),
             )
             for c in pairs
         ),
