@@ -229,10 +229,11 @@ def simulate(
         simulate_command.simulate(talk, out, scene, protocol, cameras, seed, size, settings or [])
 
 
-def _version(show: bool) -> None:
+def _version(show: bool) -> bool:
     if show:
         typer.echo(f"devrf {devrf.__version__}")
         raise typer.Exit(DONE)
+    return show
 
 
 @app.callback()
