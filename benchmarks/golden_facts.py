@@ -70,7 +70,7 @@ def said_values(file: Path, mistakes: bool) -> Values:
 
 
 def export_values(folder: Path) -> Values:
-    """What lies in the folder of an export: files by ending, counts of their headers, names of keys and arrays."""
+    """What lies in the folder of an export: files by ending, what their headers count, and names of keys and arrays."""
     counts: Counter[str] = Counter()
     names: set[str] = set()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):

@@ -71,11 +71,6 @@ class Footprint:
         """Of main memory."""
         return sum(self.main.values())
 
-    @property
-    def gpu_bytes(self) -> int:
-        """Of the GPU; 0 without one."""
-        return sum(self.gpu.values())
-
 
 @dataclass(frozen=True)
 class SceneSize:

@@ -59,7 +59,7 @@ def paired_gain(with_it: Sequence[float], without: Sequence[float]) -> Gain:
     return Gain(float(apart.mean()), half_of_interval(by_pair, CONFIDENCE), by_pair)
 
 
-def gain_over_time(with_it: Sequence[float], without: Sequence[float], time: Sequence[float]) -> Gain:
+def gain_over_time(with_it: Sequence[float], without: Sequence[float], time: Sequence[float | int]) -> Gain:
     """Mean difference of two models over the same views, with the interval that moments like these leave open.
 
     Where one model is better it is better shortly after, too: forty views are far fewer than forty measurements. So the

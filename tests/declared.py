@@ -10,7 +10,6 @@ import threading
 import types
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
@@ -45,6 +44,7 @@ class Watch:
         self._undeclared: list[str] = []
         self._stage: Stage | None = None
         self._allowed: set[str] = set()
+        self._folders: set[str] = set()
         self._run_dir, self._thread, self._quiet = "", 0, False
         for key, model in {"": SceneConfig, **sections()}.items():
             self._spy_on(model, key)
@@ -53,15 +53,17 @@ class Watch:
     def undeclared(self) -> list[str]:
         """What was read since the last call."""
         found, self._undeclared = self._undeclared, []
-        return found
+        return list(dict.fromkeys(found))
 
     def watched(self, stage: Stage, run: Callable[[StageContext], None]) -> Callable[[StageContext], None]:
         """The work of a stage, watched."""
         declared = {leaf for key in (*stage.config_keys, "budget") for leaf in leaves(key)}
+        referred = {name for one in STAGES if one.refers and one.name in stage.reads for name in one.reads}
 
         def watched(context: StageContext) -> None:
             self._allowed = declared | READ_BUT_NOT_A_KEY.get(stage.name, set())
             self._run_dir, self._thread = f"{context.run_dir}{os.sep}", threading.get_ident()
+            self._folders = {stage.name, *stage.reads, *referred}
             self._stage = stage
             try:
                 run(context)
@@ -101,8 +103,8 @@ class Watch:
         path = os.fspath(arguments[0])
         if isinstance(path, str) and path.startswith(self._run_dir):
             name = path[len(self._run_dir) :].split(os.sep)[0]
-            if name in stage_names() and name not in (*stage.reads, stage.name):
-                self._undeclared.append(f"{stage.name} opens {Path(path).relative_to(self._run_dir)}")
+            if name in stage_names() and name not in self._folders:
+                self._undeclared.append(f"{stage.name} opens a file of {name}")
 
 
 @cache

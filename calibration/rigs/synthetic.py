@@ -79,7 +79,6 @@ def synthetic_views(
     views: dict[str, list[TimedView]] = {name: [] for name in cameras}
     for n in range(int(rig.duration_s * FPS)):
         for name, camera in cameras.items():
-            rng.random()
             place = _board_at(n / FPS + (delay_s or {}).get(name, 0.0), phase, towards, rig)
             xy = camera.project(corners @ place[:, :3].T + place[:, 3] + middle)
             xy = xy + NOISE_PX * rng.standard_normal(xy.shape)

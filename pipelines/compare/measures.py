@@ -121,7 +121,9 @@ def seed_differences(runs: Sequence[ComparedRun]) -> Iterator[Difference]:
     for group in others:
         seeds = sorted(first.keys() & group.keys())
         for measure in MEASURES if len(seeds) > 1 else ():
-            without, with_it = ([value_of(of[seed], measure) for seed in seeds] for of in (first, group))
-            if None not in (*without, *with_it):
-                names = ((*(run.name for run in of.values()),) for of in (group, first))
-                yield Difference(measure, *names, tuple(seeds), paired_gain(with_it, without))
+            found = [(value_of(first[seed], measure), value_of(group[seed], measure)) for seed in seeds]
+            pairs = [(a, b) for a, b in found if a is not None and b is not None]
+            if len(pairs) == len(seeds):
+                names, against = (tuple(run.name for run in of.values()) for of in (group, first))
+                without, with_it = zip(*pairs, strict=True)
+                yield Difference(measure, names, against, tuple(seeds), paired_gain(with_it, without))

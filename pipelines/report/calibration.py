@@ -88,9 +88,9 @@ def _residuals(run: RunFolder) -> Iterator[Chart]:
     found += [(name, "in the rig", at(c, "details"), RIG, name) for name, c in run.cameras(RIG).items()]
     for name, what, left, file, camera in found:
         rows = table_of(at(left, "residuals"), 4)
-        size = table_of([[run.at(file, "cameras", camera, side) for side in ("width", "height")]])
-        if rows is not None and size is not None and size.min() > 0:
-            yield _residual_chart(rows[:MAX_DOTS], *size[0].tolist(), f"{name}: {what}")
+        width, height = (run.at(file, "cameras", camera, side) for side in ("width", "height"))
+        if rows is not None and is_number(width) and is_number(height) and min(width, height) > 0:
+            yield _residual_chart(rows[:MAX_DOTS], float(width), float(height), f"{name}: {what}")
 
 
 def _residual_chart(rows: Float[np.ndarray, "n 4"], width: float, height: float, title: str) -> Chart:

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,17 +21,12 @@ COLOURS = 6  # --s0 .. --s5 in report.css
 LINES = tuple(f"#0000f{n}" for n in range(COLOURS))  # stand for the page's colours, and are replaced by them
 MUTED, RULE = "#00000a", "#00000b"
 THEME = {MUTED: "--muted", RULE: "--rule"} | {c: f"--s{n}" for n, c in enumerate(LINES)}
-WIDE, SMALL, SQUARE, PLAN = (
-    (480, 250),
-    (340, 190),
-    (260, 260),
-    (480, 360),
-)  # px; text is 12 px high in all of them
+WIDE, SMALL = (480, 250), (340, 190)  # px; text is 12 px high in both
 NEEDLESS = re.compile(
     r'font-family:[^;"]*; ?|<g id="[^"]*"/>|(?<=<g) id="[^"]*"| transform="rotate\(-0 [^"]*"'
 )
 PLACES = re.compile(r'(?<= d=")[^"]*|(?<= [xy]=")[^"]*')  # two decimals of them can be seen
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "devrf",
     "text.parse_math": False,  # a dollar in a name is one

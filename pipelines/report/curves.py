@@ -30,12 +30,18 @@ def clocks(run: RunFolder) -> dict[str, Any]:
     label = {"tracks": "epipolar error, px"}
     return {
         "correlation": _drawn(
-            _clock(c, "method", "accepted", "not used", 1, "delay, s", "correlation")
+            _clock(c, "method", "accepted", "not used", 1.0, "delay, s", "correlation")
             for c in heard[:MAX_CURVES]
         ),
         "geometry": _drawn(
             _clock(
-                c, "by", "sharp", "not sharp", 1000, "trial offset, ms", label.get(c.get("by"), "correlation")
+                c,
+                "by",
+                "sharp",
+                "not sharp",
+                1e3,
+                "trial offset, ms",
+                label.get(str(c.get("by")), "correlation"),
             )
             for c in pairs
         ),

@@ -77,7 +77,7 @@ def plans(run: RunFolder) -> tuple[list[Chart], str]:
                 axes.plot(*np.stack([place, place + LOOK * extent * look]).T, color=MUTED, linewidth=1)
                 axes.plot(*place, "o", color=LINES[1 if frame.split == "test" else 2])
                 if len(cameras) <= MAX_NAMES:
-                    axes.annotate(name, place, (0, 7), textcoords="offset points", ha="center")
+                    axes.annotate(name, (place[0], place[1]), (0, 7), textcoords="offset points", ha="center")
 
         drawn.append(draw(paint, (480, 360), title, f"{title}: {', '.join(cameras)}"))
     return drawn, remark

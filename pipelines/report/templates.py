@@ -20,14 +20,14 @@ def render(template: str, values: Mapping[str, Any]) -> str:
     return _environment().get_template(template).render(values)
 
 
-def readable(value: float, digits: int = 2, sign: bool = False) -> str:
+def readable(value: int | float, digits: int = 2, sign: bool = False) -> str:
     """Fixed decimals; two significant digits where they would all be zero; spaces between thousands."""
     small = value != 0 and abs(value) < 0.5 * 10**-digits
     shown = f"{value:.2g}" if small else f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "\u2212")
     return f"+{shown}" if sign and value > 0 else shown
 
 
-def duration(seconds: float) -> str:
+def duration(seconds: int | float) -> str:
     """Seconds as people say them."""
     if seconds < 1:
         return "under 1 s"

@@ -168,8 +168,3 @@ def pixel_sizes(places: Float[Tensor, "N 3"], cameras: Sequence[Camera]) -> Floa
         )
         smallest = torch.where(inside, torch.minimum(smallest, seen[:, 2] / camera.K[0, 0]), smallest)
     return torch.where(smallest.isfinite(), smallest, 0.0)
-
-
-def pinhole(camera: Camera) -> Camera:
-    """The camera without its lens distortion."""
-    return Camera(camera.width, camera.height, camera.K, camera.cam_from_world)

@@ -39,7 +39,7 @@ SMALL = {
 }  # fmt: skip
 SETTINGS = [part for key, value in SMALL.items() for part in ("--set", f"reconstruct.{key}={value}")]
 PICTURES = {"width": 32, "static": 14, "cameras": 2, "times": 3}
-ABSENT = ("cv2", "av", "pycolmap", "viser", "rawpy", "kornia", "mitsuba", "ray")
+ABSENT = ("cv2", "av", "pycolmap", "viser", "rawpy", "mitsuba", "ray")
 KEYS = {"name", "value", "unit", "anchor", "goal", "met"}  # the contract's
 
 

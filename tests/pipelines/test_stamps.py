@@ -103,7 +103,7 @@ def test_what_a_stage_reads_without_declaring_it_is_seen(folder: Path) -> None:
     assert watch().undeclared() == [
         "flow reads reconstruct.seed",
         *(f"flow reads flow.{key}" for key in sorted(type(made.config.flow).model_fields)),
-        "flow opens render/made_of.txt",
+        "flow opens a file of render",
     ]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ABSENT = (
-    "cv2", "av", "pycolmap", "viser", "rawpy", "rich", "typer", "yaml", "kornia", "matplotlib", "mitsuba", "ray",
+    "cv2", "av", "pycolmap", "viser", "rawpy", "rich", "typer", "yaml", "matplotlib", "mitsuba", "ray",
 )  # fmt: skip
 BLOCK = f"import sys\nfor name in {ABSENT!r}: sys.modules[name] = None\n"
 WORK = """

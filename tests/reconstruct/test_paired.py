@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from devrf.reconstruct.paired import LEAST_MOMENTS, STRETCHES, gain_over_time
+from devrf.reconstruct.paired import LEAST_MOMENTS, STRETCHES, Gain, gain_over_time
 
 RNG = np.random.default_rng(0)
 
@@ -18,7 +18,7 @@ def courses(phi: float, length: int, count: int) -> np.ndarray:
     return np.stack(series, axis=1)
 
 
-def gain(values: np.ndarray, times: np.ndarray | None = None):
+def gain(values: np.ndarray, times: np.ndarray | None = None) -> Gain:
     order = np.arange(len(values)) if times is None else times
     return gain_over_time(values.tolist(), [0.0] * len(values), order.tolist())
 
