@@ -12,7 +12,7 @@ DEMO := examples/waving-sheet
 DEMO_OUT := $(DEMO)/runs
 
 WORKERS ?= 2
-PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --no-loadscope-reorder
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo checks test test-full docs docs-serve venv clean
 

@@ -24,7 +24,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
-RUNS = ("example_run", "small_run")  # fixtures that take minutes: made once in all, by one worker
+RUNS = (
+    "example_run",
+    "small_run",
+)  # of `whole_run`; they take minutes, so one worker makes each for all tests
 FIRST = (
     "end_to_end",
     "browser",
@@ -47,26 +50,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups and `-m` the markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each worker whole files, and all tests of one long run to one worker; longest first.
-
-    What looks at a run of the whole example belongs to the full tier.
-    """
-    for item in items:
-        assert isinstance(item, pytest.Function)
-        chosen = item.callspec.params.values() if hasattr(item, "callspec") else ()
-        used = {*item.fixturenames, *(value for value in chosen if isinstance(value, str))}
-        runs = [name for name in RUNS if name in used]
-        item.add_marker(pytest.mark.xdist_group(runs[0] if runs else item.path.stem))
-        if "example_run" in runs:
-            item.add_marker(pytest.mark.full)
+    """Longest first."""
 
     def rank(item: pytest.Item) -> int:
         folder = item.path.relative_to(REPOSITORY / "tests").parts[0]
         return FIRST.index(folder) if folder in FIRST else len(FIRST)
 
     items.sort(key=rank)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each worker whole files, and all tests of one long run to one worker."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Files(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return next((name for name in RUNS if name in nodeid), nodeid.split("::")[0])
+
+    return Files(config, log)
 
 
 @pytest.fixture(scope="session")
@@ -237,7 +240,7 @@ class ExampleRun:
 
 @pytest.fixture(scope="session")
 def example_run(devrf_process: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
-    """The pipeline, run once on a copy of the example session; many tests look at what it left.
+    """The pipeline, run once on a copy of the example session, in a process of its own: its memory is measured.
 
     `DEVRF_EXAMPLE_RUN` names a folder that is kept and used again, to work on such tests.
     """
@@ -264,3 +267,9 @@ def small_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Examp
         result = devrf("run", scene, "--device", "cpu")
     assert result.code == 0, result.said
     return ExampleRun(scene, scene.parent / "run")
+
+
+@pytest.fixture(scope="session", params=["small_run", pytest.param("example_run", marks=pytest.mark.full)])
+def whole_run(request: pytest.FixtureRequest) -> ExampleRun:
+    """Every stage of a session, in small and of the whole example. Its name in a test's name binds it to a worker."""
+    return request.getfixturevalue(request.param)

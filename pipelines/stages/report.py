@@ -62,7 +62,7 @@ def write_report(
     names = [stage.name for stage in STAGES]
     others = [name for name in names if name != "report"]
     errors = {name: error for name in others if (error := last_error(run_dir, name)) is not None}
-    run_folder = RunFolder(run_dir, names, reasons, errors, stale)
+    run_folder = RunFolder(run_dir, names, reasons, errors, stale or {})
     facts = [KINDS[config.kind], f"preset {config.preset}"]
     page = build_report(run_folder, config.name, facts)
     new = out / f".{PAGE}.tmp"

@@ -145,9 +145,9 @@ def test_every_number_leads_to_its_file(page: Any, report: Path) -> None:
     assert len(links) > 15 and missing == []
 
 
-def test_the_example(page: Any, example_run: ExampleRun, devrf: Command) -> None:
+def test_the_example(page: Any, whole_run: ExampleRun, devrf: Command) -> None:
     """A real run: small enough to send, nothing asked for, on a phone too; its numbers lead to their files."""
-    file = example_run.run_dir / "report/index.html"
+    file = whole_run.run_dir / "report/index.html"
     assert file.stat().st_size <= MAX_PAGE_BYTES
     assert opened(page, file) == []
     assert page.evaluate(UNTRACED) == [] and faults_of_structure(page) == []

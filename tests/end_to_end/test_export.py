@@ -19,14 +19,16 @@ TIME_S = 1.3  # in mid-motion: half of the sheet's points are 0.1 m or more from
 MEDIAN_M = 0.015  # a voxel and a half; measured 0.008
 
 
-def test_the_sheet_that_moves_is_where_it_was(example_run: ExampleRun, tmp_path: Path) -> None:
+@pytest.mark.full
+@pytest.mark.parametrize("whole_run", ["example_run"], indirect=True)
+def test_the_sheet_that_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
     options = Options(times=f"{TIME_S}s", device="cpu")
-    folder = export(Talk("quiet"), example_run.run_dir, "glb", tmp_path / "out", options)
+    folder = export(Talk("quiet"), whole_run.run_dir, "glb", tmp_path / "out", options)
     facts = json.loads((folder / "export.json").read_text())
     mesh = read_glb(folder / "scene.glb")
 
-    scene, file = read_scene(example_run.run_dir / "scene"), example_run.scene.parent / "ground_truth.json"
+    scene, file = read_scene(whole_run.run_dir / "scene"), whole_run.scene.parent / "ground_truth.json"
     truth, thing = read_truth(file), json.loads(file.read_text())["object"]
     fixed = {f.camera_name: f.camera for f in scene.dynamic}
     pairs = [(truth.static[f.index], f.camera) for f in scene.static]

@@ -16,6 +16,8 @@ from tests.faults.harness import Tiny
 from devrf.capture.durable import sync, sync_tree
 from devrf.pipelines.exit_codes import DONE
 
+pytestmark = pytest.mark.full
+
 MOST_SHARE = 0.02  # of a stage's time
 MOST_S = 0.25  # where that is more: putting a stage on the disk takes a while however short it was
 NOTHING_STALE_S = 1.0  # processor time; wall-clock time is the same where no one else works
