@@ -120,6 +120,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     recorded = json.loads(RECORDED.read_text()) if RECORDED.is_file() else {}
     listed = json.loads(GONE.read_text()) if asked.what == "check" else {}
     found: list[Difference] = []
+    if asked.what == "check":
+        print(
+            "not recorded yet:",
+            ", ".join(case.name for case in chosen if case.name not in recorded) or "none",
+        )
+        chosen = [case for case in chosen if case.name in recorded]
     for case in CASES:
         if case.name not in {name for c in chosen for name in (c.name, c.exported)}:
             continue

@@ -86,9 +86,9 @@ def test_names_of_checks_do_not_hold_what_is_measured() -> None:
     assert plain_name("cam0 0.08 EV brighter: left of 0.018") == "cam0 # EV brighter: left of #"
 
 
-def test_every_case_is_recorded_and_every_listed_change_has_a_reason() -> None:
+def test_what_every_commit_is_checked_by_is_recorded_and_every_listed_change_has_a_reason() -> None:
     recorded, listed = json.loads(RECORDED.read_text()), json.loads(GONE.read_text())
-    assert list(recorded) == [case.name for case in CASES]
+    assert {case.name for case in CASES if case.subset} <= recorded.keys() <= {case.name for case in CASES}
     reasons = [
         *listed["gone"].values(),
         *listed["new"].values(),
