@@ -3,6 +3,7 @@
 #   make test    format, lint, types, tests; those in a browser need Chromium (apt-get install chromium)
 # make venv      only make the environment; make clean: remove what these made
 # make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
+# make pages     docs/commands.md and docs/configuration.md anew, from the program
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -10,7 +11,7 @@ BIN := $(VENV)/bin
 DEMO := examples/waving-sheet
 DEMO_OUT := $(DEMO)/runs
 
-.PHONY: demo test docs docs-serve venv clean
+.PHONY: demo test docs docs-serve pages venv clean
 
 demo: $(VENV)/.installed
 	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny
@@ -26,6 +27,10 @@ docs: $(VENV)/.installed-docs
 
 docs-serve: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
+
+pages: $(VENV)/.installed
+	$(BIN)/typer devrf.pipelines.cli utils docs --name devrf-pipeline --output docs/commands.md
+	$(BIN)/python docs/site/configuration.py
 
 venv: $(VENV)/.installed
 
