@@ -36,14 +36,6 @@ class BackgroundMotion:
     scale: float
 
 
-def background_motion(
-    first: UInt8[np.ndarray, "height width"], other: UInt8[np.ndarray, "height width"]
-) -> BackgroundMotion | None:
-    """Motion of the background from one grey picture to another; None where too little can be followed."""
-    corners = find_corners(first)
-    return None if corners is None else follow(first, other, corners)
-
-
 def find_corners(grey: UInt8[np.ndarray, "height width"]) -> Float[np.ndarray, "n 1 2"] | None:
     """Corners to follow; None where there are too few."""
     corners = cv2.goodFeaturesToTrack(grey, CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX)

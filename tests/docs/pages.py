@@ -46,7 +46,7 @@ def calls(page: Path, commands: set[str]) -> Iterator[list[str]]:
     """Words of every call on a page: lines of blocks, `code` that begins with the program or a command with options."""
     for line in (line for block in blocks(page) for line in block.text.replace("\\\n", " ").splitlines()):
         start = re.match(rf"[^#]*?(?:^|[\s/]){PROGRAM} ", line)
-        if start is not None:
+        if start is not None and "[OPTIONS]" not in line:  # of what typer writes
             yield _words(line[start.end() :])
     for code in re.findall(r"`([^`\n]+)`", prose(page)):
         if code.startswith(f"{PROGRAM} ") or (" --" in code and code.split()[0] in commands):
