@@ -4,6 +4,7 @@
 # make test-full the same with every test: what continuous integration runs; WORKERS=4: as many tests at once
 # make venv      only make the environment; make clean: remove what these made
 # make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
+# make pages     docs/commands.md and docs/configuration.md anew, from the program
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -14,7 +15,7 @@ DEMO_OUT := $(DEMO)/runs
 WORKERS ?= 2
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo checks test test-full docs docs-serve venv clean
+.PHONY: demo checks test test-full docs docs-serve pages venv clean
 
 demo: $(VENV)/.installed
 	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny
@@ -35,6 +36,10 @@ docs: $(VENV)/.installed-docs
 
 docs-serve: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
+
+pages: $(VENV)/.installed
+	$(BIN)/typer devrf.pipelines.cli utils docs --name devrf-pipeline --output docs/commands.md
+	$(BIN)/python docs/site/configuration.py
 
 venv: $(VENV)/.installed
 

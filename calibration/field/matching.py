@@ -16,7 +16,6 @@ EPIPOLAR_PX = 2.0  # at `SIDE_PX`; COLMAP allows 4 of full pictures
 FLAT_PX = 1.5  # matches without depth stay within it of a smooth map ...
 HOMOGRAPHY_PX = 5.0  # ... which begins with a homography, that distortion of lenses leaves by this much
 FEWEST = 8  # matches of which an epipolar geometry can be told
-COLOUR_SIGMA_PX = 2.0  # colours are compared over a few pixels
 
 
 @dataclass(frozen=True)
@@ -26,12 +25,10 @@ class Features:
     Attributes:
         xy: Places, pixels of the small picture [n, 2].
         descriptors: Unit vectors, RootSIFT (Arandjelovic & Zisserman, CVPR 2012) [n, 128].
-        rgb: Smoothed colours there [n, 3], levels.
     """
 
     xy: Float[np.ndarray, "n 2"]
     descriptors: Float[np.ndarray, "n 128"]
-    rgb: Float[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True)
@@ -40,13 +37,11 @@ class Pair:
 
     Attributes:
         first, second: Features that match and agree on one epipolar geometry [n] each.
-        candidates: Features of the first picture that match by their looks alone [m].
         flat_share: Share of them on one smooth map from picture to picture; 1: no depth shows (or nothing is shared).
     """
 
     first: Int[np.ndarray, " n"]
     second: Int[np.ndarray, " n"]
-    candidates: Int[np.ndarray, " m"]
     flat_share: float
 
     def __len__(self) -> int:
@@ -55,7 +50,7 @@ class Pair:
 
 def features(picture: UInt8[np.ndarray, "height width 3"]) -> Features:
     """Find features of an RGB picture."""
-    scale = scale_of(picture)
+    scale = min(1.0, SIDE_PX / max(picture.shape[:2]))
     if scale < 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
@@ -63,23 +58,16 @@ def features(picture: UInt8[np.ndarray, "height width 3"]) -> Features:
         grey, None
     )
     if found is None or not len(points):
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros((0, 3)))
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     xy = np.array([point.pt for point in points], dtype=np.float64)
     descriptors = np.sqrt(found / np.maximum(found.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
-    smooth = cv2.GaussianBlur(picture, (0, 0), COLOUR_SIGMA_PX)
-    column, row = np.clip(xy.round().astype(int), 0, np.array(grey.shape[::-1]) - 1).T
-    return Features(xy, descriptors, smooth[row, column].astype(np.float64))
-
-
-def scale_of(picture: UInt8[np.ndarray, "height width 3"]) -> float:
-    """Size of the picture that is compared, over the full one's."""
-    return min(1.0, SIDE_PX / max(picture.shape[:2]))
+    return Features(xy, descriptors)
 
 
 def match(first: Features, second: Features) -> Pair:
     """Mutual nearest neighbours that pass the ratio test and agree on one epipolar geometry."""
     none = np.zeros(0, np.int64)
-    nothing = Pair(none, none, none, 1.0)
+    nothing = Pair(none, none, 1.0)
     if min(len(first.xy), len(second.xy)) < FEWEST:
         return nothing
     similarity = first.descriptors @ second.descriptors.T
@@ -94,10 +82,10 @@ def match(first: Features, second: Features) -> Pair:
     if len(a) < FEWEST:
         return nothing
     inside = _epipolar(first.xy[a], second.xy[b])
-    candidates, a, b = a, a[inside], b[inside]
+    a, b = a[inside], b[inside]
     if len(a) < FEWEST:
         return nothing
-    return Pair(a, b, candidates, _flat_share(first.xy[a], second.xy[b]))
+    return Pair(a, b, _flat_share(first.xy[a], second.xy[b]))
 
 
 def _flat_share(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> float:

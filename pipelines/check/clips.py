@@ -1,29 +1,31 @@
-"""What `check` looks at in the sweep and in each fixed camera's clip, decoding a few pictures of each by seeking."""
+"""What `check` looks at in the sweep and in each fixed camera's clip, a few pictures of each, and its health rows."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from devrf.calibration.field.fixed import glance_at_fixed
 from devrf.calibration.field.matching import Features, features
-from devrf.calibration.field.steady import steadiness
-from devrf.calibration.field.sweep import glance_at_sweep
-from devrf.capture.frames import CameraFrames, grey_small, sharpness
+from devrf.calibration.field.overlap import ENOUGH, overlap_of, shared_features
+from devrf.calibration.field.steady import STANDS, Steadiness, steadiness
+from devrf.capture.audio import Sound
+from devrf.capture.frames import CameraFrames, FrameRecord, Role, grey_small, sharpness, timing
+from devrf.capture.ingest import MAX_SWEEP_FRAMES
 from devrf.capture.pictures import list_pictures, read_picture
-from devrf.capture.planned import planned_frames, sweep_pictures
 from devrf.capture.progress import Progress
-from devrf.capture.sampled import read_runs, spread_starts
-from devrf.capture.session import CaptureSession
-from devrf.capture.survey import Look, Picture, look_at, small
-from devrf.pipelines.check import rows as check_rows
-from devrf.pipelines.health.rows import HealthRow
+from devrf.capture.sampled import read_runs
+from devrf.capture.session import Rest
+from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
+from devrf.capture.survey import Look, Picture, pictures_at, small
+from devrf.pipelines.health.rows import HealthRow, note, row
 
 SWEEP_PICTURES = 40  # whose neighbours are compared
 SHARP_OF = 3  # successive pictures, of which the sharpest counts, as ingest takes the sharpest of a window
-CLIP_PICTURES = 12  # that tell size, brightness and whether the camera stands
-REST_PICTURES = 4
+LISTED = 4  # places named in a message
+LINKED_WARN, LINKED_FAIL = 0.95, 0.5
+DEPTH_WARN, DEPTH_FAIL = 0.1, 0.04  # real sweeps: 0.24 to 0.58; pictures of a camera that only turned: 0.02
+SUBJECT_WARN = 0.002  # of the picture in which something moves: 0.002 are 25 x 25 of 640 x 480 pixels
+SHARED_WARN, SHARED_FAIL = 100.0, 12.0  # features; stage rig finds about as many points, and refuses below 30
 
 
 @dataclass(frozen=True)
@@ -31,33 +33,54 @@ class SweepSeen:
     """The sweep, looked at.
 
     Attributes:
-        planned: What ingest will use of it.
+        frames: What ingest will make of it.
         features: Of the pictures that are compared, in order.
         rows: What is said of them.
     """
 
-    planned: CameraFrames
+    frames: CameraFrames
     features: list[Features]
     rows: list[HealthRow]
 
 
-def see_sweep(path: Path, progress: Progress) -> SweepSeen:
-    """Look at a clip or a folder of photos."""
-    look = look_at(path, CLIP_PICTURES)
-    used = sweep_pictures(look)
+def planned_frames(look: Look, role: Role, source: str, sound: Sound | None = None) -> CameraFrames:
+    """Frames and times of one camera as `ingest` would write them, without pictures and sharpness."""
+    seen = timing(look.times_s)
+    used = set(range(look.count) if role != "sweep" else _sweep_pictures(look).tolist())
+    times = look.times_s.tolist() or [None] * look.count
+    return CameraFrames(
+        role=role,
+        source=source,
+        width=look.width,
+        height=look.height,
+        fps_mean=seen.fps_mean,
+        variable_rate=seen.variable_rate,
+        has_audio=sound is not None,
+        exif_focal_px=None,
+        rotation_deg=0,
+        frames=tuple(FrameRecord(n, t, np.nan, n in used, None) for n, t in enumerate(times)),
+        level=look.level,
+        audio_start_s=None if sound is None else sound.start_s,
+        missing_frames=seen.missing_frames,
+        notes=(*look.notes, *seen.notes),
+    )
+
+
+def see_sweep(look: Look, progress: Progress) -> SweepSeen:
+    """Look for sharpness, overlap and depth along a clip or a folder of photos."""
+    used = _sweep_pictures(look)
     chosen = used[np.unique(np.linspace(0, len(used) - 1, SWEEP_PICTURES).round().astype(int))]
     length = min(SHARP_OF, int(np.diff(chosen).min(initial=look.count)))  # runs that do not overlap
     found: list[Features] = []
     sharp: list[float] = []
     kept: list[int] = []
-    runs = _read(look, chosen.tolist(), length)
-    for n, (index, pictures) in enumerate(zip(chosen.tolist(), runs, strict=True)):
+    for n, pictures in enumerate(_read(look, chosen.tolist(), length)):
         progress(0.8 * n / len(chosen), "the sweep")
         if pictures:
             sharpest = max(pictures, key=_sharpness)
             sharp.append(_sharpness(sharpest))
             found.append(features(sharpest))
-            kept.append(index)
+            kept.append(int(chosen[n]))
 
     def between(n: int) -> Picture | None:
         inside = used[(used > kept[n]) & (used < kept[n + 1])]
@@ -65,25 +88,88 @@ def see_sweep(path: Path, progress: Progress) -> SweepSeen:
         return pictures[0] if pictures else None
 
     progress(0.8, "overlap of the sweep")
-    glance = glance_at_sweep(found, between)
+    frames = planned_frames(look, "sweep", look.path.name)
+    if sharp:  # each stands for the pictures around it
+        of_all = [sharp[n * len(sharp) // look.count] for n in range(look.count)]
+        frames = replace(
+            frames, frames=tuple(replace(f, sharpness=s) for f, s in zip(frames.frames, of_all, strict=True))
+        )
+    if look.black:
+        return SweepSeen(frames, found, [_black("the sweep")])
     where = [f"{look.times_s[i]:.1f} s" if look.is_clip else f"photo {i + 1}" for i in kept]
-    rows = check_rows.sweep_rows(glance, steadiness(look.greys), look.black, where)
-    return SweepSeen(planned_frames(look, "sweep", path.name, sharpness=sharp), found, rows)
+    overlap = overlap_of(found, between)
+    breaks = [f"{where[n]} to {where[n + 1]}" for n in overlap.breaks[:LISTED]]
+    rows = [
+        _walks(steadiness(look.greys)),
+        row(
+            "neighbouring pictures of the sweep that overlap",
+            overlap.linked,
+            "",
+            warn=LINKED_WARN,
+            fail=LINKED_FAIL,
+            remedy=f"Fewer than {ENOUGH} matches from {', '.join(breaks)}: walk there again, slowly, looking at the "
+            "same things; blank walls need something textured (posters, newspapers, rugs).",
+        ),
+        row(
+            "matches of the sweep that show depth",
+            overlap.depth_share,
+            "",
+            warn=DEPTH_WARN,
+            fail=DEPTH_FAIL,
+            remedy="The camera turned but did not move, or it only sees something flat: walk sideways around the "
+            "scene, and let things at different distances be in view.",
+        ),
+    ]
+    return SweepSeen(frames, found, rows)
 
 
-def camera_rows(name: str, look: Look, session: CaptureSession, sweep: Sequence[Features]) -> list[HealthRow]:
-    """Look at a fixed camera's clip, and for its view in the sweep."""
-    rest: list[Picture] = []
-    if session.rest != "none":
-        starts = spread_starts(look.times_s, 2, REST_PICTURES)
-        at = starts[0] if session.rest == "start" else starts[-1]
-        rest = [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], REST_PICTURES))]
-    at_rest = features(rest[0] if rest else look.pictures[0])
-    glance = glance_at_fixed(look.pictures, rest, at_rest, sweep)
+def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) -> list[HealthRow]:
+    """Look at a fixed camera's clip, and for its view in the sweep; `sweep` is empty without one."""
+    if look.black:
+        return [_black(name)]
     steady = steadiness(look.greys)
-    return check_rows.camera_rows(
-        name, glance, steady, look.black, session.rest, has_sweep=session.static is not None
-    )
+    rows = [
+        _stands(name, steady),
+        row(
+            f"share of {name}'s picture in which something moves",
+            float(moving_mask([smooth_grey(picture) for picture in look.pictures]).mean()),
+            "",
+            warn=SUBJECT_WARN,
+            remedy=f"{name} does not see the subject: point it there, go nearer.",
+        ),
+    ]
+    at_rest = list(look.pictures[:1]) if rest == "none" else pictures_at(look, rest)
+    if sweep and rest != "none" and steady.stands is not False:
+        rows.append(
+            row(
+                f"share of {name}'s picture that moves at the {rest}",
+                moving_share([smooth_grey(picture) for picture in at_rest]),
+                "",
+                warn=AT_REST,
+                low_is_bad=False,
+                remedy=f"The scene is not at rest at the {rest} of {name}'s clip: start the cameras before the action, "
+                "or set capture.rest to when it is.",
+            )
+        )
+    if sweep:
+        rows.append(
+            row(
+                f"features that {name} shares with the sweep",
+                float(shared_features(features((at_rest or look.pictures)[0]), sweep)),
+                "",
+                warn=SHARED_WARN,
+                fail=SHARED_FAIL,
+                remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
+            )
+        )
+    return rows
+
+
+def _sweep_pictures(look: Look) -> np.ndarray:
+    """About which pictures of a sweep are used [n]: one of each window of a clip, every photo."""
+    if not look.is_clip or look.count <= MAX_SWEEP_FRAMES:
+        return np.arange(look.count)
+    return ((np.arange(MAX_SWEEP_FRAMES) + 0.5) * look.count / MAX_SWEEP_FRAMES).astype(np.int64)
 
 
 def _read(look: Look, indices: Sequence[int], length: int = 1) -> Iterator[list[Picture]]:
@@ -99,3 +185,27 @@ def _read(look: Look, indices: Sequence[int], length: int = 1) -> Iterator[list[
 
 def _sharpness(picture: Picture) -> float:
     return sharpness(grey_small(picture))
+
+
+def _black(name: str) -> HealthRow:
+    remedy = "Nothing was filmed: take the lens cap off, make light."
+    return note(f"picture of {name}", "black", verdict="fail", remedy=remedy)
+
+
+def _walks(steady: Steadiness) -> HealthRow:
+    check = "movement of the sweep's camera"
+    if steady.stands:
+        remedy = "Walk around the scene with the camera; pictures from one place show no depth."
+        return note(check, "its background stands still", verdict="fail", remedy=remedy)
+    return note(check, "too little texture to tell" if steady.stands is None else "moves")
+
+
+def _stands(name: str, steady: Steadiness) -> HealthRow:
+    check = f"movement of {name} while it filmed"
+    remedy = f"{name} moves: put it on a tripod, switch stabilisation off, film again."
+    if steady.stands is None:
+        return note(check, "too little texture to tell")
+    if np.isnan(steady.moved):
+        return note(check, "its background is never found again", verdict="fail", remedy=remedy)
+    moved = 100 * steady.moved
+    return row(check, moved, "% of the width", warn=0.3, fail=100 * STANDS, low_is_bad=False, remedy=remedy)

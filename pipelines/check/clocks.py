@@ -23,33 +23,26 @@ def clock_rows(
     """The rows of stage `sync`."""
     if len(moving) < 2:
         return []
-    settings = config.calibration.sync
+    settings, table = config.calibration.sync, session.timestamps is not None
     times = {name: sync.used_times(frames) for name, frames in moving.items()}
     spans = {name: (float(t[0]), float(t[-1])) for name, t in times.items()}
-    recorded = {name: _recorded(session, name, frames) for name, frames in moving.items()}
+    found = {name: read_recorded(session.cameras[name]) for name in moving}
+    recorded = {n: Recorded(r.created_s, r.timecode_s, moving[n].fps_mean) for n, r in found.items()}
 
     def solve(seconds: float) -> SyncResult:
-        courses = (
-            {name: read_courses(path, seconds) for name, path in session.cameras.items()} if seconds else {}
-        )
+        clips = session.cameras.items() if seconds else ()
+        courses = {name: read_courses(path, seconds) for name, path in clips}
         brightness = {n: Brightness(c.brightness[:, 0], c.brightness[:, 1:]) for n, c in courses.items()}
         motion = {n: c.motion for n, c in courses.items()}
         extras = Extras(brightness, recorded, settings.av_lag_s, settings.readout_s)
-        table = session.timestamps is not None
         return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
 
     try:
-        result = (
-            solve(0.0) if len(sounds) > 1 or settings.method in ("timestamps", "none") else solve(COURSE_S)
-        )
+        by_sound = len(sounds) > 1 or settings.method in ("timestamps", "none")
+        result = solve(0.0 if by_sound else COURSE_S)
         unknown = any(clock.confidence < REFUSED_BELOW for clock in result.cameras.values())
         if unknown and len(sounds) > 1 and settings.method in ("auto", "motion", "flash"):
             result = solve(COURSE_S)
     except CalibrationError as error:
         return [note("clocks", str(error), verdict="fail", remedy=REMEDY)]
     return sync.health(moving, result)
-
-
-def _recorded(session: CaptureSession, name: str, frames: CameraFrames) -> Recorded:
-    found = read_recorded(session.cameras[name])
-    return Recorded(found.created_s, found.timecode_s, frames.fps_mean)

@@ -12,14 +12,13 @@ from devrf.calibration.rigs.rig import ARBITRARY
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import DevrfError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
-from devrf.capture.planned import planned_frames
 from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
-from devrf.capture.survey import find_material, look_at_clip
+from devrf.capture.survey import Look, find_material, look_at
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.check.boards import board_rows
-from devrf.pipelines.check.clips import CLIP_PICTURES, camera_rows, see_sweep
+from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.resources import resource_rows
 from devrf.pipelines.config.scene import SceneConfig
@@ -30,6 +29,7 @@ from devrf.pipelines.stages import ingest
 
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
 RESOURCES, FILES = "disk and memory", "files"
+CLIP_PICTURES = 12  # of each, that tell size, brightness and whether the camera stands
 SHOWN = (RESOURCES, FILES)  # whose rows are printed even where all is well
 NO_GO = "NO-GO: mend what is marked so and check again"
 WORDS: dict[Verdict, str] = {"ok": "go", "warn": "warn", "fail": "no-go"}
@@ -52,16 +52,19 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     seconds = time.monotonic() - begin
     verdicts = [row.verdict for rows in sections.values() for row in rows]
     go = "fail" not in verdicts
-    if not go and talk.loudness == "quiet":
-        _say_failures(talk, sections)
     for title, rows in sections.items():
         verdict = worst(row.verdict for row in rows) or "ok"
+        if talk.loudness == "quiet":  # what is wrong, for those who asked for errors alone
+            for row in (row for row in rows if row.verdict == "fail"):
+                talk.error(f"{WORDS[row.verdict]}  {title}: {describe(row)}")
         talk.say(f"{WORDS[verdict]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[verdict])
         for row in rows:
             shown = row.verdict != "ok" or title in SHOWN
             (talk.say if shown else talk.detail)(f"    {WORDS[row.verdict]:>6}  {describe(row)}")
     warnings = f", with {_number(verdicts.count('warn'), 'warning')}" if "warn" in verdicts else ""
     word = f"GO{warnings}" if go else NO_GO
+    if not go and talk.loudness == "quiet":
+        talk.error(NO_GO)
     talk.say(
         f"{word} ({duration(seconds)} for a few pictures of each clip; `run` looks at all)", style="bold"
     )
@@ -77,22 +80,21 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     """All rows of a scene made of raw files."""
     session = capture_session(config, scene_dir)
     sections: Sections = {}
+    looks: dict[str, Look] = {}
     sweep: list[Features] = []
     if session.static is not None:
-        seen = see_sweep(session.static, part(progress, 0.0, 0.5))
+        looks[SWEEP] = look_at(session.static, CLIP_PICTURES)
+        seen = see_sweep(looks[SWEEP], part(progress, 0.0, 0.5))
         sweep = seen.features
-        sections["sweep"] = [*ingest.health(FrameSet({SWEEP: seen.planned})), *seen.rows]
-    sounds: dict[str, Sound] = {}
+        sections["sweep"] = [*ingest.health(FrameSet({SWEEP: seen.frames})), *seen.rows]
+    sounds = {name: sound for name, path in session.cameras.items() if (sound := _sound(path)) is not None}
     moving: dict[str, CameraFrames] = {}
     for n, (name, path) in enumerate(session.cameras.items()):
         progress(0.5 + 0.25 * n / len(session.cameras), name)
-        look = look_at_clip(path, CLIP_PICTURES)
-        sound = _sound(path)
-        if sound is not None:
-            sounds[name] = sound
+        looks[name] = look_at(path, CLIP_PICTURES)
         role = "test" if name in session.test_names else "camera"
-        moving[name] = planned_frames(look, role, path.name, sound)
-        sections[f"camera {name}"] = camera_rows(name, look, session, sweep)
+        moving[name] = planned_frames(looks[name], role, path.name, sounds.get(name))
+        sections[f"camera {name}"] = camera_rows(name, looks[name], session.rest, sweep)
     if moving:
         sections["all cameras"] = ingest.health(FrameSet(moving))
         progress(0.75, "clocks")
@@ -121,15 +123,6 @@ def left_out(config: SceneConfig, session: CaptureSession, scene_dir: Path) -> l
     clips = [clip for clip in find_material(scene_dir).clips if clip.resolve() not in used]
     names = ", ".join(str(clip.relative_to(scene_dir)) for clip in clips)
     return [note("clips in this folder that scene.yaml does not use", names)] if clips else []
-
-
-def _say_failures(talk: Talk, sections: Sections) -> None:
-    """What is wrong, for those who asked for errors alone."""
-    for title, rows in sections.items():
-        for row in rows:
-            if row.verdict == "fail":
-                talk.error(f"{WORDS[row.verdict]}  {title}: {describe(row)}")
-    talk.error(NO_GO)
 
 
 def _number(count: int, what: str) -> str:

@@ -3,39 +3,38 @@
 import os
 from pathlib import Path
 
-from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.config.scene import CaptureConfig, SceneConfig
 from devrf.pipelines.config.words import Say, near_file
 
 
 def input_paths(config: SceneConfig) -> dict[str, str]:
     """Every path that the configuration names: dotted key -> path as written."""
-    paths: dict[str, str | None] = {}
-    if config.dataset is not None:
-        paths["dataset.path"] = config.dataset.path
-    if config.capture is not None:
-        capture = config.capture
-        paths["capture.static"] = capture.static
-        paths |= {f"capture.cameras.{name}": clip for name, clip in capture.cameras.items()}
-        if isinstance(capture.test_cameras, dict):
-            paths |= {f"capture.test_cameras.{name}": clip for name, clip in capture.test_cameras.items()}
-        paths["capture.timestamps"] = capture.timestamps
-        paths |= {f"capture.white.{name}": path for name, path in capture.white.items()}
-        paths["capture.mattes.folder"] = None if capture.mattes is None else capture.mattes.folder
-        if capture.board is not None:
-            paths |= {f"capture.board.clips.{name}": c for name, c in capture.board.clips.items()}
-            paths |= {f"capture.board.joint_clips.{name}": c for name, c in capture.board.joint_clips.items()}
-    paths["calibration.static_poses.masks"] = config.calibration.static_poses.masks
-    given = config.calibration.rig.given
-    if isinstance(given, dict):
-        paths |= {f"calibration.rig.given.{name}": path for name, path in given.items()}
-    else:
-        paths["calibration.rig.given"] = given
-    paths |= {f"calibration.colour.chart.{n}": path for n, path in config.calibration.colour.chart.items()}
-    if config.evaluate.lpips_weights != "download":
-        paths["evaluate.lpips_weights"] = config.evaluate.lpips_weights
-    paths["evaluate.truth"] = config.evaluate.truth
-    paths["flow.weights"] = config.flow.weights
-    return {key: path for key, path in paths.items() if path is not None}
+    capture, calibration, evaluate = config.capture or CaptureConfig(), config.calibration, config.evaluate
+    weights = evaluate.lpips_weights
+    named = {
+        "dataset.path": config.dataset.path if config.dataset else None,
+        "capture.static": capture.static,
+        "capture.cameras": capture.cameras,
+        "capture.test_cameras": capture.test_cameras if isinstance(capture.test_cameras, dict) else None,
+        "capture.timestamps": capture.timestamps,
+        "capture.white": capture.white,
+        "capture.mattes.folder": capture.mattes.folder if capture.mattes else None,
+        "capture.board.clips": capture.board.clips if capture.board else None,
+        "capture.board.joint_clips": capture.board.joint_clips if capture.board else None,
+        "calibration.static_poses.masks": calibration.static_poses.masks,
+        "calibration.rig.given": calibration.rig.given,
+        "calibration.colour.chart": calibration.colour.chart,
+        "evaluate.lpips_weights": None if weights == "download" else weights,
+        "evaluate.truth": evaluate.truth,
+        "flow.weights": config.flow.weights,
+    }
+    paths: dict[str, str] = {}
+    for key, value in named.items():
+        if isinstance(value, dict):
+            paths |= {f"{key}.{name}": path for name, path in value.items()}
+        elif value is not None:
+            paths[key] = value
+    return paths
 
 
 def check_output(config: SceneConfig, scene_dir: Path, say: Say) -> None:

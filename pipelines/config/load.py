@@ -11,7 +11,7 @@ from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.files import check_files_exist, check_output
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.config.text import override, read_yaml
-from devrf.pipelines.config.together import check_together
+from devrf.pipelines.config.together import apart
 from devrf.pipelines.config.types import validated
 
 
@@ -43,7 +43,8 @@ def load_scene(
 
     config = validated(raw, say)
     if config is not None:
-        check_together(config, raw, say)
+        for key, text in apart(config, raw):
+            say(key, text)
         check_output(config, path.parent.resolve(), say)
         if check_files:
             check_files_exist(config, path.parent.resolve(), say)

@@ -3,13 +3,13 @@
 Every key of the contract is here. Unknown keys are errors; values of the right type but out of range
 are errors; a value that no stage can act on yet is refused rather than ignored. Paths are kept as
 written, relative to the file (`SceneConfig.path`). Reading the file, overrides and messages are in
-`scene_file.py`. `None` in `reconstruct` means: chosen by the preset and from the scene.
+`load.py`. `None` in `reconstruct` means: chosen by the preset and from the scene.
 """
 
 import os
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -30,41 +30,10 @@ LONGEST_PATH, LONGEST_NAME = 1000, 255  # characters, bytes: every system takes 
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
 RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
-BackgroundWord = Literal["auto", "white", "black", "shell"]
 
 
 def _as_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
-
-
-def _auto_or_bool(value: Any) -> Any:
-    if value != "auto" and not isinstance(value, bool):
-        raise ValueError(f"{value!r}; expected auto, true or false")
-    return value
-
-
-def _background(value: Any) -> Any:
-    """A word, or RGB in [0, 1] as a tuple of floats."""
-    if isinstance(value, str) and value in get_args(BackgroundWord):
-        return value
-    numbers = list(value) if isinstance(value, list | tuple) else []
-    good = all(isinstance(n, int | float) and not isinstance(n, bool) and 0 <= n <= 1 for n in numbers)
-    if len(numbers) != 3 or not good:
-        raise ValueError(
-            f"{value!r}; expected auto, white, black, shell or [r, g, b] with numbers from 0 to 1"
-        )
-    return tuple(float(n) for n in numbers)
-
-
-def _white_balance(value: Any) -> Any:
-    """A word, or multipliers as a tuple of floats."""
-    if value == "auto":
-        return value
-    numbers = list(value) if isinstance(value, list | tuple) else []
-    good = all(isinstance(n, int | float) and not isinstance(n, bool) and 0 < n <= 100 for n in numbers)
-    if len(numbers) != 4 or not good:
-        raise ValueError(f"{value!r}; expected auto or [r, g, b, g2] with numbers above 0, at most 100")
-    return tuple(float(n) for n in numbers)
 
 
 def _path(text: str) -> str:
@@ -86,9 +55,11 @@ def _path(text: str) -> str:
     return text
 
 
-PathText = Annotated[str, AfterValidator(_path)]
-WhiteBalance = Literal["auto"] | tuple[float, float, float, float]
-AutoBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
+PathText = Annotated[str, AfterValidator(_path), Field(json_schema_extra={"format": "path"})]
+AutoBool = Literal["auto"] | bool
+Squares = Annotated[int, Field(ge=2, le=100)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Gain = Annotated[float, Field(gt=0, le=100)]
 
 
 class _Section(BaseModel):
@@ -100,7 +71,7 @@ class BoardConfig(_Section):
 
     type: Literal["charuco", "chessboard", "aruco_grid"] = "charuco"
     """What is printed; aruco_grid is OpenCV's GridBoard, markers from 0 on."""
-    squares: Annotated[tuple[int, int], BeforeValidator(_as_tuple)]
+    squares: Annotated[tuple[Squares, Squares], BeforeValidator(_as_tuple)]
     """Columns and rows, from 2 to 100: squares of a ChArUco board, inner corners of a chessboard, markers of an
     ArUco grid. Swapped, or a chessboard's squares for its corners: found out and said."""
     square_m: float | None = Field(default=None, gt=0, le=10)
@@ -112,7 +83,7 @@ class BoardConfig(_Section):
     metric: bool = True
     """Whether these lengths were measured; false: only their proportions are true (`square_m: 1.0`): the board
     gives lenses and poses, and the scale stays arbitrary."""
-    dictionary: str = "DICT_5X5_100"
+    dictionary: str = Field(default="DICT_5X5_100", pattern="^DICT_[A-Za-z0-9_]+$")
     """OpenCV's name of the marker dictionary (not of a chessboard)."""
     inverted: AutoBool = "auto"
     """Whether the print is white on black; auto tries both."""
@@ -127,48 +98,30 @@ class BoardConfig(_Section):
     """Camera -> clip of the board before several cameras at once: intrinsics, rig and scale. Where the board is in
     the moving clips, name those here again."""
 
-    @field_validator("squares")
-    @classmethod
-    def _board_size(cls, squares: tuple[int, int]) -> tuple[int, int]:
-        if not all(2 <= n <= 100 for n in squares):
-            raise ValueError(f"{list(squares)}; expected two whole numbers from 2 to 100")
-        return squares
-
-    @field_validator("dictionary")
-    @classmethod
-    def _dictionary_name(cls, name: str) -> str:
-        if not re.fullmatch(r"DICT_[A-Za-z0-9_]+", name):
-            raise ValueError(f"{name!r}; expected OpenCV's name of a dictionary, such as DICT_5X5_100")
-        return name
-
     @model_validator(mode="after")
     def _marker(self) -> "BoardConfig":
         needed = {
-            "charuco": {"square_m": "the side of its squares", "marker_m": "the side of its markers"},
-            "chessboard": {"square_m": "the side of its squares"},
-            "aruco_grid": {"marker_m": "the side of its markers", "separation_m": "the gap between them"},
+            "charuco": ("square_m", "marker_m"),
+            "chessboard": ("square_m",),
+            "aruco_grid": ("marker_m", "separation_m"),
         }[self.type]
-        for key, what in needed.items():
+        for key in needed:
             if getattr(self, key) is None:
-                raise ValueError(f"{key} is missing; a board of type {self.type} needs {what} in metres")
-        for key, types in (("square_m", ("charuco", "chessboard")), ("separation_m", ("aruco_grid",))):
-            if self.type not in types and getattr(self, key) is not None:
-                raise ValueError(
-                    f"{key} is not for a board of type {self.type}; it needs {' and '.join(needed)}"
-                )
-        if self.type == "charuco" and self.marker_m is not None and self.square_m is not None:
-            if self.marker_m >= self.square_m:
-                raise ValueError(
-                    f"marker_m {self.marker_m} is not smaller than square_m {self.square_m}; "
-                    "markers lie inside the squares"
-                )
+                raise ValueError(f"{key} is missing; a board of type {self.type} needs it, in metres")
+        for key in ("square_m", "separation_m"):
+            if key not in needed and getattr(self, key) is not None:
+                raise ValueError(f"{key} is not for a board of type {self.type}")
+        if self.type == "charuco" and (self.marker_m or 0.0) >= (self.square_m or 0.0):
+            raise ValueError(f"marker_m {self.marker_m} is not smaller than square_m {self.square_m}")
         return self
 
 
 class RawConfig(_Section):
     """How RAW photos are developed; one recipe for all photos of a folder."""
 
-    white_balance: Annotated[WhiteBalance, BeforeValidator(_white_balance)] = "auto"
+    white_balance: Literal["auto"] | Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_as_tuple)] = (
+        "auto"
+    )
     """Multipliers [r, g, b, g2] for all RAW photos, above 0, at most 100; auto: daylight by the sensor of each
     folder's first photo."""
 
@@ -183,20 +136,13 @@ class MattesConfig(_Section):
     """given: holds a folder per camera, and `static` for the sweep."""
     inverted: AutoBool = "auto"
     """given: whether the subject is black on white."""
-    colour: str = "auto"
+    colour: str = Field(default="auto", pattern="^(auto|#[0-9a-fA-F]{6})$")
     """chroma: the screen's colour, auto or #rrggbb; auto finds each camera's."""
     command: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
     """command: program and arguments, with {image} and {matte} for the files; run without a shell in the folder of
     scene.yaml."""
     timeout_s: float = Field(default=120.0, gt=0, le=3600)
     """command: longest time for one picture."""
-
-    @field_validator("colour")
-    @classmethod
-    def _hex(cls, colour: str) -> str:
-        if colour != "auto" and not re.fullmatch("#[0-9a-fA-F]{6}", colour):
-            raise ValueError(f"{colour!r}; expected auto or #rrggbb, such as '#00b140'")
-        return colour
 
     @model_validator(mode="after")
     def _keys_of_the_method(self) -> "MattesConfig":
@@ -285,7 +231,10 @@ class DatasetConfig(_Section):
     """Folder of the data set."""
     frame_stride: int = Field(default=1, ge=1, le=1000)
     """Use every n-th time, of the test views too."""
-    background: Annotated[BackgroundWord | tuple[float, float, float], BeforeValidator(_background)] = "auto"
+    background: (
+        Literal["auto", "white", "black", "shell"]
+        | Annotated[tuple[Share, Share, Share], BeforeValidator(_as_tuple)]
+    ) = "auto"
     """What is behind the subject: auto, a plain colour (white, black or [r, g, b] from 0 to 1), or surroundings
     (shell)."""
 

@@ -7,24 +7,14 @@ from typing import Any
 import yaml
 
 from devrf.pipelines.config.error import ConfigError
-from devrf.pipelines.config.words import near_file, type_in_words
+from devrf.pipelines.config.words import near_file
 
 LARGEST_BYTES = 250_000  # a large scene.yaml has 5 000; yaml reads 100 000 a second
 MOST_VALUES = 20_000  # with aliases written out: nine lines of them can stand for a thousand million values
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses duplicate keys, reads 1e-3 as a number, and names the place of a value it cannot read."""
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        try:
-            return super().construct_object(node, deep)
-        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
-            kind = node.tag.removeprefix("tag:yaml.org,2002:")
-            raise yaml.MarkedYAMLError(
-                problem=f"cannot be read as {kind} ({error}); quote it if it is text",
-                problem_mark=node.start_mark,
-            ) from None
+    """SafeLoader that refuses duplicate keys and reads 1e-3 as a number."""
 
 
 _Loader.add_implicit_resolver(
@@ -63,7 +53,8 @@ def read_yaml(path: Path) -> dict:
             raise ConfigError([f"{path}: more than {LARGEST_BYTES // 1000} kB; expected a scene.yaml"])
         text = content.decode("utf-8-sig")
     except FileNotFoundError:
-        raise ConfigError([_no_scene(path)]) from None
+        remedy = f"expected a scene.yaml; `devrf-pipeline init {path.parent}` writes one for what lies there"
+        raise ConfigError([f"{path}: no such file{near_file(path)}; {remedy}"]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError([f"{path}: cannot be read ({error}); expected a YAML text file"]) from None
     try:
@@ -78,7 +69,7 @@ def read_yaml(path: Path) -> dict:
         raise ConfigError([f"{path.name}: is empty; expected at least name, and capture or dataset"])
     if not isinstance(raw, dict):
         raise ConfigError(
-            [f"{path.name}: holds {type_in_words(raw)}; expected keys such as name: and capture:"]
+            [f"{path.name}: holds a {type(raw).__name__}; expected keys such as name: and capture:"]
         )
     return raw
 
@@ -102,6 +93,8 @@ def _parsed(text: str) -> Any:
         return loader.construct_document(node)
     except RecursionError:
         raise yaml.YAMLError("nested too deeply to be a scene.yaml") from None
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
+        raise yaml.YAMLError(f"a value cannot be read ({error}); quote it if it is text") from None
     finally:
         loader.dispose()
 
@@ -135,27 +128,8 @@ def override(raw: dict, text: str, mistakes: list[str]) -> str | None:
         if inner is None:
             inner = here[section] = {}
         if not isinstance(inner, dict):
-            mistakes.append(f"--set {key}: {section} is {type_in_words(inner)}, which has no keys inside")
+            mistakes.append(f"--set {key}: {section} is {inner!r}, which has no keys inside")
             return None
         here = inner
     here[last] = value
     return key
-
-
-def _no_scene(path: Path) -> str:
-    """What to say where there is no scene.yaml: what the folder holds instead, and what to write."""
-    from devrf.capture.formats.datasets import guess_format
-
-    folder = path.parent
-    if not folder.is_dir():
-        return f"{path}: no such file, and no such folder; expected a scene.yaml or the folder that holds one"
-    found = guess_format(folder)
-    if found is None:
-        return (
-            f"{path}: no such file{near_file(path)}; expected a scene.yaml; "
-            f"`devrf-pipeline init {folder}` writes one for raw files there, docs/configuration.md has all keys"
-        )
-    return (
-        f"{path}: no such file; the folder looks like a data set ({found}): write a scene.yaml with "
-        f"name: NAME and dataset: {{format: {found}, path: {folder}}}"
-    )

@@ -1,27 +1,17 @@
-"""Types, ranges and unknown keys of a scene.yaml.
+"""Types, ranges and unknown keys of a scene.yaml, in the words of pydantic.
 
 A value that is wrong is replaced by its default so that the checks behind it can still speak.
 """
 
 import copy
-import re
-from typing import Any
+from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.config.words import (
-    Say,
-    expectation,
-    field_at,
-    keys_at,
-    shortened,
-    suggestion,
-    type_in_words,
-)
+from devrf.pipelines.config.words import Say, suggestion
 
-_ALTERNATIVES = ("bool", "literal['auto']")  # marks that pydantic puts into locations
 REPAIRS = 20  # rounds of replacing wrong values; each round removes at least one
 
 
@@ -32,85 +22,93 @@ def validated(raw: dict, say: Say) -> SceneConfig | None:
         try:
             return SceneConfig.model_validate(data)
         except ValidationError as error:
+            told: dict[tuple[str, str], list[str]] = {}  # one mistake for all that a value might have been
+            repairs = []
             for item in error.errors(include_url=False):
-                location = _real_location(data, item["loc"])
+                location = _place(data, item["loc"])
                 absent = item["type"] == "missing" and not _has(data, location)
+                repairs.append((location, absent))
                 if not (absent and _has(raw, location)):  # removed by a repair: said already
-                    say(".".join(str(part) for part in location), _message(item, location, data))
+                    value, text = _message(item, location, data)
+                    told.setdefault((".".join(map(str, location)), value), []).append(text)
+            for (key, value), texts in told.items():
+                say(key, value + " or ".join(dict.fromkeys(texts)).replace(" or expected ", " or "))
+            for location, absent in dict.fromkeys(repairs):
                 _repair(data, location, absent)
     return None
 
 
-def _real_location(data: Any, location: tuple) -> tuple:
+def _place(data: Any, location: tuple) -> tuple:
     """The location without the marks pydantic adds for alternatives and keys, and not inside a list."""
-    real = []
+    place = []
     for part in location:
-        mark = part in _ALTERNATIVES or (isinstance(part, str) and "[" in part)
+        mark = part == "bool" or (isinstance(part, str) and "[" in part)
         if mark and not (isinstance(data, dict) and part in data):
             continue
         if isinstance(data, list):
             break
-        real.append(part)
+        place.append(part)
         data = data.get(part) if isinstance(data, dict) else None
-    return tuple(real)
+    return tuple(place)
 
 
-def _message(item: Any, location: tuple, data: dict) -> str:
-    kind, value, context = item["type"], item["input"], item.get("ctx", {})
-    field = field_at(location)
-    for part in location:
-        data = data.get(part, {}) if isinstance(data, dict) else {}
-    if isinstance(data, list) and kind != "value_error":
-        return f"{shortened(data)}; expected {expectation(field)}"
+def _message(item: Any, location: tuple, data: dict) -> tuple[str, str]:
+    """What is there, where it helps to see it, and what is wrong with it."""
+    kind, context = item["type"], item.get("ctx", {})
     if kind == "extra_forbidden":
-        if gone := GONE.get(".".join(map(str, location))):
-            return f"is no longer a key: {gone}"
-        keys = keys_at(location[:-1])
-        hint = suggestion(str(location[-1]), keys) or f"; expected one of {', '.join(keys)}"
-        return f"unknown key{hint}"
-    if kind == "missing":
-        return f"is missing; expected {expectation(field)}"
+        if (gone := GONE.get(".".join(map(str, location)))) is not None:
+            return "", f"is no longer a key: {gone}"
+        keys = _keys(location[:-1])
+        near = suggestion(str(location[-1]), keys) or f"; expected one of {', '.join(keys)}"
+        return "", f"unknown key{near}"
+    if kind == "missing" and not _has(data, location):
+        return "", "is missing"
     if kind == "value_error":
-        return str(context["error"])
-    if kind == "literal_error":
-        choices = re.findall(r"'([^']*)'", context["expected"])
-        return f"{value!r}; expected {', '.join(choices)}{suggestion(str(value), choices)}"
-    if item["loc"] and item["loc"][-1] == "[key]":
-        return f"the key {value!r} is {type_in_words(value)}; names are text, write it in quotes"
-    return f"{shortened(value)}; expected {expectation(field)}"
+        return "", str(context["error"])
+    if item["loc"][-1] == "[key]":
+        return "", f"the key {item['input']!r} is no text; names are text, write it in quotes"
+    value = _shown(_at(data, location))
+    if kind == "model_type":
+        return f"{value}; ", f"expected a section with the keys {', '.join(_keys(location))}"
+    choices = context["expected"].split("'") if kind == "literal_error" else ()
+    text = item["msg"].replace("Input should be", "expected").replace("dictionary", "section")
+    return f"{value}; ", text.replace("tuple", "list") + suggestion(str(item["input"]), choices)
+
+
+def _shown(value: Any) -> str:
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _keys(location: tuple) -> list[str]:
+    """The keys of the section at a location."""
+    model: type[BaseModel] = SceneConfig
+    for part in location:
+        kinds = model.model_fields[part].annotation
+        plain = (getattr(kind, "__origin__", kind) for kind in (kinds, *get_args(kinds)))
+        model = next(kind for kind in plain if isinstance(kind, type) and issubclass(kind, BaseModel))
+    return list(model.model_fields)
+
+
+def _at(data: Any, location: tuple) -> Any:
+    for part in location:
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
+
+
+def _has(data: Any, location: tuple) -> bool:
+    section = _at(data, location[:-1])
+    return isinstance(section, dict) and location[-1] in section
 
 
 def _repair(data: dict, location: tuple, absent: bool) -> None:
-    """Remove what is wrong, so that its default takes its place; give a placeholder to what has none."""
-    placeholders: dict[tuple, Any] = {("name",): "scene"}
-    if location in placeholders:
-        data[location[0]] = placeholders[location]
-        return
-    here: Any = data
-    for part in location[:-1]:
-        if not isinstance(here, dict) or part not in here:
-            break
-        here = here[part]
-    if absent or not isinstance(here, dict) or location[-1] not in here:
-        _drop(data, location[:-1])  # a section that lacks what it needs, or an item of a list
-    else:
-        del here[location[-1]]
-
-
-def _has(raw: Any, location: tuple) -> bool:
-    for part in location:
-        if not isinstance(raw, dict) or part not in raw:
-            return False
-        raw = raw[part]
-    return True
-
-
-def _drop(data: dict, location: tuple) -> None:
-    here: Any = data
-    for part in location[:-1]:
-        here = here.get(part) if isinstance(here, dict) else None
-    if location and isinstance(here, dict):
-        here.pop(location[-1], None)
-    else:
+    """Remove what is wrong, so that its default takes its place; where it has none, the section around it."""
+    if location == ("name",):
+        data["name"] = "scene"
+    elif not absent and _has(data, location):
+        del _at(data, location[:-1])[location[-1]]
+    elif len(location) < 2:
         data.clear()
         data["name"] = "scene"
+    elif _has(data, location[:-1]):
+        del _at(data, location[:-2])[location[-2]]

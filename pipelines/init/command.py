@@ -2,21 +2,22 @@
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.datasets import guess_format
 from devrf.capture.progress import Progress
-from devrf.capture.session import Rest, read_timestamps
-from devrf.capture.stillness import AT_REST
-from devrf.capture.survey import Look, Material, find_material, look_at, still_ends
+from devrf.capture.session import read_timestamps
+from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
+from devrf.capture.survey import Look, Material, find_material, look_at, pictures_at
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.init.calibrations import given_calibration
-from devrf.pipelines.init.found import Found, Roles
-from devrf.pipelines.init.names import BY_NAME, called, roles_called
+from devrf.pipelines.console import Talk, duration
+from devrf.pipelines.init.calibrations import take_calibration
+from devrf.pipelines.init.found import Roles
+from devrf.pipelines.init.names import BY_NAME, called, photos, roles_called
 from devrf.pipelines.init.roles import FEWEST_PHOTOS, guess_roles, see
-from devrf.pipelines.init.summary import nothing, summary
 from devrf.pipelines.init.yaml import dataset_yaml, scene_yaml
 
 PICTURES = 12  # of each clip that are looked at
@@ -38,104 +39,138 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
         raise InputError(
             f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
         )
-    name = name or _scene_name(folder)
+    name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", folder.resolve().name).strip("-")[:100] or "scene"
     dataset = guess_format(folder)
     if dataset is not None:
         _write(path, dataset_yaml(name, dataset))
         talk.say(f"{folder}: a finished data set ({dataset}); wrote {path}")
         return path
-    material = find_material(folder)
     with talk.progress("looking") as progress:
-        found = survey(folder, material, progress)
-    roles = found.roles
+        roles = survey(folder, find_material(folder), progress)
     if roles.sweep is None and not roles.cameras:
-        raise InputError(nothing(folder, material, roles))
-    summary(talk, folder, material, found)
-    if roles.sweep is None and not roles.joint and found.given is None:
-        raise InputError(_unplaced(folder, roles))
-    _write(path, scene_yaml(name, found))
+        seen = [f"  {file}: {why}" for file, why in roles.left.items()] or ["  nothing"]
+        raise InputError(
+            f"{folder}: nothing that can be used; expected a sweep (a clip from a moving camera, or a folder of at "
+            f"least {FEWEST_PHOTOS} photos), or clips of fixed cameras. Seen:\n" + "\n".join(seen)
+        )
+    for line in (f"found in {folder}", *_page(roles)):
+        talk.say(line)
+    if roles.sweep is None and not roles.joint and roles.given is None:
+        raise InputError(
+            f"{folder}: clips of fixed cameras alone do not tell where the cameras are; film a sweep of the scene at "
+            "rest, or a board that several cameras see at once, or put a calibration of all of them at the size that "
+            "was filmed into the folder; nothing was written"
+        )
+    _write(path, scene_yaml(name, roles, "tiny" if shutil.which("nvidia-smi") is None else "fast"))
     talk.say(f"wrote {path}; look through it, then: devrf-pipeline check {path}", style="bold")
     return path
 
 
-def survey(folder: Path, material: Material, progress: Progress) -> Found:
+def survey(folder: Path, material: Material, progress: Progress) -> Roles:
     """Look at everything and guess."""
     looks: list[Look] = []
-    left_out: dict[str, str] = {}
-    broken: dict[str, str] = {}
-    work = [(clip, True) for clip in material.clips] + [(photos, False) for photos in material.photos]
-    for n, (path, is_clip) in enumerate(work):
-        relative = path.relative_to(folder).as_posix()
+    left: dict[str, str] = {}
+    work = [*material.clips, *material.photos]
+    for n, path in enumerate(work):
+        relative, count = path.relative_to(folder).as_posix(), len(material.photos.get(path, ()))
         progress(0.6 * n / len(work), relative)
         if called(relative) in BY_NAME:
-            left_out[relative] = BY_NAME[called(relative)]
-        elif not is_clip and _too_few(relative, len(material.photos[path])):
-            left_out[relative] = (
-                f"{len(material.photos[path])} of the {FEWEST_PHOTOS} photos that a sweep needs at least"
-            )
+            left[relative] = BY_NAME[called(relative)]
+        elif 0 < count < FEWEST_PHOTOS and not {"sweep", "board"} & set(roles_called(relative)):
+            left[relative] = f"{count} of the {FEWEST_PHOTOS} photos that a sweep needs at least"
         else:
             try:
                 looks.append(look_at(path, PICTURES))
             except DevrfError as error:
-                broken[relative] = str(error).splitlines()[0].removeprefix(f"{path}: ")
+                left[relative] = str(error).splitlines()[0].removeprefix(f"{path}: ")
     progress(0.6, "boards and movement")
     roles = guess_roles(*see(looks, folder))
-    roles.unused |= left_out
-    roles.faulty |= broken
-    given = given_calibration(folder, material.ignored, roles)
+    roles.left |= left
+    for files, why in (
+        (material.sounds, "sound by itself; clocks are taken from the clips' own sound"),
+        (material.unreadable, "HEIC or AVIF; convert it to JPEG"),
+    ):
+        roles.left |= {file.relative_to(folder).as_posix(): why for file in files}
+    take_calibration(folder, material.others, roles)
     progress(0.95, "rest")
-    rest = _rest(roles)
-    times = _timestamps(folder, material, roles)
-    return Found(roles, rest, times, given, shutil.which("nvidia-smi") is not None)
+    _find_rest(roles)
+    _find_times(folder, material, roles)
+    _find_missing(roles)
+    return roles
 
 
-def _unplaced(folder: Path, roles: Roles) -> str:
-    """What to say where nothing tells the cameras' places."""
-    calibration = "put a calibration you own into the folder"
-    if roles.unfit:
-        calibration = (
-            f"make {roles.unfit[0]} fit, which is there but is for other pictures or cameras: film at the size that "
-            "it was calibrated at, or leave the clip of the camera that it does not fit out of the folder"
-        )
-    return (
-        f"{folder}: clips of fixed cameras alone do not tell where the cameras are; film a sweep of the scene at "
-        f"rest, or a board that several cameras see at once, or {calibration}; nothing was written"
-    )
-
-
-def _too_few(relative: str, count: int) -> bool:
-    """Whether a folder of photos can neither be a sweep nor show a board."""
-    return count < FEWEST_PHOTOS and not {"sweep", "board"} & set(roles_called(relative))
-
-
-def _rest(roles: Roles) -> Rest:
+def _find_rest(roles: Roles) -> None:
     """Whether the fixed cameras' clips begin or end with nothing moving."""
     if roles.sweep is None or not roles.cameras:
-        return "start"
-    ends = [still_ends(s.look) for s in roles.cameras.values()]
-    still = [sum(share is not None and share <= AT_REST for share in end) for end in zip(*ends, strict=True)]
-    if max(still) == 0:
+        return
+    still: dict[Literal["start", "end"], int] = {"start": 0, "end": 0}
+    for end in still:
+        shares = [
+            moving_share([smooth_grey(p) for p in pictures_at(s.look, end)]) for s in roles.cameras.values()
+        ]
+        still[end] = sum(share is not None and share <= AT_REST for share in shares)
+    roles.rest = "end" if still["end"] > still["start"] else "start"
+    if not any(still.values()):
         roles.doubts.append(
             "something moves at the start and at the end of every clip: rest: start is a guess. Let the cameras see "
             "the scene as in the sweep for a second before the action"
         )
-    return "end" if still[1] > still[0] else "start"
 
 
-def _timestamps(folder: Path, material: Material, roles: Roles) -> str | None:
+def _find_times(folder: Path, material: Material, roles: Roles) -> None:
     """The first table of true times that has rows for all cameras."""
-    cameras = [*roles.cameras, *roles.tests]
-    for table in material.tables if cameras else []:
+    for table in material.tables if roles.fixed else []:
         relative = table.relative_to(folder).as_posix()
         try:
-            read_timestamps(table, cameras)
+            read_timestamps(table, list(roles.fixed))
         except DevrfError as error:
             if "time" in table.stem.lower():
-                roles.unused[relative] = f"no table of times: {str(error).removeprefix(f'{table}: ')}"
+                roles.left[relative] = f"no table of times: {str(error).removeprefix(f'{table}: ')}"
             continue
-        roles.why[relative] = "true times of the cameras' frames"
-        return relative
-    return None
+        roles.timestamps, roles.why[relative] = relative, "true times of the cameras' frames"
+        return
+
+
+def _find_missing(roles: Roles) -> None:
+    """What the crew can still do something about."""
+    if roles.board is not None and not roles.metric:
+        roles.doubts.append(
+            "size of the board's squares: unknown, so the scale is arbitrary. Measure one, put it into "
+            "capture.board.square_m (and marker_m), and remove metric: false"
+        )
+    elif roles.board is None and roles.sweep is not None:
+        roles.doubts.append("no calibration board: lenses come from the sweep, and the scale is arbitrary")
+    silent = [name for name, s in roles.fixed.items() if not s.look.has_audio]
+    if silent and len(roles.fixed) > 1 and roles.timestamps is None:
+        roles.doubts.append(
+            f"no sound track: {', '.join(silent)}; clocks then come from flashes or motion, which is coarser"
+        )
+    if roles.sweep is not None and roles.cameras and not roles.tests:
+        roles.doubts.append("no test camera: motion is not measured on a view that was never trained on")
+
+
+def _page(roles: Roles) -> Iterator[str]:
+    """What was found, then what is not used, doubtful or missing."""
+    chosen = [roles.sweep, *roles.fixed.values(), *roles.boards.values()]
+    looks = {s.name: s.look for s in chosen if s is not None}
+    for file, why in roles.why.items():
+        yield f"  {file}: {_words(looks[file])}; {why}" if file in looks else f"  {file}: {why}"
+    if roles.board is not None:
+        yield f"  board: {roles.board.spec.words}, as far as it is seen"
+    for title, lines in (
+        ("not used", [f"{file}: {why}" for file, why in roles.left.items()]),
+        ("doubtful or missing", roles.doubts),
+    ):
+        yield from [title, *(f"  {line}" for line in lines)] if lines else ()
+
+
+def _words(look: Look) -> str:
+    size = f"{look.width}x{look.height}"
+    if look.is_clip:
+        rate = f", {(look.count - 1) / look.duration_s:.4g} fps" if look.duration_s else ""
+        sound = ", with sound" if look.has_audio else ""
+        return "; ".join([f"{size}{rate}, {duration(look.duration_s)}{sound}", *look.notes])
+    return "; ".join([f"{photos(look.count)}, {size} {look.device}".strip(), *look.notes])
 
 
 def _write(path: Path, text: str) -> None:
@@ -147,7 +182,3 @@ def _write(path: Path, text: str) -> None:
         new.replace(path)
     finally:
         new.unlink(missing_ok=True)
-
-
-def _scene_name(folder: Path) -> str:
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", folder.resolve().name).strip("-")[:100] or "scene"

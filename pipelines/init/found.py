@@ -1,4 +1,4 @@
-"""What `init` has seen and guessed; `roles.py` and `boards.py` fill it, the page and scene.yaml are made of it."""
+"""What `init` has seen and guessed; the page and scene.yaml are made of it."""
 
 from dataclasses import dataclass, field
 
@@ -43,12 +43,13 @@ class Roles:
         cameras, tests: Camera name -> clip.
         boards, joint: Camera name (or static) -> clip with the board before it alone, or before several at once.
         board: The board; None where none is seen.
-        metric: Whether the calibration that is used gives metres.
-        unfit: Calibrations that do not fit the cameras' clips.
+        given: A calibration that places the cameras where nothing else does, relative to the folder.
+        metric: Whether that gives metres.
+        timestamps: A table of true times, relative to the folder.
+        rest: When the moving clips show the scene as in the sweep.
         why: File -> what it was taken for, and why.
+        left: File -> why it is not used, and what to do where it cannot be as it is.
         doubts: Contradictions and what is missing, one sentence each.
-        unused: File -> why it is not used.
-        faulty: File -> what is wrong with it, so that it cannot be used as it is.
     """
 
     sweep: Seen | None = None
@@ -57,28 +58,15 @@ class Roles:
     boards: dict[str, Seen] = field(default_factory=dict)
     joint: dict[str, Seen] = field(default_factory=dict)
     board: BoardGuess | None = None
+    given: str | None = None
     metric: bool = False
-    unfit: list[str] = field(default_factory=list)
+    timestamps: str | None = None
+    rest: Rest = "start"
     why: dict[str, str] = field(default_factory=dict)
+    left: dict[str, str] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
-    unused: dict[str, str] = field(default_factory=dict)
-    faulty: dict[str, str] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class Found:
-    """What init knows when it writes.
-
-    Attributes:
-        roles: What is what.
-        rest: When the moving clips show the scene as in the sweep.
-        timestamps: A table of true times, relative to the folder; None without one.
-        given: A calibration that places the cameras where nothing else does, relative to the folder; None without one.
-        has_gpu: Whether an NVIDIA GPU is there.
-    """
-
-    roles: Roles
-    rest: Rest
-    timestamps: str | None
-    given: str | None
-    has_gpu: bool
+    @property
+    def fixed(self) -> dict[str, Seen]:
+        """Every fixed camera, the test cameras last."""
+        return {**self.cameras, **self.tests}

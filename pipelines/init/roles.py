@@ -26,18 +26,16 @@ def see(looks: Sequence[Look], root: Path) -> tuple[list[Seen], BoardGuess | Non
     board = guess_board(_trials(seen))
     if board is None:
         return seen, None
-    return [
-        replace(s, board_share=board_pictures(s.look.greys, board) / max(1, len(s.look.greys))) for s in seen
-    ], board
+    shares = [board_pictures(s.look.greys, board) / max(1, len(s.look.greys)) for s in seen]
+    return [replace(s, board_share=share) for s, share in zip(seen, shares, strict=True)], board
 
 
 def _trials(seen: Sequence[Seen]) -> list[Grey]:
     """Pictures that tell which board it is: of board clips first, then of a sweep, which passes a board but once."""
     called = [grey for s in seen if s.called_board for grey in _some(s.look.greys, BOARD_TRIALS)]
-    swept = [grey for s in seen if not s.called_board and s.moves for grey in s.look.greys]
-    fixed = [
-        grey for s in seen if not s.called_board and not s.moves for grey in _some(s.look.greys, STILL_TRIALS)
-    ]
+    others = [s for s in seen if not s.called_board]
+    swept = [grey for s in others if s.moves for grey in s.look.greys]
+    fixed = [grey for s in others if not s.moves for grey in _some(s.look.greys, STILL_TRIALS)]
     return [*called, *swept, *fixed][:MOST_TRIALS]
 
 
@@ -47,50 +45,56 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
     standing, moving, boards = [], [], []
     for s in seen:
         fault = _fault(s)
-        if fault is not None:
-            roles.faulty[s.name] = fault
-        elif is_board_clip(s, seen, roles):
+        if fault is None and is_board_clip(s, seen, roles):
             boards.append(s)
-        elif s.called_board:
-            roles.faulty[s.name] = (
-                f"called a board clip, but no board is seen in {len(s.look.pictures)} pictures of it: "
-                "film the board larger, sharp and without glare, or rename the clip"
-            )
-        elif s.moves:
+        elif fault is None and s.called_board:
+            fault = "called a board clip, but no board is seen: film it larger and sharp, or rename the clip"
+        elif fault is None and s.moves:
             moving.append(s)
-        elif not s.look.is_clip:
-            roles.faulty[s.name] = (
-                "photos whose background stands still: a sweep is photographed walking around the scene"
-            )
-        else:
+        elif fault is None and not s.look.is_clip:
+            fault = "photos whose background stands still: a sweep is photographed walking around the scene"
+        elif fault is None:
             standing.append(s)
-    _sweep(moving, standing, roles)
-    _cameras(standing, roles)
+        if fault is not None:
+            roles.left[s.name] = fault
+    _sweep(moving, roles)
+    for s in standing:
+        if s.called == "sweep":
+            roles.left[s.name] = "called a sweep, but the camera stands: walk around the scene with it"
+        else:
+            _camera(s, roles)
+    if roles.tests and not roles.cameras:
+        roles.cameras, roles.tests = roles.tests, {}
+    if not roles.cameras:
+        roles.doubts.append("no fixed cameras: no clip in which the camera stands; this is a scene at rest")
     give_boards(boards, roles)
     return roles
 
 
-def _sweep(moving: list[Seen], standing: list[Seen], roles: Roles) -> None:
-    few = [s for s in moving if not s.look.is_clip and s.look.count < FEWEST_PHOTOS and s.called != "sweep"]
-    for s in few:
-        roles.unused[s.name] = f"{photos(s.look.count)}: too few for a sweep"
-    wanted = sorted(
-        (s for s in moving if s not in few),
-        key=lambda s: (s.called != "sweep", s.called in ("camera", "test"), -s.look.count),
-    )
-    if wanted:
-        _take_sweep(wanted[0], roles)
-    for s in wanted[1:]:
-        if s.called in ("camera", "test"):
-            roles.faulty[s.name] = (
-                "called a fixed camera, but its picture moves: put it on a tripod and film again"
-            )
+def _sweep(moving: list[Seen], roles: Roles) -> None:
+    """The one so called, else the longest that no name calls a camera."""
+    for s in sorted(
+        moving, key=lambda s: (s.called != "sweep", s.called in ("camera", "test"), -s.look.count)
+    ):
+        count, is_camera = photos(s.look.count), s.called in ("camera", "test")
+        if not s.look.is_clip and s.look.count < FEWEST_PHOTOS and s.called != "sweep":
+            roles.left[s.name] = f"{count}: too few for a sweep"
+        elif roles.sweep is None:
+            roles.sweep = s
+            roles.why[s.name] = f"the sweep: {'the camera moves' if s.look.is_clip else count}"
+            if not s.look.is_clip and s.board_share >= BOARD_SHARE:
+                roles.doubts.append(
+                    f"{s.name}: the board is in {100 * s.board_share:.0f} % of its photos. If they were taken for the "
+                    "board, they are no sweep: photograph the scene at rest, walking around it"
+                )
+            if is_camera:
+                roles.doubts.append(
+                    f"{s.name}: called a fixed camera, but its picture moves; taken as the sweep"
+                )
+        elif is_camera:
+            roles.left[s.name] = "called a fixed camera, but its picture moves: film again from a tripod"
         else:
-            better = f"{wanted[0].name} is used. Swap them in scene.yaml if this is better"
-            roles.unused[s.name] = f"a second sweep; {better}"
-    for s in [s for s in standing if s.called == "sweep"]:
-        roles.faulty[s.name] = "called a sweep, but the camera stands: walk around the scene with it"
-        standing.remove(s)
+            roles.left[s.name] = f"a second sweep; {roles.sweep.name} is used. Swap them if this is better"
     if roles.sweep is None:
         roles.doubts.append(
             "no sweep: no clip in which the camera moves, and no folder of photos. Film the scene at rest with one "
@@ -98,38 +102,16 @@ def _sweep(moving: list[Seen], standing: list[Seen], roles: Roles) -> None:
         )
 
 
-def _take_sweep(s: Seen, roles: Roles) -> None:
-    roles.sweep = s
-    what = "the camera moves" if s.look.is_clip else photos(s.look.count)
-    roles.why[s.name] = f"the sweep: {what}" + (", and so it is called" if s.called == "sweep" else "")
-    if not s.look.is_clip and s.board_share >= BOARD_SHARE:
-        roles.doubts.append(
-            f"{s.name}: the board is in {100 * s.board_share:.0f} % of its photos. If they were taken for the "
-            "board, they are no sweep: photograph the scene at rest, walking around it"
-        )
-    if s.called in ("camera", "test"):
-        roles.doubts.append(
-            f"{s.name}: called a fixed camera, but its picture moves; taken as the sweep. If it is no sweep, "
-            "put the camera on a tripod and film again"
-        )
-
-
-def _cameras(standing: list[Seen], roles: Roles) -> None:
-    for s in standing:
-        test = s.called == "test"
-        name = camera_name(s.name, {*roles.cameras, *roles.tests})
-        (roles.tests if test else roles.cameras)[name] = s
-        found = "the camera stands" if s.steady.stands else "too little to see to tell whether it stands"
-        roles.why[s.name] = f"fixed camera {name}: {found}" + ("; called a test camera" if test else "")
-    if roles.tests and not roles.cameras:
-        roles.cameras, roles.tests = roles.tests, {}
-    if not roles.cameras:
-        roles.doubts.append("no fixed cameras: no clip in which the camera stands; this is a scene at rest")
+def _camera(s: Seen, roles: Roles) -> None:
+    name = camera_name(s.name, set(roles.fixed))
+    (roles.tests if s.called == "test" else roles.cameras)[name] = s
+    stands = "the camera stands" if s.steady.stands else "too little to see to tell whether it stands"
+    roles.why[s.name] = f"fixed camera {name}: {stands}" + (
+        "; a test camera by its name" if s.called == "test" else ""
+    )
 
 
 def _fault(s: Seen) -> str | None:
-    if not s.look.pictures:
-        return "no picture of it decodes; copy it from the camera again"
     if s.look.black:
         return "black: a lens cap, or no light; film again"
     if s.look.is_clip and s.look.count < 2:

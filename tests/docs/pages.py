@@ -22,20 +22,11 @@ FILE = re.compile(r"^`([^`\s]+\.\w+)`:\n\n\Z", re.MULTILINE)  # a line above a b
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code: where it stands, its language, its text, and the file it is to be, where the page says so."""
+    """A block of code: its language, its text, and the file it is to be, where the page says so."""
 
-    page: Path
     language: str
     text: str
     file: str | None
-
-
-@dataclass(frozen=True)
-class Call:
-    """`devrf-pipeline …` as it stands on a page, in words."""
-
-    page: Path
-    words: tuple[str, ...]
 
 
 def blocks(page: Path) -> Iterator[Block]:
@@ -43,7 +34,7 @@ def blocks(page: Path) -> Iterator[Block]:
     text = page.read_text(encoding="utf-8")
     for match in FENCE.finditer(text):
         file = FILE.search(text[: match.start()])
-        yield Block(page, match["language"], match["text"], file[1] if file else None)
+        yield Block(match["language"], match["text"], file[1] if file else None)
 
 
 def prose(page: Path) -> str:
@@ -51,18 +42,15 @@ def prose(page: Path) -> str:
     return FENCE.sub("", page.read_text(encoding="utf-8"))
 
 
-def calls(page: Path, commands: set[str]) -> Iterator[Call]:
-    """Every call on a page: lines of blocks, and `code` that begins with the program or is a command with options."""
-    lines = [line for block in blocks(page) for line in block.text.replace("\\\n", " ").splitlines()]
-    for line in lines:
+def calls(page: Path, commands: set[str]) -> Iterator[list[str]]:
+    """Words of every call on a page: lines of blocks, `code` that begins with the program or a command with options."""
+    for line in (line for block in blocks(page) for line in block.text.replace("\\\n", " ").splitlines()):
         start = re.match(rf"[^#]*?(?:^|[\s/]){PROGRAM} ", line)
-        if start is not None:
-            yield Call(page, _words(line[start.end() :]))
+        if start is not None and "[OPTIONS]" not in line:  # of what typer writes
+            yield _words(line[start.end() :])
     for code in re.findall(r"`([^`\n]+)`", prose(page)):
-        if code.startswith(f"{PROGRAM} "):
-            yield Call(page, _words(code.removeprefix(f"{PROGRAM} ")))
-        elif " --" in code and code.split()[0] in commands:
-            yield Call(page, _words(code))
+        if code.startswith(f"{PROGRAM} ") or (" --" in code and code.split()[0] in commands):
+            yield _words(code.removeprefix(f"{PROGRAM} "))
 
 
 def anchors(page: Path) -> set[str]:
@@ -83,5 +71,5 @@ def links(page: Path) -> list[str]:
     return re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", prose(page)))
 
 
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(shlex.split(text.replace("|", " | ").replace("'", ""), comments=True))
+def _words(text: str) -> list[str]:
+    return shlex.split(text.replace("|", " | ").replace("'", ""), comments=True)

@@ -11,26 +11,22 @@ import pytest
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.calibration.boards.spec import BoardSpec, dictionary
-from devrf.calibration.field.fixed import FixedGlance, glance_at_fixed
 from devrf.calibration.field.matching import features
-from devrf.calibration.field.steady import Steadiness, steadiness
-from devrf.calibration.field.sweep import glance_at_sweep
-from devrf.capture.planned import planned_frames, sweep_pictures
+from devrf.calibration.field.overlap import overlap_of
 from devrf.capture.progress import no_progress
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
-from devrf.capture.session import CaptureSession
-from devrf.capture.survey import look_at_clip
+from devrf.capture.session import CaptureSession, Rest
+from devrf.capture.survey import Look, look_at
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
-from devrf.pipelines.check import rows as check_rows
 from devrf.pipelines.check.boards import board_rows
+from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
 from devrf.pipelines.check.command import left_out
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
-WALKS = Steadiness(False, np.nan, 0.0)
 
 
 def verdict(rows: list[HealthRow], check: str) -> str:
@@ -126,9 +122,7 @@ def test_pictures_by_seeking_are_those_of_reading_everything(tmp_path: Path, tex
         time_s, level = whole[frame.index]
         assert frame.time_s == pytest.approx(time_s)
         assert frame.rgb.mean() == pytest.approx(level, abs=0.5)  # the numbers are 2 levels apart
-    look = look_at_clip(path, 5)
-    assert sweep_pictures(look).tolist() == list(range(100))
-    frames = planned_frames(look, "camera", "long.mp4")
+    frames = planned_frames(look_at(path, 5), "camera", "long.mp4")
     assert len(frames.used) == 100 and frames.fps_mean == pytest.approx(25.0)
 
 
@@ -145,128 +139,74 @@ def test_a_damaged_clip_gives_what_decodes(tmp_path: Path, textures: Callable) -
 # --- sweeps ---
 
 
-def test_a_walk_shows_depth_and_a_turn_does_not(textures: Callable) -> None:
+def clip(path: Path, pictures: list[np.ndarray]) -> Look:
+    write_video(path, pictures, 25.0)
+    return look_at(path, 12)
+
+
+def sweep_verdicts(path: Path, pictures: list[np.ndarray]) -> dict[str, str]:
+    """The last words of each row's check -> its verdict."""
+    seen = see_sweep(clip(path, pictures), no_progress)
+    assert len(seen.frames.used) == len(pictures)
+    return {row.check.rsplit(" ", 1)[-1]: row.verdict for row in seen.rows}
+
+
+def test_a_walk_shows_depth_and_a_turn_a_tripod_and_a_lens_cap_do_not(
+    tmp_path: Path, textures: Callable
+) -> None:
     room, posters = textures(0), textures(1)
-    walk = [features(view(room, posters, 6.0 * n)) for n in range(10)]
-    rows = check_rows.sweep_rows(
-        glance_at_sweep(walk, lambda n: None), WALKS, False, [str(n) for n in range(10)]
-    )
-    assert (
-        verdict(rows, "overlap") == "ok"
-        and verdict(rows, "depth") == "ok"
-        and verdict(rows, "exposure") == "ok"
-    )
-    turn = [features(turned(room, 3.0 * n - 15)) for n in range(10)]
-    rows = check_rows.sweep_rows(
-        glance_at_sweep(turn, lambda n: None), WALKS, False, [str(n) for n in range(10)]
-    )
-    assert verdict(rows, "overlap") == "ok" and verdict(rows, "depth") == "fail"
-
-
-def test_a_sweep_from_a_tripod_or_of_a_lens_cap_is_refused(textures: Callable) -> None:
-    here = view(textures(0), textures(1), 20.0)
-    glance = glance_at_sweep([features(here)] * 6, lambda n: None)
-    steady = steadiness([here[:, :, 0]] * 6)
-    rows = check_rows.sweep_rows(glance, steady, False, [str(n) for n in range(6)])
-    assert verdict(rows, "movement of the sweep's camera") == "fail" and verdict(rows, "depth") == "fail"
-    assert verdict(rows, "overlap") == "ok"
-    rows = check_rows.sweep_rows(glance, steady, True, [str(n) for n in range(6)])
-    assert [row.verdict for row in rows] == ["fail"] and "lens cap" in rows[0].remedy
+    walk = [view(room, posters, 6.0 * n) for n in range(10)]
+    assert sweep_verdicts(tmp_path / "walk.mp4", walk) == {"camera": "ok", "overlap": "ok", "depth": "ok"}
+    turn = [turned(room, 3.0 * n - 15) for n in range(10)]
+    assert sweep_verdicts(tmp_path / "turn.mp4", turn) == {"camera": "ok", "overlap": "ok", "depth": "fail"}
+    stood = sweep_verdicts(tmp_path / "stood.mp4", [view(room, posters, 20.0)] * 6)
+    assert stood == {"camera": "fail", "overlap": "ok", "depth": "fail"}
+    assert sweep_verdicts(tmp_path / "cap.mp4", [np.zeros_like(walk[0])] * 6) == {"sweep": "fail"}
 
 
 def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -> None:
     room, posters = np.hstack([textures(0), textures(2)]), textures(1)
-    places = [0.0, 6.0, 12.0, 700.0, 706.0, 712.0]
-    walk = [features(view(room, posters, x)) for x in places]
-    open_gap = glance_at_sweep(walk, lambda n: None)
-    assert open_gap.breaks == (2,)
-    rows = check_rows.sweep_rows(open_gap, WALKS, False, [f"{n} s" for n in range(6)])
-    assert "2 s to 3 s" in next(row.remedy for row in rows if "overlap" in row.check)
-    assert open_gap.linked == pytest.approx(0.8)
-    far, between = [0.0, 310.0], 155.0  # of a picture 320 wide
-    ends = [features(view(room, posters, x)) for x in far]
-    assert glance_at_sweep(ends, lambda n: None).linked == 0.0
-    assert glance_at_sweep(ends, lambda n: view(room, posters, between)).linked == 1.0
-
-
-def test_exposure_that_changes_over_the_sweep(textures: Callable) -> None:
-    room, posters = textures(0), textures(1)
-    walk = [features(view(room, posters, 6.0 * n, light=1.0 if n < 5 else 0.6)) for n in range(10)]
-    glance = glance_at_sweep(walk, lambda n: None)
-    rows = check_rows.sweep_rows(glance, WALKS, False, [str(n) for n in range(10)])
-    assert verdict(rows, "exposure") == "warn"
-    # sRGB levels times 0.6: light changes by 0.6 ** 2.4 to 0.6 ** 2.0 (the curve is steeper where it is dark).
-    assert 2.0 * np.log2(1 / 0.6) <= np.ptp(glance.light_stops[:, 1]) <= 2.4 * np.log2(1 / 0.6)
+    walk = [features(view(room, posters, x)) for x in (0.0, 6.0, 12.0, 700.0, 706.0, 712.0)]
+    open_gap = overlap_of(walk, lambda n: None)
+    assert open_gap.breaks == (2,) and open_gap.linked == pytest.approx(0.8)
+    ends = [features(view(room, posters, x)) for x in (0.0, 310.0)]  # of a picture 320 wide
+    assert overlap_of(ends, lambda n: None).linked == 0.0
+    assert overlap_of(ends, lambda n: view(room, posters, 155.0)).linked == 1.0
 
 
 # --- fixed cameras ---
 
 
-def healthy() -> dict:
-    return {
-        "subject_share": 0.2, "rest_share": 0.0, "shared": 500, "subject_agrees": 0.9, "rest_agrees": 0.9,
-        "light_stops": 0.0, "balance": 0.0,
-    }  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("wrong", "check", "expected"),
-    [
-        ({}, "", "ok"),
-        ({"subject_share": 0.0}, "something moves", "warn"),
-        ({"rest_share": 0.05}, "moves at the start", "warn"),
-        ({"shared": 3}, "shares with the sweep", "fail"),
-        ({"shared": 50}, "shares with the sweep", "warn"),
-        ({"subject_agrees": 0.5}, "against the sweep", "warn"),
-        ({"light_stops": 0.4}, "exposure", "warn"),
-        ({"balance": 0.1}, "white balance", "warn"),
-    ],
-)
-def test_a_fixed_camera_is_judged(wrong: dict, check: str, expected: str, textures: Callable) -> None:
-    still = steadiness([textures(0)[:, :, 0]] * 6)
-    rows = check_rows.camera_rows(
-        "cam1", FixedGlance(**healthy() | wrong), still, False, "start", has_sweep=True
-    )
-    assert verdict(rows, check) == expected
-    assert [row.verdict for row in rows].count("ok") == len(rows) - (expected != "ok")
-    assert all(
-        "cam1" in row.remedy for row in rows if row.verdict != "ok" and "against the sweep" not in row.check
-    )
-
-
-def test_a_camera_that_moves_and_one_with_its_cap_on(textures: Callable) -> None:
-    room = np.tile(textures(0)[:, :, 0], (1, 3))
-    hand_held = steadiness([room[:, 40 * n : 40 * n + 480] for n in range(8)])
-    glance = FixedGlance(**healthy())
-    rows = check_rows.camera_rows("cam1", glance, hand_held, False, "start", has_sweep=True)
-    assert verdict(rows, "movement of cam1") == "fail"
-    rows = check_rows.camera_rows("cam1", glance, hand_held, True, "start", has_sweep=True)
-    assert [row.verdict for row in rows] == ["fail"] and "lens cap" in rows[0].remedy
-
-
-def test_without_a_sweep_nothing_is_asked_of_the_rest(textures: Callable) -> None:
-    still = steadiness([textures(0)[:, :, 0]] * 6)
-    glance = FixedGlance(**healthy() | {"rest_share": 0.2, "shared": None, "subject_agrees": None})
-    rows = check_rows.camera_rows("cam1", glance, still, False, "start", has_sweep=False)
-    assert {row.verdict for row in rows} == {"ok"} and not any("at the start" in row.check for row in rows)
-
-
-def test_what_a_fixed_camera_shares_with_the_sweep(textures: Callable) -> None:
-    """The subject is a poster that is at its place, then away from it; sweep and camera see the rest alike."""
+def test_a_fixed_camera_is_judged(tmp_path: Path, textures: Callable) -> None:
+    """Its subject is a poster that leaves its place; it stands, is bumped, sees nothing move, or another room."""
     room, posters = textures(0), textures(1)
     sweep = [features(view(room, posters, 6.0 * n)) for n in range(8)]
     here = view(room, posters, 20.0)
     moved = here.copy()
     moved[60:200, 110:170] = here[60:200, 110:170][::-1, ::-1]
-    clip = [here, here, moved, moved, here]
-    good = glance_at_fixed(clip, [here] * 4, features(here), sweep)
-    assert good.shared is not None and good.shared > 100
-    assert good.rest_share == 0.0 and good.subject_share > 0.02
-    assert good.light_stops == pytest.approx(
-        0.0, abs=0.01
-    )  # most of the picture is the same to the last level
-    elsewhere = glance_at_fixed(clip, [here] * 4, features(textures(5)[:240, :320]), sweep)
-    assert elsewhere.shared is not None and elsewhere.shared < check_rows.SHARED_FAIL
+    elsewhere = textures(5)[:240, :320]
+
+    def verdicts(
+        name: str, pictures: list[np.ndarray], rest: Rest = "start", sees: list = sweep
+    ) -> list[str]:
+        """Of movement, subject, rest, overlap with the sweep."""
+        return [
+            row.verdict for row in camera_rows("cam1", clip(tmp_path / f"{name}.mp4", pictures), rest, sees)
+        ]
+
+    clips = {"good": [here] * 6 + [moved] * 12, "early": [here, here, moved, moved] * 5, "still": [here] * 12}
+    assert verdicts("good", clips["good"]) == ["ok", "ok", "ok", "ok"]
+    assert verdicts("early", clips["early"]) == ["ok", "ok", "warn", "ok"]
+    assert verdicts("still", clips["still"]) == ["ok", "warn", "ok", "ok"]
+    assert verdicts("early", clips["early"], "none") == ["ok", "ok", "ok"]
+    assert verdicts("early", clips["early"], sees=[]) == [
+        "ok",
+        "ok",
+    ]  # without a sweep nothing is asked of the rest
+    assert verdicts("elsewhere", [elsewhere] * 12)[-1] == "fail"
+    wide = np.tile(room, (1, 3, 1))
+    assert verdicts("hand", [wide[:, 40 * n : 40 * n + 480] for n in range(12)])[0] == "fail"
+    assert verdicts("cap", [np.zeros_like(here)] * 6) == ["fail"]
 
 
 # --- clips that are left out ---
@@ -321,7 +261,7 @@ def test_silent_clips_in_which_nothing_moves_have_no_clock(tmp_path: Path, textu
     for name in ("cam0", "cam1"):
         cameras[name] = tmp_path / f"{name}.mp4"
         write_video(cameras[name], [picture] * 25, 25.0)
-    moving = {n: planned_frames(look_at_clip(path, 3), "camera", path.name) for n, path in cameras.items()}
+    moving = {n: planned_frames(look_at(path, 3), "camera", path.name) for n, path in cameras.items()}
     clips = {name: path.name for name, path in cameras.items()}
     config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4", "cameras": clips}})
     rows = clock_rows(config, CaptureSession(cameras=cameras), moving, {})

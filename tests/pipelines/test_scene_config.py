@@ -48,12 +48,8 @@ def test_good_file_and_its_defaults(folder: Path) -> None:
     assert config.flow.method == "dis"
     assert config.capture is not None and config.capture.rest == "start"
     assert config.reconstruct.image_scale is None  # chosen by the preset
-    assert load(folder, "name: a\ncapture: {static: static.mp4}").run_dir(folder) == folder / "runs/a"
-
-
-def test_lpips_weights_are_a_folder_or_a_download(folder: Path) -> None:
     assert load(folder, GOOD + "evaluate: {lpips_weights: download}").evaluate.lpips_weights == "download"
-    assert "no such file or folder" in mistakes(folder, GOOD + "evaluate: {lpips_weights: downlod}")[0]
+    assert load(folder, "name: a\ncapture: {static: static.mp4}").run_dir(folder) == folder / "runs/a"
 
 
 @pytest.mark.parametrize(
@@ -68,141 +64,104 @@ def test_kinds_of_capture(folder: Path, text: str, kind: str) -> None:
     assert load(folder, f"name: x\n{text}").kind == kind
 
 
+BOARD = "squares: [8, 6], square_m: 2, marker_m: 1"
+JOINT = f"{{cameras: {{a: cam0.mp4}}, board: {{{BOARD}, clips: {{static: cam1.mp4}}, joint_clips: {{a: cam0.mp4}}}}}}"
+
+
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
         ("reconstruct: {resolutoin: 160}", "reconstruct.resolutoin: unknown key, did you mean resolution?"),
         ("reconstrct: {}", "reconstrct: unknown key, did you mean reconstruct?"),
-        (
-            "calibration: {sync: {av_lag_s: 0.02}}",
-            "calibration.sync.av_lag_s: 0.02; expected names with a number each ({cam0: 0.02})",
-        ),
-        (
-            "calibration: {rig: {given: 3}}",
-            "calibration.rig.given: 3; expected a path or names with a path each",
-        ),
-        ("reconstruct: {rays: 3}", "reconstruct.rays: 3; expected a whole number from 64 to 1048576"),
-        ("reconstruct: {rays: many}", "reconstruct.rays: 'many'; expected a whole number from 64 to 1048576"),
-        ("reconstruct: {rays: 100.5}", "reconstruct.rays: 100.5; expected a whole number from 64 to 1048576"),
-        (
-            "reconstruct: {image_scale: .nan}",
-            "reconstruct.image_scale: nan; expected a number from 0.02 to 1",
-        ),
-        (
-            "reconstruct: {seed: true}",
-            "reconstruct.seed: True; expected a whole number from 0 below 2147483648",
-        ),
+        ("calibration: {sync: {av_lag_s: 0.02}}", "calibration.sync.av_lag_s: 0.02; "),
+        ("calibration: {sync: {av_lag_s: {cam9: 0.02}}}", "calibration.sync.av_lag_s.cam9: no camera"),
+        ("calibration: {rig: {given: 3}}", "calibration.rig.given: 3; "),
+        ("reconstruct: {rays: 3}", "reconstruct.rays: 3; expected greater than or equal to 64"),
+        ("reconstruct: {rays: many}", "reconstruct.rays: 'many'; "),
+        ("reconstruct: {rays: 100.5}", "reconstruct.rays: 100.5; "),
+        ("reconstruct: {image_scale: .nan}", "reconstruct.image_scale: nan; "),
+        ("reconstruct: {seed: true}", "reconstruct.seed: True; "),
         ("flow: {method: raft}", "flow: weights is missing; method raft needs"),
         ("flow: {method: farneback}", "flow: method 'farneback' is not known, expected dis, raft"),
-        ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' are of no use; method dis needs none"),
-        ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': no such file or folder"),
-        (
-            "calibration: {sync: {method: sound}}",
-            "calibration.sync.method: 'sound'; expected auto, audio, motion, flash, timestamps, none",
-        ),
-        (
-            "calibration: {sync: {method: timestamps}}",
-            "capture.timestamps: is missing; sync.method: timestamps needs the CSV file",
-        ),
-        (
-            "calibration: {rig: {given: rig.json}}",
-            "calibration.rig.given: 'rig.json': no such file or folder",
-        ),
+        ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' are of no use"),
+        ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': no such file"),
+        ("calibration: {sync: {method: sound}}", "calibration.sync.method: 'sound'; "),
+        ("calibration: {sync: {method: timestamps}}", "capture.timestamps: is missing"),
+        ("calibration: {rig: {method: given}}", "calibration.rig.given: is missing"),
+        ("calibration: {rig: {method: board}}", "capture.board.joint_clips: is missing"),
+        ("calibration: {rig: {given: rig.json}}", "calibration.rig.given: 'rig.json': no such file"),
         ("evaluate: [8]", "evaluate: [8]; expected a section with the keys holdout_every"),
-        ("budget: {memory_gb: 0}", "budget.memory_gb: 0; expected a number above 0"),
-        ("dataset: {format: devrf, path: .}", "capture: does not go with dataset; remove one of them"),
+        ("evaluate: {lpips_weights: downlod}", "evaluate.lpips_weights: 'downlod': no such file"),
+        ("budget: {memory_gb: 0}", "budget.memory_gb: 0; "),
+        ("dataset: {format: devrf, path: .}", "capture: does not go with dataset"),
+        ("output: static.mp4", "output: 'static.mp4' is capture.static too"),
     ],
 )
 def test_one_mistake(folder: Path, line: str, expected: str) -> None:
-    found = mistakes(folder, GOOD + line)
-    assert len(found) == 1
-    assert found[0].startswith(f"scene.yaml: {expected}"), found[0]
+    text = GOOD.replace("output: runs/kuka", "") if line.startswith("output") else GOOD
+    (found,) = mistakes(folder, text + line)
+    assert found.startswith(f"scene.yaml: {expected}"), found
 
 
 @pytest.mark.parametrize(
     ("capture", "expected"),
     [
-        ("{static: statik.mp4}", "capture.static: 'statik.mp4': no such file or folder"),
-        ("{static: statik.mp4}", "did you mean static.mp4?"),
+        ("{static: statik.mp4}", "capture.static: 'statik.mp4': no such file"),
         ("{cameras: {cam0: cam0.mp4}}", "capture.static: is missing, and without a sweep"),
         ("{static: static.mp4, cameras: {cam0: gone.mp4}}", "capture.cameras.cam0: 'gone.mp4'"),
-        ("{static: static.mp4, cameras: {0: cam0.mp4}}", "the key 0 is a number; names are text"),
-        ("{static: static.mp4, cameras: {a/b: cam0.mp4}}", "'a/b' cannot be a camera's name"),
-        ("{static: static.mp4, cameras: {static: cam0.mp4}}", "'static' is a name that the run folder needs"),
-        ("{static: static.mp4, cameras: {a: cam0.mp4, b: cam0.mp4}}", "a, b name the same file"),
-        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [b]}", "'b' is not in cameras"),
-        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [a]}", "every camera is a test camera"),
-        ("{static: static.mp4, test_cameras: {a: cam0.mp4}}", "every camera is a test camera"),
+        ("{static: static.mp4, cameras: {0: cam0.mp4}}", "capture.cameras.0: the key 0 is no text"),
+        ("{static: static.mp4, cameras: {a/b: cam0.mp4}}", "capture.cameras: 'a/b'"),
+        ("{static: static.mp4, cameras: {static: cam0.mp4}}", "capture.cameras: 'static' is a name that"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4, A: cam1.mp4}}", "capture.cameras: 'a' and 'A'"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4, b: cam0.mp4}}", "capture.cameras: 2 of them"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [b]}", "capture.test_cameras.b: no camera"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [a]}", "capture.cameras: every camera"),
+        ("{static: static.mp4, test_cameras: {a: cam0.mp4}}", "capture.cameras: every camera"),
         ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; expected [from, to]"),
-        ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; expected a list of two numbers"),
-        ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': no such file or folder"),
-        ("{static: static.mp4, mattes: chrome}", "; or one of chroma, background"),
+        ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; "),
+        ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': no such file"),
         (
-            "{static: static.mp4, mattes: {method: command, command: a b}}",
-            "capture.mattes.command: 'a b'; expected a list of texts",
+            "{static: static.mp4, mattes: {method: command, command: [a], timeout_s: 0}}",
+            "capture.mattes.timeout_s: 0; ",
         ),
         ("{static: static.mp4, mattes: background}", "capture.mattes: background needs fixed cameras"),
-        ("{static: static.mp4, mattes: {method: keying}}", "capture.mattes.method: 'keying'; expected given"),
-        ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder is missing; method: given"),
+        ("{static: static.mp4, mattes: {method: keying}}", "capture.mattes.method: 'keying'; "),
+        ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder is missing"),
         ("{static: static.mp4, mattes: {method: command}}", "capture.mattes: command is missing"),
-        (
-            "{static: static.mp4, mattes: {method: chroma, command: [a]}}",
-            "capture.mattes: command is for method: command, and the method is chroma",
-        ),
-        (
-            "{static: static.mp4, mattes: {method: chroma, colour: green}}",
-            "capture.mattes.colour: 'green'; expected",
-        ),
-        ("{static: static.mp4, mattes: {method: chroma, color: auto}}", "unknown key, did you mean colour?"),
+        ("{static: static.mp4, mattes: {method: chroma, command: [a]}}", "capture.mattes: command is for method"),
+        ("{static: static.mp4, mattes: {method: chroma, colour: green}}", "capture.mattes.colour: 'green'; "),
+        ("{static: static.mp4, mattes: {method: chroma, color: auto}}", "capture.mattes.color: unknown key, did"),
         ("{static: static.mp4, mattes: 3}", "capture.mattes: 3; expected a section with the keys method"),
         ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board: square_m is missing"),
-        (
-            "{static: static.mp4, board: {type: aruco_grid, squares: [8, 6], marker_m: 0.04}}",
-            "capture.board: separation_m is missing; a board of type aruco_grid needs the gap between them",
-        ),
-        (
-            "{static: static.mp4, board: {type: aruco_grid, squares: [8, 6], marker_m: 0.04, "
-            "separation_m: 0.01, square_m: 0.05}}",
-            "capture.board: square_m is not for a board of type aruco_grid; it needs marker_m and separation_m",
-        ),
         ("{static: static.mp4, board: {squares: [8, 6], square_m: 1}}", "capture.board: marker_m is missing"),
+        ("{static: static.mp4, board: {squares: [1, 6], square_m: 2, marker_m: 1}}", "capture.board.squares: [1, 6]; "),
+        (f"{{static: static.mp4, board: {{{BOARD}, dictionary: 5X5}}}}", "capture.board.dictionary: '5X5'; "),
+        (f"{{static: static.mp4, board: {{{BOARD}, type: aruco_grid}}}}", "capture.board: separation_m is missing"),
+        (
+            f"{{static: static.mp4, board: {{{BOARD}, type: aruco_grid, separation_m: 1}}}}",
+            "capture.board: square_m is not for a board of type aruco_grid",
+        ),
         (
             "{static: static.mp4, board: {squares: [8, 6], square_m: 1, marker_m: 2}}",
             "capture.board: marker_m 2.0 is not smaller than square_m 1.0",
         ),
         (
-            "{static: static.mp4, cameras: {cam0: cam0.mp4}, "
-            "board: {squares: [8, 6], square_m: 2, marker_m: 1, clips: {cam1: cam1.mp4}}}",
+            f"{{static: static.mp4, cameras: {{cam0: cam0.mp4}}, board: {{{BOARD}, clips: {{cam1: cam1.mp4}}}}}}",
             "capture.board.clips.cam1: no camera has this name, did you mean cam0?",
         ),
-        (
-            "{cameras: {a: cam0.mp4}, board: {squares: [8, 6], square_m: 2, marker_m: 1, clips: {static: cam1.mp4}, "
-            "joint_clips: {a: cam0.mp4}}}",
-            "capture.board.clips.static: is of the sweep's camera; give capture.static, or remove it",
-        ),
-        (
-            "{cameras: {a: cam0.mp4}, white: {static: cam1.mp4}}",
-            "capture.white.static: is of the sweep's camera; give capture.static, or remove it",
-        ),
-        (
-            "{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}",
-            "capture.white.cam1: no camera has this name, did you mean cam0?",
-        ),
-        (
-            "{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}",
-            "capture.raw.white_balance: [2, 1, 0, 1]; expected auto or [r, g, b, g2] with numbers above 0",
-        ),
-        (
-            "{static: static.mp4, raw: {white_balance: camera}}",
-            "capture.raw.white_balance: 'camera'; expected auto or",
-        ),
+        (JOINT, "capture.board.clips.static: no camera has this name"),
+        (JOINT.replace("clips: {static: cam1.mp4}, ", "").replace("{a:", "{b: cam1.mp4, a:", 1),
+         "capture.board.joint_clips: has no clip of b"),
+        ("{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}", "capture.white.cam1: no camera"),
+        ("{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}", "capture.raw.white_balance: [2, 1, 0, 1]; "),
+        ("{static: static.mp4, raw: {white_balance: camera}}", "capture.raw.white_balance: 'camera'; expected 'auto'"),
         ("{}", "capture: names no material"),
         ("null", "capture: is missing"),
     ],
-)
+)  # fmt: skip
 def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> None:
-    found = mistakes(folder, f"name: x\ncapture: {capture}")
-    assert any(expected in line for line in found), found
+    (found,) = mistakes(folder, f"name: x\ncapture: {capture}")
+    assert found.startswith(f"scene.yaml: {expected}"), found
 
 
 @pytest.mark.parametrize("key", GONE)
@@ -224,24 +183,12 @@ calibration: {static_poses: {check_seed: true}}
 """,
         ("evaluate.holdout=3", "nonsense"),
     )
-    text = "\n".join(found)
-    for part in (
-        "scene.yaml: name: is missing",
-        "scene.yaml: outptu: unknown key, did you mean output?",
-        "scene.yaml: preset: 'tinny'; expected tiny, fast, reference, did you mean tiny?",
-        "scene.yaml: capture.static: 'gone.mp4'",
-        "scene.yaml: capture.cameras.cam1: 'gone1.mp4'",
-        "scene.yaml: capture.test_cameras: 'cam9' is not in cameras, did you mean cam1?",
-        "scene.yaml: reconstruct.resolutoin: unknown key",
-        "scene.yaml: reconstruct.rays: 3",
-        "scene.yaml: flow: weights is missing",
-        f"scene.yaml: flow.preset: is no longer a key: {GONE['flow.preset']}",
-        "scene.yaml: calibration.static_poses.check_seed: is no longer a key",
-        "--set evaluate.holdout: unknown key, did you mean holdout_every?",
-        "--set nonsense: expected key=value",
-    ):
-        assert part in text, f"{part!r} not in\n{text}"
-    assert len(found) == 13
+    keys = "name outptu preset capture.static capture.cameras.cam1 capture.test_cameras.cam9 reconstruct.resolutoin"
+    keys += " reconstruct.rays flow flow.preset calibration.static_poses.check_seed"
+    told = {f"scene.yaml: {key}" for key in keys.split()}
+    assert {":".join(line.split(":")[:2]) for line in found if line.startswith("scene.yaml")} == told
+    assert "--set evaluate.holdout: unknown key, did you mean holdout_every?" in found
+    assert any(line.startswith("--set nonsense: expected key=value") for line in found) and len(found) == 13
 
 
 @pytest.mark.parametrize(
@@ -288,21 +235,6 @@ def test_test_cameras_as_names_or_clips(folder: Path) -> None:
     assert list(own.all_cameras) == ["cam0", "cam1", "witness"]
 
 
-def test_every_field_is_described() -> None:
-    """A key without a docstring line is a key nobody can look up."""
-    import ast
-    import inspect
-
-    from devrf.pipelines.config import scene as scene_config
-
-    tree = ast.parse(inspect.getsource(scene_config))
-    for section in (node for node in tree.body if isinstance(node, ast.ClassDef)):
-        for here, following in zip(section.body, [*section.body[1:], None], strict=True):
-            if isinstance(here, ast.AnnAssign):
-                described = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
-                assert described, f"{section.name}.{ast.unparse(here.target)} has no docstring line"
-
-
 @pytest.mark.parametrize(
     ("written", "expected"),
     [("auto", "auto"), ("shell", "shell"), ("[1, 0.5, 0]", (1.0, 0.5, 0.0))],
@@ -320,8 +252,7 @@ def test_a_background_that_is_none(tmp_path: Path, written: str) -> None:
     path.write_text(f"name: x\ndataset: {{format: colmap, path: ., background: {written}}}\n")
     with pytest.raises(ConfigError) as error:
         load_scene(path)
-    assert "scene.yaml: dataset.background: " in str(error.value)
-    assert "auto, white, black, shell or [r, g, b]" in str(error.value)
+    assert str(error.value).startswith("scene.yaml: dataset.background: ") and len(error.value.mistakes) == 1
 
 
 @pytest.mark.parametrize(
