@@ -7,7 +7,7 @@
 What is run stands in golden.yaml, what is compared in golden_facts.py, what was recorded in results/golden.json, and
 what went on purpose, with its reason, in results/golden-gone.json. `--program` names another version's Python. Cases
 are kept in `--work` and only run again when the code has changed; one that was interrupted goes on. All run on the CPU
-with two threads: on one machine a training with as many threads is the same bit for bit.
+with two threads: on one machine a training is then the same bit for bit, also one that was killed and went on.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import os
 import platform
 import re
 import shutil
+import signal
 import statistics
 import subprocess
 import sys
@@ -115,6 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seeds", action="store_true", help="record: the spread over three seeds too")
     asked = parser.parse_args(argv)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that what it runs ends with it
     golden = Golden(asked.program.absolute(), asked.work.resolve(), Path(asked.data).resolve())
     chosen = [c for c in CASES if (c.name in asked.only if asked.only else c.subset or not asked.subset)]
     recorded = json.loads(RECORDED.read_text()) if RECORDED.is_file() else {}
