@@ -10,6 +10,8 @@ import pytest
 from devrf.capture.simulate.dataset_options import ForwardOptions
 from devrf.capture.simulate.forward import simulate_forward
 
+pytestmark = pytest.mark.full
+
 GAIN_DB = 3.0  # of the motion over the scene at rest, where it moves
 
 

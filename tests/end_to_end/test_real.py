@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
+pytestmark = pytest.mark.full
+
 
 def write_scene(folder: Path, **value: object) -> Path:
     path = folder / "scene.yaml"

@@ -9,6 +9,8 @@ import pytest
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
 
+pytestmark = pytest.mark.full
+
 SIZE, TIMES = 64, 6
 SETTINGS = {"resolution": 32, "rays": 512, "canonical_iterations": 800, "motion_iterations": 500}
 COARSE_TO_FINE_DB = 2.0  # over a field trained at its full resolution from the start

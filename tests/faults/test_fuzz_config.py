@@ -28,6 +28,8 @@ from devrf.capture.picture_files import write_png
 from devrf.capture.scene import Scene
 from devrf.capture.video_writer import write_video
 
+pytestmark = pytest.mark.full
+
 GOOD, WRONG, EITHER = (0,), (2,), (0, 2)
 
 BASES: dict[str, dict[str, Any]] = {

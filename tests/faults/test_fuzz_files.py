@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pytest
 from tests.conftest import REPOSITORY, Figures
 from tests.faults.fuzz_material import Target, targets
 from tests.faults.fuzzing import Fuzzer, Outcome
 
 from devrf.capture.scene import Scene
 from devrf.pipelines.stages import stage_names
+
+pytestmark = pytest.mark.full
 
 CASES = 500  # of the full suite; the small one takes a case of each kind of file
 

@@ -60,7 +60,7 @@ def test_killed_before_a_change_of_a_file(new_tiny: TinyMaker, reference: Path, 
     figures(points=points, **count.figures())
 
 
-@pytest.mark.parametrize("part", range(4))
+@pytest.mark.parametrize("part", [0, *(pytest.param(part, marks=pytest.mark.full) for part in (1, 2, 3))])
 def test_killed_at_random_moments(
     new_tiny: TinyMaker, reference: Path, faults: str, figures, part: int
 ) -> None:

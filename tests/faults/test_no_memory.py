@@ -7,12 +7,15 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
 from tests.faults.conftest import TinyMaker
 from tests.faults.harness import Count, Tiny, children_of, go_on
 from tests.faults.test_killed import start_from
 from tests.faults.tiny_stages import NAMES
 
 from devrf.pipelines.exit_codes import DONE, FAILED
+
+pytestmark = pytest.mark.full
 
 
 def allocation_fails(tiny: Tiny, rng: random.Random, settings: tuple[str, ...]) -> tuple[int, str]:

@@ -11,6 +11,7 @@ import shutil
 import time
 from pathlib import Path
 
+import pytest
 from tests.faults.conftest import TinyMaker
 from tests.faults.harness import Count, finished, go_on
 from tests.faults.test_killed import start_from
@@ -18,6 +19,8 @@ from tests.faults.tracing import lose_what_was_not_on_disk
 
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.lock import LEASE_S
+
+pytestmark = pytest.mark.full
 
 CHANGES = 210  # of files in a run, about
 BOOT_S = LEASE_S + 1  # between a power cut and the next run
