@@ -63,7 +63,7 @@ class Work:
             ended = Ended(code_of(error), str(error))
         except Exception as error:  # a thread has nobody to tell
             ended = Ended(FAILED, f"{scene.path}: cannot be run: {error}")
-        row.end(ended.code, ended.message)
+        row.end(FAILED if ended.code is None else ended.code, ended.message)
         self.board.ended(row)
 
     def _ended(self, scene: BatchScene, row: SceneRow) -> Ended:
@@ -103,6 +103,7 @@ class Work:
 
     def _carried_out(self, task: Task, scene: BatchScene, row: SceneRow) -> Ended:
         """Run a task, and anew where its machine is lost."""
+        ended = Ended(None)
         for attempt in range(1, ATTEMPTS + 1):
             ended = self._attempt(replace(task, attempt=attempt), scene, row)
             if ended.code is not None:
