@@ -38,6 +38,10 @@ class Talk:
         if not logger.handlers:
             logger.addHandler(logging.NullHandler())  # or Python prints what is logged a second time
 
+    def prepare(self) -> None:
+        """Load what it takes to speak: later there may be no memory for it."""
+        _ = self.out, self.err
+
     @cached_property
     def out(self) -> "Console":
         """Where it speaks."""

@@ -1,4 +1,4 @@
-"""The clips whose flow is needed, and whether it is there already. Loads no library: estimates ask before the start."""
+"""The clips whose flow is needed, and whether it is there already."""
 
 from collections.abc import Mapping, Sequence
 

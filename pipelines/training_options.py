@@ -12,17 +12,12 @@ if TYPE_CHECKING:
 
 def training_options(config: SceneConfig, scene: Scene) -> "Options":
     """The preset, for such a scene, with what the file overrides."""
-    return planned_options(config, forward=scene.ndc is not None)
-
-
-def planned_options(config: SceneConfig, *, forward: bool = False) -> "Options":
-    """The same before the scene is known, or for one that is modelled in normalised device coordinates."""
     from devrf.reconstruct.options import preset
 
     chosen = config.reconstruct
     options = preset(
         config.preset,
-        forward=forward,
+        forward=scene.ndc is not None,
         resolution=chosen.resolution,
         rays=chosen.rays,
         canonical_iterations=chosen.canonical_iterations,

@@ -45,6 +45,7 @@ def execute(run: Run) -> int:
     Returns:
         The exit code; the reason has been printed.
     """
+    run.talk.prepare()
     with stopped_by_signals():
         return _answered(run, lambda: _execute(run))
 

@@ -36,7 +36,7 @@ RUNNER_FILES = (
     "budget.memory",
     "budget.raw_files",
 )
-NO_RESULTS = ("jaxtyping",)  # libraries that check, and compute nothing
+NO_RESULTS = ("jaxtyping", "psutil")  # libraries that check or look at processes, and compute nothing
 
 _IMPORT = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]*(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.MULTILINE

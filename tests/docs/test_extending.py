@@ -103,7 +103,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(REPOSITORY / "pipelines", folder / "devrf" / "pipelines")
     write_files(folder / "devrf")
     insertions = INSERT.findall(PAGE.read_text(encoding="utf-8"))
-    assert len(insertions) == 4
+    assert len(insertions) == 3
     for file, before, text in insertions:
         path = folder / "devrf" / file
         source = path.read_text(encoding="utf-8")

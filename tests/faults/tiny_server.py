@@ -6,12 +6,17 @@ A request on the socket is JSON: `{"start": [arguments]}`, with the ends of two 
 answered by the process number; `{"poll": number}` by how the process ended (os.waitstatus_to_exitcode) or null.
 """
 
+import importlib.metadata  # noqa: F401  with those below: what the program imports when it needs it
 import json
 import os
 import signal
 import socket
 import sys
 
+import filelock  # noqa: F401
+import psutil  # noqa: F401
+import rich.console  # noqa: F401
+import rich.progress  # noqa: F401
 from tests.faults.tiny_stages import program
 
 from devrf.pipelines.runner.supervise import supervised

@@ -11,7 +11,7 @@ from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.stamps.code_version import code_version, sources
-from devrf.pipelines.training_options import planned_options, training_options
+from devrf.pipelines.training_options import training_options
 
 CONTRACT = (
     "ingest static_poses sync rig colour scene flow canonical deformation evaluate render report".split()  # noqa: SIM905
@@ -69,14 +69,19 @@ def test_config_keys_exist(stage: Stage) -> None:
             )
 
 
+def at_rest(forward: bool = False) -> Scene:
+    """A scene of one picture; seen from one side it is modelled in normalised device coordinates."""
+    frame = PosedFrame(Path("p.png"), Camera(8, 8, np.eye(3), np.eye(3, 4)), "static", 0, None, None, "train")
+    box, ndc = np.array([[-1.0, -1, -1], [1, 1, 1]]), (1.0, 1.0) if forward else None
+    return Scene((frame,), (), np.eye(4), box, 0.0, 1.0, "inward", "white", 0.0, 1.0, None, 1.0, ndc=ndc)
+
+
 @pytest.mark.parametrize("forward", [False, True])
 @pytest.mark.parametrize("key", sorted(ReconstructConfig.model_fields))
 def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bool) -> None:
     """And on no other: hours of training must not be done again for a key of the motion."""
     values: dict[str, object] = {"image_scale": 0.37, "adapt": False}
-    frame = PosedFrame(Path("p.png"), Camera(8, 8, np.eye(3), np.eye(3, 4)), "static", 0, None, None, "train")
-    box, ndc = np.array([[-1.0, -1, -1], [1, 1, 1]]), (1.0, 1.0) if forward else None
-    scene = Scene((frame,), (), np.eye(4), box, 0.0, 1.0, "inward", "white", 0.0, 1.0, None, 1.0, ndc=ndc)
+    scene = at_rest(forward)
 
     def rest(**changed: object) -> object:
         chosen = config(dataset={"format": "devrf", "path": "d"}, reconstruct=changed)
@@ -88,9 +93,9 @@ def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bo
 
 def test_a_late_camera_is_looked_for_where_there_are_clocks() -> None:
     capture = config(capture={"static": "s.mp4", "cameras": {"a": "a.mp4", "b": "b.mp4", "c": "c.mp4"}})
-    assert planned_options(capture).motion.find_late_camera
+    assert training_options(capture, at_rest()).motion.find_late_camera
     dataset = config(dataset={"format": "devrf", "path": "d"})
-    assert not planned_options(dataset).motion.find_late_camera
+    assert not training_options(dataset, at_rest()).motion.find_late_camera
 
 
 def test_code_version_follows_imports() -> None:

@@ -55,14 +55,19 @@ def test_a_late_camera_is_seen_where_the_motion_is_right(ball, moving: Scene, re
     rays = RaySet(wrong.dynamic, 1.0, "white")
     looked_at = replace(rest, canonical=rest.canonical.seen_with(1.0, 1e-3, 1e-3))
     around = PixelSurroundings(DynamicModel(rest), rays)
-    times = rays.times[:, None] + (GAP_S * torch.from_numpy(SHIFTS)).float()
-    g = torch.Generator().manual_seed(0)
-    curves = error_curves(looked_at, motion, rays, around, changing_pixels(rays), times, g)
-    names = np.array([f.camera_name for f in wrong.dynamic])
-    for name, offset in (("cam0", 0.0), ("cam1", -0.4), ("cam2", 0.0), ("cam3", 0.0)):
-        mine = curves[names == name]
-        shift, std = lowest(mine[np.isfinite(mine).all(1)])
-        assert shift == pytest.approx(offset, abs=0.1) and 0 < std < 0.1, name
+    names, changing, offset = [f.camera_name for f in wrong.dynamic], changing_pixels(rays), 0.0
+    for _ in range(2):  # the second time finds little to change
+        pictures = SHIFTS + offset * np.array([[name == "cam1"] for name in names])
+        times = rays.times[:, None] + (GAP_S * torch.from_numpy(pictures)).float()
+        g = torch.Generator().manual_seed(0)
+        curves = error_curves(looked_at, motion, rays, around, changing, times, g)
+        known = np.isfinite(curves).all(1)
+        found = [
+            lowest(curves[known & (np.array(names) == name)]) for name in ("cam1", "cam0", "cam2", "cam3")
+        ]
+        shift, std = np.array(found).T
+        offset += shift[0] - np.average(shift[1:], weights=std[1:] ** -2.0)  # a motion may be late as a whole
+    assert offset == pytest.approx(-0.4, abs=0.1) and 0 < std[0] < 0.11
 
 
 def test_times_stay_within_what_is_modelled_and_test_views_keep_theirs(moving: Scene) -> None:

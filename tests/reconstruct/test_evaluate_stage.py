@@ -114,7 +114,7 @@ def _known(moves: bool = True) -> Callable:
         picture = _picture(time if moves else None) + np.float32(0.01)
         return cv2.resize(picture, (camera.width, camera.height))
 
-    return lambda run_dir, device, pieces: render
+    return lambda run_dir, device: render
 
 
 class _Unsure:
@@ -150,7 +150,7 @@ def _run(
         "unseen_share": 0.6 if low_share > 0.5 else 0.2,
         "regions": [region],
     }
-    monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device, pieces: None)
+    monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device: None)
     monkeypatch.setattr(evaluate, "renderer", lambda model: render)
     monkeypatch.setattr(evaluate, "Confidence", known or (lambda scene, model: _Unsure(render)))
     monkeypatch.setattr(evaluate, "weakest_regions", lambda scene, confidence: regions)
@@ -208,7 +208,7 @@ def test_confidence_takes_the_times_that_were_trained_with(context: StageContext
     def known(scene: Scene, model: None) -> _Unsure:
         for frame in scene.dynamic:
             seen.setdefault(frame.camera_name, []).append(frame.time)
-        return _Unsure(_known()(context.run_dir, "cpu", None))
+        return _Unsure(_known()(context.run_dir, "cpu"))
 
     _run(context, monkeypatch, known=known)
     assert seen["cam1"] == [0.25, 0.75]  # the last one is beyond the motion
@@ -237,8 +237,8 @@ def test_no_truth_no_block(context: StageContext, monkeypatch):
 def test_film_plays_through_all_times(context: StageContext, monkeypatch):
     seen = []
 
-    def load(run_dir: Path, device: str, pieces: int | None) -> Callable:
-        inner = _known()(run_dir, device, pieces)
+    def load(run_dir: Path, device: str) -> Callable:
+        inner = _known()(run_dir, device)
 
         def spy(camera: Camera, time: float | None) -> np.ndarray:
             seen.append(time)
