@@ -5,7 +5,7 @@ from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.evidence import SOLID
+from devrf.reconstruct.model import SOLID
 
 
 def pinhole(

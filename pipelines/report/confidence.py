@@ -4,27 +4,27 @@ from pathlib import Path
 from typing import Any
 
 from devrf.pipelines.report.charts import Series, line_chart
-from devrf.pipelines.report.html import absent, figure, link, number, section, table, text
+from devrf.pipelines.report.html import absent, figure, number, section, table, text
 from devrf.pipelines.report.pictures import picture_uri, read_picture
 from devrf.pipelines.report.run import RunFolder, as_float, at, evenly
 
-METRICS, BUDGET = "evaluate/metrics.json", "evaluate/confidence.json"
+METRICS = "evaluate/metrics.json"
 KINDS = ("true", "rendered", "confidence", "error")
-WIDTH, MAX_VIEWS, MAX_REGIONS = 320, 3, 6
+WIDTH, MAX_VIEWS = 320, 3
 CURVES = {"test": "test views", "test_moving": "where it moves", "test_static": "held-out sweep"}
 LEAD = (
-    "How wrong each pixel is expected to be, from who sees it, how well training pictures are explained there and how "
-    "consistent the motion is; never from the true picture. White is sure, an expected PSNR of 40 dB or more; black is "
+    "How wrong each pixel is expected to be, from how many cameras see what it shows and how well training pictures "
+    "are explained there; never from the true picture. White is sure, an expected PSNR of 40 dB or more; black is "
     "10 dB or less."
 )
 
 
 def confidence_section(run: RunFolder) -> str:
-    """Pictures, expected against measured errors, and the weakest regions."""
+    """Pictures, expected against measured errors, and the subject by the number of cameras that see it."""
     found = run.object(METRICS).get("confidence")
     if not isinstance(found, dict):
         return section("confidence", "How sure the pictures are", LEAD, absent(run.why_absent("evaluate")))
-    body = _pictures(run) + _curves(found) + _regions(run, found)
+    body = _pictures(run) + _curves(found) + _subject(run, found)
     return section("confidence", "How sure the pictures are", LEAD, body)
 
 
@@ -67,7 +67,7 @@ def _curves(found: dict[str, Any]) -> str:
         rows.append(
             [
                 text(name), cell("expected_rms", "grey levels", 1), cell("measured_rms", "grey levels", 1),
-                cell("spearman", "", 2), cell("ause", "", 2), cell("ause_random", "", 2),
+                cell("spearman", "", 2),
             ]
         )  # fmt: skip
     if not series:
@@ -76,45 +76,34 @@ def _curves(found: dict[str, Any]) -> str:
     ends = [min(x for s in series for x in s.x), max(x for s in series for x in s.x)]
     series.append(Series("as expected", ends, ends, len(series), dashed=True))
     chart = line_chart(series, "expected error, grey levels", "measured error, grey levels")
-    head = ("on", "expected", "measured", "rank correlation", "AUSE", "AUSE at random")
+    head = ("on", "expected", "measured", "rank correlation")
     return (
         f'<h3>Expected and measured</h3><div class="charts one">{chart}</div>'
         f"{table(head, rows, source=METRICS, numeric=range(1, len(head)))}"
-        '<p class="source">Each dot is a tenth of the pixels, the surest first. AUSE: how far ranks by confidence are '
-        f"from perfect ones (0). Fitted on training pictures only: {link(BUDGET)}</p>"
+        '<p class="source">Each dot is a tenth of the pixels, the surest first.</p>'
     )
 
 
-def _regions(run: RunFolder, found: dict[str, Any]) -> str:
-    regions = run.objects(METRICS, "confidence.regions")
+def _subject(run: RunFolder, found: dict[str, Any]) -> str:
+    """The subject's shares, by how many cameras see them."""
+    parts = run.objects(METRICS, "confidence.seen_by")
     lines = []
-    for n, region in enumerate(regions[:MAX_REGIONS]):
-
-        def cell(measure: str, unit: str, digits: int, scale: float = 1.0, n: int = n) -> str:
-            key = f"confidence.regions.{n}.{measure}"
-            return number(regions[n].get(measure), unit, digits, file=METRICS, key=key, scale=scale)
-
-        lines.append(
-            [
-                text(region.get("where", "")), cell("expected_rms", "grey levels", 1), cell("low", "%", 0, 100.0),
-                cell("cameras", "", 1), cell("share", "%", 1, 100.0),
-            ]
-        )  # fmt: skip
+    for n, part in enumerate(parts):
+        key = f"confidence.seen_by.{n}"
+        share = number(part.get("share"), "%", 1, file=METRICS, key=f"{key}.share", scale=100.0)
+        error = part.get("expected_rms")
+        expected = number(error, "grey levels", 1, file=METRICS, key=f"{key}.expected_rms")
+        lines.append([text(part.get("cameras", "")), share, expected])
     if not lines:
         return ""
     low = number(found.get("low_above"), "grey levels", 0, file=METRICS, key="confidence.low_above")
     share = number(found.get("low_share"), "%", 0, file=METRICS, key="confidence.low_share", scale=100.0)
-    unseen = ""
-    if found.get("unseen_share") is not None:
-        part = number(found["unseen_share"], "%", 0, file=METRICS, key="confidence.unseen_share", scale=100.0)
-        unseen = f" {part} of what moves is seen by no moving camera: how it moves is a guess."
     what = "of what moves" if found.get("moves") else "of what is in the box"
-    seen_by = "moving cameras that see it" if found.get("moves") else "sweep pictures that see it"
-    head = ("where it rests", "expected error", "low confidence", seen_by, "share of all")
-    seen_as = text(found.get("as_seen_by", "the camera"))
+    seen_by = (
+        "moving cameras that see it" if found.get("moves") else "sweep pictures that see it, of ten or fewer"
+    )
     return (
-        f"<h3>Weakest regions</h3><p>As {seen_as} sees it, from all directions of the sweep. {share} {what} is of low "
-        f"confidence: an expected error above {low}.{unseen} To be surer of a region let more cameras see it from "
-        "further apart, and bring the sweep closer to it.</p>"
-        f"{table(head, lines, source=METRICS, numeric=range(1, len(head)))}"
+        f"<h3>The subject from all directions of the sweep</h3><p>{share} {what} is of low confidence: an expected "
+        f"error above {low}. Let more cameras see it from further apart, and bring the sweep closer to it.</p>"
+        f"{table((seen_by, 'share of all', 'expected error'), lines, source=METRICS, numeric=range(3))}"
     )

@@ -83,14 +83,14 @@ def test_every_section_is_there_and_none_is_empty(full_run):
         assert words.lower() in page.text.lower()
 
 
-def test_confidence_shows_pictures_curve_and_regions(full_run):
+def test_confidence_shows_pictures_curve_and_who_sees_it(full_run):
     html, page = _page(full_run)
     quoted = {key: value for file, key, value in page.numbers if file == "evaluate/metrics.json"}
     assert quoted["confidence.test.spearman"] == 0.625
     assert quoted["confidence.test_static.spearman"] == 0.375 and "held-out sweep" in page.text
-    assert quoted["confidence.regions.0.expected_rms"] == 40.5
+    assert quoted["confidence.seen_by.0.expected_rms"] == 40.5
     assert html.count('alt="confidence picture"') == 2  # of the two test views in motion
-    assert "measured error, grey levels" in html and "back, low" in page.text
+    assert "measured error, grey levels" in html
 
 
 @pytest.mark.parametrize(("curves", "said"), [({"test_static"}, 1), ({"test", "test_static"}, 1), (set(), 0)])
