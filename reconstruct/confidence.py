@@ -1,66 +1,85 @@
-"""How wrong a rendered picture is expected to be, pixel by pixel: never by looking at a true picture of that view.
+"""How sure a rendered picture is: how many cameras see what it shows, and how well their pictures are explained there.
 
-The expected squared error is a sum of causes (`error_causes.py`), each with a factor that is not negative: nothing
-becomes surer by being seen less, or explained worse. The factors are fitted to the errors of a few training
-pictures, their own camera's differences left out of what is known, as a generalised linear model with gamma errors
-(McCullagh & Nelder, Generalized Linear Models, 1989, ch. 8): the scatter of a squared error grows with it.
+A *witness* is every fourth pixel of a training picture in both directions, rendered anew: its depth says what it sees,
+its residual map (squared differences from the true picture) how well the model explains that. Sweep pictures witness
+the scene at rest, pictures of the moving cameras the motion. A point at time t is taken to its place at rest by the
+backward motion and from there to the witness' own time by the forward motion. Test pictures are never read, and
+nothing is fitted.
 
-What is displaced can be no more wrong than what has nothing to do with it. Where pictures are fitted this bounds the
-causes before their factors, in a view after them, smoothly. That is no oversight: training explains its own pictures
-even where a point may be anywhere, so that bounded alike `place` loses its factor, or the most that it can say, and
-parts that nobody saw count hardly more than others (measured: docs/stability.md).
+The expected squared error of a pixel with opacity a that shows a point is
+
+    a (r + u (4^-s + m 4^-c)) + (1 - a) b
+
+    r   mean residual of the moving cameras that see the point at that time, else of the sweep witnesses that see it
+        where it rests, else of all points
+    u   variance of the true pictures: what one is wrong by who knows nothing but their mean colour
+    s   sweep witnesses that see the point where it rests: each halves the error of a guess
+    c   moving cameras that see it at that time; m is 1 where it moves by a pixel or more, else 0
+    b   mean residual of what witnesses see through the box; the median before a plain background, where all that
+        differs is surface that the model lacks
 """
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
-from scipy.optimize import nnls
+from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.reconstruct.error_causes import (
-    CAUSES,
-    DISPLACED,
-    Ground,
-    Layers,
-    Surface,
-    causes,
-    most_displaced,
-    slope,
-    surface_of,
-)
-from devrf.reconstruct.evidence import Evidence
-from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.geometry.field import moved
+from devrf.reconstruct.model import SOLID, DynamicModel, Layers, render_layers
 from devrf.reconstruct.pictures import clips, spread, training
 
-FORMAT = 1
-FITTED_ON = 4  # training pictures; where something moves, all but one of them show it
-FIT_PIXELS = 5_000  # of each of them
-FIT_STEPS = 12
+EVERY = 4  # pixel of a training picture, in both directions, is what its witness has
+MOST_OF_SWEEP = 10  # witnesses at rest, spread over the sweep
+MOST_OF_MOTION = 12  # witnesses in motion, over all cameras
+LEAST_PER_CAMERA = 3  # the first, which is mostly at rest, one in the middle and the last
+FEWEST_PX = 32  # of its longer side: with less it cannot tell what hides what
+SAME_SURFACE = 0.03  # of the distance: a point farther behind what a witness sees is hidden from it
+MOST_POINTS = 60_000  # of a picture: of larger ones every n-th pixel in each direction is asked
+LEAST_STRIDE = 2  # pixels: what is known of neighbours hardly differs, and a quarter of them costs a quarter
 LEAST = 1e-5  # a squared error of a grey level: less cannot be told from rounding
 
 
 @dataclass(frozen=True)
-class ErrorBudget:
-    """What was learned: what holds for all pictures, and the causes' factors.
+class Witness:
+    """A training picture, small.
 
     Attributes:
-        ground: Measured on the training pictures.
-        factors: By cause.
-        fitted_on: Camera and index of the pictures that the factors were fitted on.
+        time: Of it; None: at rest.
+        camera: At the small size, in the box frame.
+        pixel_rad: Angle of a pixel of the training size.
+        depth: Distance of the surface seen; infinite where it sees through the box.
+        residual: Mean squared difference from the true picture, over channels.
+        variance: Of the true picture's pixels, mean over channels.
     """
 
-    ground: Ground
-    factors: dict[str, float]
-    fitted_on: tuple[tuple[str, int], ...]
+    time: float | None
+    camera: Camera
+    pixel_rad: float
+    depth: Float[np.ndarray, "h w"]
+    residual: Float[np.ndarray, "h w"]
+    variance: float
 
-    def save(self, path: Path) -> None:
-        """Write as JSON."""
-        path.write_text(json.dumps({"format": FORMAT, **asdict(self)}, indent=1, allow_nan=False) + "\n")
+
+@dataclass(frozen=True)
+class Seen:
+    """What is known of what every n-th pixel of a picture shows, as maps of these pixels.
+
+    Attributes:
+        opacity: Of the pixels.
+        moves: Whether the point is a pixel of the training pictures or more away from where it rests.
+        in_sweep: Sweep witnesses that see it.
+        in_motion: Moving cameras that see it at that time.
+        expected: Expected squared error of the point, whatever is behind it.
+    """
+
+    opacity: Float64[np.ndarray, "rows columns"]
+    moves: Bool[np.ndarray, "rows columns"]
+    in_sweep: Int[np.ndarray, "rows columns"]
+    in_motion: Int[np.ndarray, "rows columns"]
+    expected: Float64[np.ndarray, "rows columns"]
 
 
 class Confidence:
@@ -70,14 +89,27 @@ class Confidence:
         scene: Only its training pictures are read; cameras in any frame.
         model: As it is rendered.
     Attributes:
-        evidence: What the training pictures know.
-        budget: What was learned of their errors.
+        sweep: Witnesses of the scene at rest.
+        fixed: Witnesses of the motion, by camera.
     """
 
     def __init__(self, scene: Scene, model: DynamicModel) -> None:
         scene = scene.in_box_frame()
-        self.model, self.evidence = model, Evidence(scene, model)
-        self.budget = _learn(scene, self.evidence, _chosen(scene, model.motion is not None))
+        self.model = model
+        self.sweep = [_witness(scene, model, f) for f in spread(training(scene.static), MOST_OF_SWEEP)]
+        self.fixed: dict[str, list[Witness]] = {}
+        moving = clips(scene) if model.motion is not None else {}
+        for name, clip in moving.items():
+            chosen = spread(clip, max(LEAST_PER_CAMERA, MOST_OF_MOTION // len(moving)))
+            self.fixed[name] = [_witness(scene, model, f) for f in chosen]
+        witnesses = self.sweep + [w for clip in self.fixed.values() for w in clip]
+        residual = np.concatenate([w.residual.reshape(-1) for w in witnesses])
+        through = np.isinf(np.concatenate([w.depth.reshape(-1) for w in witnesses]))
+        self._typical = float(residual[~through].mean()) if not through.all() else 0.0
+        middle = np.median if model.rest.shell is None else np.mean
+        self._behind = float(middle(residual[through])) if through.any() else 0.0
+        self._guess = float(np.mean([w.variance for w in witnesses]))
+        self._pixel_rad = float(np.median([w.pixel_rad for w in witnesses]))
 
     def render(self, camera: Camera, time: float | None) -> Layers:
         """RGB, depth and opacity of a camera in the box frame at a time in [0, 1]; None: the scene at rest."""
@@ -90,79 +122,87 @@ class Confidence:
             camera, time: As rendered.
             layers: What `render` gave.
         """
-        return self.expected_of(surface_of(self.evidence, camera, time, layers), camera, layers)
+        opacity = layers[2]
+        point = self.seen(camera, time, layers).expected
+        rows, columns = (np.arange(n) // _stride(opacity) for n in opacity.shape)
+        squared = opacity * point[np.ix_(rows, columns)] + (1 - opacity) * self._behind
+        return np.sqrt(np.clip(squared, LEAST, 1.0)).astype(np.float32)
 
-    def expected_of(self, surface: Surface, camera: Camera, layers: Layers) -> Float32[np.ndarray, "h w"]:
-        """The same, of a surface that has been looked up."""
-        ground, factors = self.budget.ground, self.budget.factors
-        parts = causes(surface, camera, layers, ground) * [factors[name] for name in CAUSES]
-        displaced = parts[..., DISPLACED].sum(-1) / most_displaced(layers, ground)
-        parts[..., DISPLACED] /= 1 + displaced[..., None]
-        return np.sqrt(np.clip(parts.sum(-1), LEAST, 1.0)).astype(np.float32)
+    def seen(self, camera: Camera, time: float | None, layers: Layers) -> Seen:
+        """Who sees what a picture shows, and how wrong it may be; arguments as `expected`."""
+        _, depth, opacity = layers
+        stride = _stride(opacity)
+        rows, columns = (np.minimum(np.arange(0, n, stride) + stride // 2, n - 1) for n in opacity.shape)
+        solid = opacity[np.ix_(rows, columns)].astype(np.float64)
+        away = depth[np.ix_(rows, columns)].reshape(-1, 1) / np.maximum(solid.reshape(-1, 1), SOLID)
+        pixels = np.stack(np.meshgrid(columns + 0.5, rows + 0.5), axis=-1).reshape(-1, 2)
+        now = camera.centre + away * camera.directions(pixels)
+        rest = moved(self.model, now, time, None)
+        moves = np.linalg.norm(now - rest, axis=1) > self._pixel_rad * away[:, 0]
+        in_sweep, of_sweep = _sightings([(w, rest) for w in self.sweep], len(now))
+        in_motion, of_motion = _sightings(self._in_motion(now, time), len(now))
+        residual = np.where(in_sweep > 0, of_sweep, self._typical)
+        residual = np.where(in_motion > 0, of_motion, residual)
+        unsure = np.where(moves, 0.25**in_motion, 0.0)
+        if self.sweep:
+            unsure += 0.25**in_sweep
+        maps = moves, in_sweep, in_motion, residual + self._guess * unsure
+        return Seen(solid, *(values.reshape(solid.shape) for values in maps))
+
+    def _in_motion(
+        self, now: Float[np.ndarray, "n 3"], time: float | None
+    ) -> list[tuple[Witness, Float[np.ndarray, "n 3"]]]:
+        """Each moving camera's witness nearest in time, and where points are then."""
+        if time is None:
+            return []
+        nearest = [min(clip, key=lambda w: abs((w.time or 0.0) - time)) for clip in self.fixed.values()]
+        return [(w, moved(self.model, now, time, w.time)) for w in nearest]
 
 
-def _chosen(scene: Scene, moves: bool) -> list[PosedFrame]:
-    """Training pictures to fit on: of the moving cameras in turn, at times spread over the clip, and of the sweep."""
-    rest, moving = training(scene.static), list(clips(scene).values()) if moves else []
-    if not moving:
-        return spread(rest, FITTED_ON)
-    count = FITTED_ON - 1 if rest else FITTED_ON
-    chosen = []
-    for n in range(count):
-        clip = moving[n * len(moving) // count % len(moving)]
-        chosen.append(clip[int((n + 0.5) / count * len(clip))])
-    return chosen + rest[len(rest) // 2 :][:1]
+def _stride(opacity: Float[np.ndarray, "h w"]) -> int:
+    """Every which pixel in each direction is asked about."""
+    return max(LEAST_STRIDE, int(np.ceil(np.sqrt(opacity.size / MOST_POINTS))))
 
 
-def _learn(scene: Scene, evidence: Evidence, frames: Sequence[PosedFrame]) -> ErrorBudget:
-    textures, unrelated = [], []
-    for frame in frames:
-        true = _true(scene, frame)
-        textures.append(slope(true).mean())
-        unrelated.append(2 * true.reshape(-1, 3).var(axis=0).mean())
-    ground = Ground(
-        texture=float(np.mean(textures)),
-        focal_px=float(np.mean([frame.camera.scaled(scene.image_scale).K[0, 0] for frame in frames])),
-        unrelated=float(np.mean(unrelated)) + LEAST,
-        sweep=_mean_residual(evidence.sweep),
-        motion=_mean_residual([w for witnesses in evidence.fixed.values() for w in witnesses]),
+def every_nth(camera: Camera, n: int) -> Camera:
+    """A camera whose pixels are every n-th one of another camera's, from number n // 2 on, in both directions."""
+    K = camera.K.copy()
+    K[:2] /= n
+    K[:2, 2] += 0.5 - (n // 2 + 0.5) / n
+    return replace(camera, width=camera.width // n, height=camera.height // n, K=K)
+
+
+def witness_camera(frame: PosedFrame, image_scale: float) -> tuple[Camera, int]:
+    """The camera of a witness, and every which pixel of the training picture it has."""
+    camera = frame.camera.scaled(image_scale)
+    n = max(1, min(EVERY, max(camera.width, camera.height) // FEWEST_PX))
+    return every_nth(camera, n), n
+
+
+def _witness(scene: Scene, model: DynamicModel, frame: PosedFrame) -> Witness:
+    camera, n = witness_camera(frame, scene.image_scale)
+    picture, depth, opacity = render_layers(model, camera, frame.time)
+    whole = load_image(frame, scene.image_scale, scene.background)
+    true = whole[n // 2 :: n, n // 2 :: n][: camera.height, : camera.width].astype(np.float32) / 255
+    surface = np.where(opacity > SOLID, depth / np.maximum(opacity, SOLID), np.inf)
+    residual = ((picture - true) ** 2).mean(-1)
+    return Witness(
+        frame.time, camera, 1 / (n * camera.K[0, 0]), surface, residual, float(true.var(axis=(0, 1)).mean())
     )
-    terms, errors = zip(*(_some_pixels(scene, evidence, ground, frame) for frame in frames), strict=True)
-    fitted = _fit(np.concatenate(terms), np.concatenate(errors).astype(np.float64))
-    factors: dict[str, float] = dict(zip(CAUSES, fitted.tolist(), strict=True))
-    return ErrorBudget(ground, factors, tuple((f.camera_name, f.index) for f in frames))
 
 
-def _true(scene: Scene, frame: PosedFrame) -> Float32[np.ndarray, "h w 3"]:
-    return load_image(frame, scene.image_scale, scene.background).astype(np.float32) / 255
-
-
-def _some_pixels(
-    scene: Scene, evidence: Evidence, ground: Ground, frame: PosedFrame
-) -> tuple[Float64[np.ndarray, "n causes"], Float32[np.ndarray, " n"]]:
-    """Causes and squared errors of every n-th pixel of a training picture; what is kept of it is only these."""
-    camera, true = frame.camera.scaled(scene.image_scale), _true(scene, frame)
-    layers = render_layers(evidence.model, camera, frame.time)
-    surface = surface_of(evidence, camera, frame.time, layers, besides=frame)
-    every = -(-true[..., 0].size // FIT_PIXELS)
-    found = causes(surface, camera, layers, ground)
-    most = most_displaced(layers, ground)[..., None]
-    found[..., DISPLACED] = np.minimum(found[..., DISPLACED], most)
-    error = ((layers[0] - true) ** 2).mean(-1)
-    return found.reshape(-1, len(CAUSES))[::every].copy(), error.reshape(-1)[::every].copy()
-
-
-def _fit(x: Float64[np.ndarray, "n causes"], y: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " causes"]:
-    """Factors >= 0 with x @ factors the mean of y, for errors of y in proportion to its mean (reweighted NNLS)."""
-    unit = np.maximum(x.mean(axis=0), 1e-12)
-    mean = np.full(len(y), max(float(y.mean()), LEAST))
-    factors = np.zeros(x.shape[1])
-    for _ in range(FIT_STEPS):
-        weighted = x / unit / mean[:, None]
-        factors, _ = nnls(weighted, y / mean)
-        mean = np.maximum(x / unit @ factors, LEAST)
-    return factors / unit
-
-
-def _mean_residual(witnesses: Sequence) -> float:
-    return float(np.mean([w.residual.mean() for w in witnesses])) if witnesses else 0.0
+def _sightings(
+    asked: Sequence[tuple[Witness, Float[np.ndarray, "n 3"]]], n: int
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """How many witnesses see each point, and the mean of their residuals there; each has the points at its own time."""
+    count, residual = np.zeros(n, int), np.zeros(n)
+    for witness, points in asked:
+        height, width = witness.depth.shape
+        pixel = np.nan_to_num(witness.camera.project(points), nan=-1.0)
+        inside = np.flatnonzero(((pixel >= 0) & (pixel < [width, height])).all(-1))
+        u, v = pixel[inside].astype(int).T
+        distance = np.linalg.norm(points[inside] - witness.camera.centre, axis=1)
+        free = distance <= (1 + SAME_SURFACE) * witness.depth[v, u]
+        count[inside[free]] += 1
+        residual[inside[free]] += witness.residual[v[free], u[free]]
+    return count, residual / np.maximum(count, 1)

@@ -21,7 +21,7 @@ from devrf.capture.errors import ReconstructError
 from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.reconstruct.confidence_curve import ErrorCurve
+from devrf.reconstruct.confidence_curve import curve, errors
 from devrf.reconstruct.error_map import confidence_picture, error_map
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
@@ -84,7 +84,7 @@ def evaluate(
     Returns:
         `test`, `test_static`, `test_moving`, `static_baseline`, `per_view`, `render_fps`; with `confidence` also
         `confidence`: `test`, `test_static` and `test_moving`, expected errors against measured ones
-        (`ErrorCurve.summary`), of the pictures that confidence is kept of.
+        (`confidence_curve.curve`), of the pictures that confidence is kept of.
     """
     scene = scene.in_box_frame()
     moving = sorted(
@@ -110,12 +110,10 @@ def evaluate(
         name: [v[name] for v in later if v[name]["psnr"] is not None] for name in ("moving", "rest_moving")
     }
     no_pixels = absent if not later else "no pixel differs from the scene at rest"
-    still_curve = session.still_curve.summary(nothing_held_out)
-    curves = {
-        "test": session.curve.summary(absent) if scene.dynamic else still_curve,
-        "test_static": still_curve,
-        "test_moving": session.moving_curve.summary(no_pixels),
-    }
+    why = {"test": absent, "test_moving": no_pixels, "test_static": nothing_held_out}
+    curves = {name: curve(session.errors[name], why[name]) for name in why}
+    if not scene.dynamic:
+        curves["test"] = curves["test_static"]
     return {
         "test": test,
         "test_static": test_static,
@@ -146,7 +144,7 @@ class _Session:
         self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
         self.progress, self.count, self.done = progress, count, 0
         self.confidence = confidence
-        self.curve, self.moving_curve, self.still_curve = ErrorCurve(), ErrorCurve(), ErrorCurve()
+        self.errors: dict[str, list[np.ndarray]] = {"test": [], "test_moving": [], "test_static": []}
         self.seconds: list[float] = []
         self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
@@ -171,12 +169,12 @@ class _Session:
             view["rest_moving"] = _scored(still.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
             if expected is not None:
-                self.moving_curve.add(expected, rendered, true, where)
+                self.errors["test_moving"].append(errors(expected, rendered, true, where))
         pictures = {"true": true, "rendered": rendered}
         if extra:
             pictures |= {"rest": rest, "error": error_map(rendered, true)}
         if expected is not None:
-            self.curve.add(expected, rendered, true)
+            self.errors["test"].append(errors(expected, rendered, true))
             pictures["confidence"] = confidence_picture(expected)
         view["files"] = self._save(frame, pictures)
         return view
@@ -189,7 +187,7 @@ class _Session:
         if extra:
             pictures["error"] = error_map(rendered, true)
         if expected is not None:
-            self.still_curve.add(expected, rendered, true)
+            self.errors["test_static"].append(errors(expected, rendered, true))
             pictures["confidence"] = confidence_picture(expected)
         return {
             **_identity(frame),

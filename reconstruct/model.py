@@ -32,6 +32,10 @@ CACHED_TIMES = 64  # of which it is remembered where the moving scene may be: 64
 QUICK = 2  # in a hurry, surroundings are rendered at so many times smaller sides: a quarter of the time
 LIVE_VOXELS = 40  # size of the grid that says where the moving scene may be
 STRETCH = 1.5  # how much a motion may stretch space inside one of its cells
+SOLID = 0.5  # opacity from which a pixel shows a surface
+
+Layers = tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]
+"""A rendered picture, its depth (weighted distance in the box, 0 where nothing is) and the box's opacity."""
 
 
 def _nothing() -> None:
@@ -219,11 +223,7 @@ def render_layers(
     *,
     between: Callable[[], object] = _nothing,
     roughly: bool = False,
-) -> tuple[
-    Float32[np.ndarray, "height width 3"],
-    Float32[np.ndarray, "height width"],
-    Float32[np.ndarray, "height width"],
-]:
+) -> Layers:
     """A picture, its depth (weighted distance in the box, 0 where nothing is) and the box's opacity.
 
     Where a GPU has no room for the rays, it is tried again with half of them at once, and so from then on.
@@ -247,11 +247,7 @@ def render_layers(
 
 def _layers(
     model: DynamicModel, camera: Camera, time: float | None, between: Callable[[], object], roughly: bool
-) -> tuple[
-    Float32[np.ndarray, "height width 3"],
-    Float32[np.ndarray, "height width"],
-    Float32[np.ndarray, "height width"],
-]:
+) -> Layers:
     rest, motion = model.rest, model.motion
     device = str(rest.canonical.density.device)
     rays_o, rays_d = camera_rays(camera, device)

@@ -15,7 +15,6 @@ from devrf.capture.scene import load_image
 from devrf.pipelines.film.plan import Film
 from devrf.pipelines.report.pictures import flow_picture
 from devrf.reconstruct.confidence import Confidence
-from devrf.reconstruct.error_causes import Layers
 from devrf.reconstruct.error_map import confidence_picture
 from devrf.reconstruct.film.layers import (
     DepthScale,
@@ -24,7 +23,7 @@ from devrf.reconstruct.film.layers import (
     depth_steps,
     planar_depth,
 )
-from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.model import DynamicModel, Layers, render_layers
 
 Picture = Mapping[str, np.ndarray | Flow]
 DIVIDER_PX = 4  # white, between a true picture and the rendered one

@@ -6,7 +6,6 @@ from devrf.pipelines.health.rows import HealthRow, note, row
 
 MOST_LOW = 0.5  # of the subject: a model that is doubtful in most of it is doubtful
 MOST_UNSEEN = 0.5  # of what moves: more of the motion is a guess than is known
-NAMED = 2  # regions in the remedy
 
 
 def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
@@ -15,7 +14,7 @@ def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
     Args:
         confidence: The block of evaluate/metrics.json.
     """
-    check = (
+    low = (
         "share of the subject with low confidence "
         f"(expected error above {confidence['low_above']:.0f} grey levels, from all directions of the sweep)"
     )
@@ -23,30 +22,21 @@ def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
         nothing = (
             "The model shows nothing solid in the box: see that it holds the subject and poses are right."
         )
-        return [note(check, "nothing solid is seen in the box", verdict="warn", remedy=nothing)]
-    worst = list(dict.fromkeys(region["where"] for region in confidence["regions"]))[:NAMED]
-    parts = f" (worst as seen by {confidence['as_seen_by']}: {'; '.join(worst)})" if worst else ""
-    rows = [
-        row(
-            check,
-            100 * confidence["low_share"],
-            "%",
-            warn=100 * MOST_LOW,
-            low_is_bad=False,
-            remedy=f"Most of the subject{parts} is badly seen or badly explained: let more cameras see it from further "
-            "apart, sweep it closer, and check rig, clocks and flow in the report.",
-        )
-    ]
+        return [note(low, "nothing solid is seen in the box", verdict="warn", remedy=nothing)]
+    badly_seen = (
+        "Most of the subject is badly seen or badly explained: let more cameras see it from further apart, sweep it "
+        "closer, and check rig, clocks and flow in the report."
+    )
+    rows = [_share(low, confidence["low_share"], MOST_LOW, badly_seen)]
     if confidence["unseen_share"] is not None:
-        rows.append(
-            row(
-                "moving surface that no camera sees (from all directions of the sweep)",
-                100 * confidence["unseen_share"],
-                "%",
-                warn=100 * MOST_UNSEEN,
-                low_is_bad=False,
-                remedy=f"How most of it{parts} moves is a guess: spread the cameras around the subject, or look at it "
-                "from where they stand only.",
-            )
+        unseen = "moving surface that no camera sees (from all directions of the sweep)"
+        guess = (
+            "How most of it moves is a guess: spread the cameras around the subject, or look at it from where they "
+            "stand only."
         )
+        rows.append(_share(unseen, confidence["unseen_share"], MOST_UNSEEN, guess))
     return rows
+
+
+def _share(check: str, share: float, most: float, remedy: str) -> HealthRow:
+    return row(check, 100 * share, "%", warn=100 * most, low_is_bad=False, remedy=remedy)

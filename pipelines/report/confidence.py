@@ -7,12 +7,12 @@ from devrf.pipelines.report.pictures import file_uri
 from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at, evenly
 
 KINDS = ("true", "rendered", "confidence", "error")
-WIDTH, MAX_VIEWS, MAX_REGIONS = 320, 3, 6
+WIDTH, MAX_VIEWS = 320, 3
 CURVES = {"test": "test views", "test_moving": "where it moves", "test_static": "held-out sweep"}
 
 
 def confidence(run: RunFolder) -> dict[str, Any]:
-    """Pictures of a few views, expected against measured errors, and the weakest regions."""
+    """Pictures of a few views, expected against measured errors, and the subject by how many cameras see it."""
     found = run.object(METRICS, "confidence")
     curves = {key: name for key, name in CURVES.items() if isinstance(at(found, key, "bins"), list)}
     if at(found, "test_static") == at(found, "test"):
@@ -32,7 +32,7 @@ def confidence(run: RunFolder) -> dict[str, Any]:
         "found": found,
         "curves": curves,
         "chart": line_chart(series, "expected error, grey levels", "measured error, grey levels"),
-        "regions": run.objects(METRICS, "confidence", "regions")[:MAX_REGIONS],
+        "seen_by": run.objects(METRICS, "confidence", "seen_by"),
         "pictures": _pictures(run),
     }
 

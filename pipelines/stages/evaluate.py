@@ -20,7 +20,7 @@ from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.confidence import Confidence
-from devrf.reconstruct.confidence_regions import weakest_regions
+from devrf.reconstruct.confidence_subject import subject_confidence
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
@@ -35,16 +35,15 @@ NEEDS_TEST_VIEWS = (
 
 
 def run(context: StageContext) -> None:
-    """Write `metrics.json`, `confidence.json` and `views/`."""
+    """Write `metrics.json` and `views/`."""
     config = context.config
     scene = read_scene(context.run_dir / "scene")
     lpips = lpips_nets(config, context.scene_dir, context.device)
     model = load_trained(context.run_dir, context.device)
     trained = as_trained(scene, _read(context.run_dir / "deformation" / "metrics.json"))
     confidence = Confidence(trained, model)
-    confidence.budget.save(context.out / "confidence.json")
     metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence)
-    metrics["confidence"] |= weakest_regions(trained, confidence)
+    metrics["confidence"] |= subject_confidence(trained, confidence)
     metrics |= {
         "train": training(context.run_dir),
         "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),

@@ -15,8 +15,6 @@ from devrf.pipelines.runner.signals import stopped_by_signals
 
 INSTALL = "python -m pip install 'devrf[viewer]'; in a clone: python -m pip install -e '.[viewer]'"
 KINDNESS = 10  # niceness beside a run
-PORTS = 20  # after the one that is taken, in which another is looked for
-LAST_PORT = 65535
 
 
 def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
@@ -74,34 +72,29 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
 def _check_free(host: str, port: int) -> None:
     """Refuse an address that is not this machine's, and a port that is taken; name one that is free."""
     try:
-        family, _, _, _, _ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except OSError as error:
+        _free(host, port)
+    except socket.gaierror as error:
         raise InputError(
-            f"--host {host}: not known ({error.strerror or error}); expected an address of this machine, such as "
-            "127.0.0.1"
+            f"--host {host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
         ) from None
-    reason = _why_not(family, host, port)
-    if reason is None:
-        return
-    if reason.errno == errno.EADDRNOTAVAIL:
-        raise InputError(
-            f"--host {host}: no address of this machine; expected one, such as 127.0.0.1, or 0.0.0.0 for all of them"
-        )
-    after = range(port + 1, min(port + PORTS, LAST_PORT) + 1)
-    free = next((other for other in after if _why_not(family, host, other) is None), None)
-    what = "is in use" if reason.errno == errno.EADDRINUSE else f"cannot be used ({reason.strerror})"
-    remedy = f"try --port {free}" if free is not None else "choose another with --port"
-    raise InputError(f"--port {port}: {what}; {remedy}")
+    except OSError as error:
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise InputError(
+                f"--host {host}: no address of this machine; expected one, such as 127.0.0.1, or 0.0.0.0 for all"
+            ) from None
+        what = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
+        raise InputError(f"--port {port}: {what}; try --port {_free(host, 0)}") from None
 
 
-def _why_not(family: int, host: str, port: int) -> OSError | None:
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            return error
-    return None
+def _free(host: str, port: int) -> int:
+    """A port that can be served: this one, or any where it is 0.
+
+    Raises:
+        OSError: It cannot.
+    """
+    family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+    with socket.create_server((host, port), family=family) as probe:
+        return probe.getsockname()[1]
 
 
 def _is_loopback(host: str) -> bool:

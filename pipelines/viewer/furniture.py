@@ -1,9 +1,11 @@
-"""What stands in the scene beside the rendered picture: cameras with their pictures, sweep path, points, box, arrows.
+"""What stands in the scene beside the rendered picture: cameras with their pictures, sweep path, points, box.
 
 Everything is in the box frame, and each visitor's own.
 """
 
+import logging
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,11 @@ import numpy as np
 import viser
 
 from devrf.capture.camera import Camera
+from devrf.capture.errors import DevrfError
 from devrf.capture.formats.colmap_poses import quat_wxyz
-from devrf.capture.scene import PosedFrame
-from devrf.pipelines.report.run import evenly
+from devrf.capture.scene import Background, PosedFrame, load_image
 from devrf.pipelines.viewer.source import Loaded
-from devrf.pipelines.viewer.thumbnails import Thumbnails
+from devrf.reconstruct.pictures import spread
 
 GROUPS = ("moving cameras", "test cameras", "sweep cameras", "sweep path", "points", "box")
 FRUSTUM_FIXED, FRUSTUM_SWEEP = 0.07, 0.03  # of the distance from which cameras look at the box
@@ -27,10 +29,37 @@ COLOURS = {
     "sweep cameras": (70, 120, 220),
     "held out": (150, 90, 200),
     "box": (235, 235, 235),
-    "arrows": (230, 60, 120),
 }
 POINT = 0.003  # size over the distance from which cameras look at the box
 LINE_PX = 1.5
+THUMBNAIL_PX = 160  # wide
+KEPT = 600  # thumbnails, 50 kB each
+
+logger = logging.getLogger(__name__)
+
+
+class Thumbnails:
+    """Small pictures of the capture, read by one thread beside everything else; shared by all visitors."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="thumbnails")
+        self._kept: dict[Path, np.ndarray | None] = {}
+
+    def of(self, frame: PosedFrame, background: Background) -> np.ndarray | None:
+        """A frame's picture [h, w, 3], bytes; None where it cannot be read. For work in the thread."""
+        if frame.path not in self._kept:
+            if len(self._kept) >= KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[frame.path] = _thumbnail(frame, background)
+        return self._kept[frame.path]
+
+    def soon(self, work: Callable[[], None]) -> None:
+        """Do some work with pictures in the thread."""
+        self._thread.submit(work)
+
+    def end(self) -> None:
+        """Do nothing more."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
 
 
 class Furniture:
@@ -60,8 +89,7 @@ class Furniture:
         self._radius = float(np.median(np.linalg.norm(centres - scene.aabb.mean(axis=0), axis=1)))
         self._clips: list[tuple[Any, list[PosedFrame]]] = []
         self._frusta: list[tuple[Any, np.ndarray, float]] = []  # with centre, and how near a view hides it
-        self._shown: dict[str, Path] = {}  # pictures of moving cameras, by name
-        self._wanted: float | None = None
+        self._wanted: float | None = None  # time of the pictures that are asked for
         self._add_sweep()
         self._add_moving()
         self._add_points(loaded)
@@ -78,25 +106,15 @@ class Furniture:
             if handle.visible != visible:
                 handle.visible = visible
 
-    def at(self, time: float | None) -> None:
-        """Let moving cameras show their pictures nearest to a time in [0, 1]; None: their first."""
-        waits, self._wanted = self._wanted is not None, time or 0.0
-        if not waits and self._clips:
+    def at(self, time: float) -> None:
+        """Let moving cameras show their pictures nearest to a time in [0, 1]."""
+        waits, self._wanted = self._wanted is not None, time
+        if not waits:
             self._thumbnails.soon(self._new_pictures)
-
-    def arrows(self, ends: np.ndarray) -> None:
-        """Show these arrows [n, 2, 3] instead of those before."""
-        self._space.remove_by_name("/arrows")
-        if len(ends):
-            thick = 0.003 * self._radius
-            self._space.add_arrows(
-                "/arrows", ends.astype(np.float32), COLOURS["arrows"],
-                shaft_radius=thick, head_radius=2.5 * thick, head_length=5 * thick,
-            )  # fmt: skip
 
     def _add_sweep(self) -> None:
         frames = self._scene.static
-        for n, frame in enumerate(evenly(frames, MOST_OF_SWEEP)):
+        for n, frame in enumerate(spread(frames, MOST_OF_SWEEP)):
             colour = COLOURS["held out" if frame.split == "test" else "sweep cameras"]
             self._frustum(f"/sweep cameras/{n}", frame, FRUSTUM_SWEEP, colour)
         way = np.array([f.camera.centre for f in frames])
@@ -128,20 +146,19 @@ class Furniture:
         handle.on_click(lambda event: self._go_to(camera))
         self._frusta.append((handle, camera.centre, NEAR * share * self._radius))
 
-        def picture() -> None:
-            handle.image = self._thumbnails.of(frame, self._scene.background)
-
-        self._thumbnails.soon(picture)
+        self._thumbnails.soon(lambda: self._put(handle, frame))
         return handle
 
     def _new_pictures(self) -> None:
         """In the thread of pictures: those of the time that is wanted by now."""
         time, self._wanted = self._wanted or 0.0, None
         for handle, frames in self._clips:
-            nearest = min(frames, key=lambda f: abs((f.time or 0.0) - time))
-            if self._shown.get(handle.name) != nearest.path:
-                self._shown[handle.name] = nearest.path
-                handle.image = self._thumbnails.of(nearest, self._scene.background)
+            self._put(handle, min(frames, key=lambda f: abs((f.time or 0.0) - time)))
+
+    def _put(self, handle: Any, frame: PosedFrame) -> None:
+        picture = self._thumbnails.of(frame, self._scene.background)
+        if handle.image is not picture:
+            handle.image = picture
 
     def _add_points(self, loaded: Loaded) -> None:
         if len(loaded.points):
@@ -156,3 +173,11 @@ class Furniture:
         self._space.add_line_segments(
             "/box/edges", np.concatenate(ends), COLOURS["box"], thickness=LINE_PX, thickness_units="screen"
         )
+
+
+def _thumbnail(frame: PosedFrame, background: Background) -> np.ndarray | None:
+    try:
+        return load_image(frame, min(1.0, THUMBNAIL_PX / frame.camera.width), background)
+    except (DevrfError, OSError) as error:
+        logger.warning("%s: not shown (%s)", frame.path, error)
+        return None

@@ -1,4 +1,4 @@
-"""The viewer: a server of pages, a thread that paints for all visitors in turn, one that looks at the run folder."""
+"""The viewer: a server of pages, and a thread that looks at the run folder and paints for all visitors in turn."""
 
 import logging
 import threading
@@ -14,11 +14,10 @@ import viser
 
 from devrf.capture.errors import DevrfError
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.viewer.controls import themed
+from devrf.pipelines.viewer.furniture import Thumbnails
 from devrf.pipelines.viewer.source import Found, Loaded, load, look
-from devrf.pipelines.viewer.standing import facts, standing
-from devrf.pipelines.viewer.thumbnails import Thumbnails
-from devrf.pipelines.viewer.view import View, up_of
+from devrf.pipelines.viewer.standing import standing
+from devrf.pipelines.viewer.view import first_camera, look_through, up_of
 from devrf.pipelines.viewer.visit import Superseded, Visit
 from devrf.reconstruct.model import render_layers
 
@@ -30,7 +29,7 @@ IDLE_S = 1.0  # longest wait for something to paint ...
 PLAYING_S = 1 / 120  # ... and where time runs
 ENDING_S = 12.0  # for a thread that learns how sure pictures are; the command's parent waits for 15
 CHUNK_CPU = 1 << 12  # rays between two looks at what is wanted
-TRY_PX = 32  # sides of the picture with which kernels are made ready
+TRY_SCALE = 0.1  # of the picture with which kernels are made ready
 
 logger = logging.getLogger(__name__)
 
@@ -52,21 +51,16 @@ class Site:
         run_dir: The run folder; only read.
         device: cpu or cuda.
         host, port: Where pages are served.
+    Attributes:
+        loaded: What is shown.
     """
 
-    def __init__(
-        self,
-        config: SceneConfig,
-        run_dir: Path,
-        device: str,
-        host: str,
-        port: int,
-    ) -> None:
+    def __init__(self, config: SceneConfig, run_dir: Path, device: str, host: str, port: int) -> None:
         self._config, self._run_dir, self._device = config, run_dir, device
-        self._changed, self._closed = threading.Condition(), threading.Event()
+        self._wanted, self._closed = threading.Event(), threading.Event()
         self._visits: dict[int, Visit] = {}
-        self._news_told = threading.Lock()  # held while visitors are told what is new
         self._last = 0  # visitor that was painted for
+        self._looked = 0.0  # when the run folder was looked at
         self._thumbnails = Thumbnails()
         self._confidence: tuple[Loaded, Confidence] | None = None
         self.loaded = Loaded()
@@ -77,59 +71,76 @@ class Site:
             "ignore", "Queued a .* on a closed connection"
         )  # visitors may leave at any time
         self.server = viser.ViserServer(host=host, port=port, label=config.name, verbose=False)
-        themed(self.server.gui, dark=False)
+        self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.server.gui.main_panel.dock_right()
         self._set_first_view()
-        self._threads = [
-            threading.Thread(target=work, name=work.__name__, daemon=True)
-            for work in (self._paint, self._watch)
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
+        self._thread.start()
         self.server.on_client_connect(self._welcome)
         self.server.on_client_disconnect(self._farewell)
 
     def close(self) -> None:
         """End, as soon as the part of a picture is done that is being rendered."""
         self._closed.set()
-        self._wake()
+        self._wanted.set()
         self._thumbnails.end()
         self.server.stop()
-        for thread in self._threads:  # Python must not end while one of them is in native code
-            thread.join(ENDING_S)
+        self._thread.join(ENDING_S)  # Python must not end while it is in native code
 
-    def _wake(self) -> None:
-        with self._changed:
-            self._changed.notify_all()
+    def standing(self) -> str:
+        """What is said of the run, HTML."""
+        why = "" if self._unreadable is None else self._unreadable[1]
+        return standing(self._config, self._run_dir, self.loaded, why)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        visit = Visit(client, self._thumbnails, self._wake)
-        with self._news_told:
-            visit.renew(*self._news())
-            self._visits[client.client_id] = visit
-        self._wake()
+        self._visits[client.client_id] = Visit(client, self._thumbnails, self._wanted.set)
+        self._looked = 0.0  # the new one waits to be told
+        self._wanted.set()
 
     def _farewell(self, client: viser.ClientHandle) -> None:
         visit = self._visits.pop(client.client_id, None)
         if visit is not None:
             visit.gone = True
 
-    def _news(self) -> tuple[Loaded, str, str, View | None]:
-        loaded = self.loaded
-        home = View.first(loaded.scene) if loaded.scene is not None else None
-        return loaded, self._standing(), facts(self._run_dir, loaded), home
+    def _work(self) -> None:
+        self._make_ready()
+        while not self._closed.is_set():
+            self._wanted.clear()
+            self._look()
+            visit = self._next()
+            if visit is None:
+                plays = any(visit.plays for visit in list(self._visits.values()))
+                self._wanted.wait(PLAYING_S if plays else IDLE_S)
+                continue
+            try:
+                visit.paint(self._known, self._go_on)
+            except Exception as error:  # a picture that fails must not end the others
+                if not self._closed.is_set():
+                    logger.exception("a picture could not be rendered")
+                    visit.give_up(str(error) or type(error).__name__)
 
-    def _standing(self) -> str:
-        why = "" if self._unreadable is None else self._unreadable[1]
-        return standing(self._config, self._run_dir, self.loaded, why)
+    def _go_on(self) -> None:
+        """Between two parts of a picture: end it where it is not wanted any more."""
+        before = self.loaded
+        self._look()
+        if self._closed.is_set() or self.loaded is not before:
+            raise Superseded
 
-    def _set_first_view(self) -> None:
-        scene = self.loaded.scene
-        if scene is None:
+    def _look(self) -> None:
+        """Now and then look for what is new in the run folder, and tell all visitors."""
+        if time.monotonic() - self._looked < LOOK_EVERY_S:
             return
-        home, first = View.first(scene), self.server.initial_camera
-        self.server.scene.set_up_direction(up_of(scene))
-        first.position, first.look_at, first.fov = home.position, home.look_at, home.fov_rad
+        self._looked = time.monotonic()
+        try:
+            scene = self.loaded.found.scene
+            if self._refresh() and self.loaded.found.scene != scene:
+                self._set_first_view()
+            visits = list(self._visits.values())
+            said = self.standing() if visits else ""
+            for visit in visits:
+                visit.renew(self.loaded, said)
+        except Exception:  # of one look; the next one may find what it needs
+            logger.exception("the run folder could not be looked at")
 
     def _refresh(self) -> bool:
         """Read what is new in the run folder; whether anything is."""
@@ -152,44 +163,11 @@ class Site:
         self.loaded = loaded
         return True
 
-    def _watch(self) -> None:
-        while not self._closed.wait(LOOK_EVERY_S):
-            try:
-                with self._news_told:
-                    self._tell_news()
-            except Exception:  # of one look; the next one may find what it needs
-                logger.exception("the run folder could not be looked at")
-
-    def _tell_news(self) -> None:
-        """Tell all visitors what is new in the run folder."""
-        scene, visits = self.loaded.found.scene, list(self._visits.values())
-        if self._refresh():
-            if self.loaded.found.scene != scene:
-                self._set_first_view()
-            news = self._news()
-            for visit in visits:
-                visit.renew(*news)
-        elif visits:
-            said = self._standing()
-            for visit in visits:
-                visit.controls.say(said)
-
-    def _paint(self) -> None:
-        self._make_ready()
-        while not self._closed.is_set():
-            with self._changed:
-                visit = self._next()
-                if visit is None:
-                    plays = any(visit.plays for visit in self._visits.values())
-                    self._changed.wait(PLAYING_S if plays else IDLE_S)
-                    continue
-            try:
-                visit.paint(self._known, self._go_on)
-            except Exception as error:  # a picture that fails must not end the others
-                if self._closed.is_set():
-                    return
-                logger.exception("a picture could not be rendered")
-                visit.give_up(str(error) or type(error).__name__)
+    def _set_first_view(self) -> None:
+        scene = self.loaded.scene
+        if scene is not None:
+            self.server.scene.set_up_direction(up_of(scene))
+            look_through(self.server.initial_camera, first_camera(scene), scene.aabb.mean(axis=0))
 
     def _next(self) -> Visit | None:
         """Whose turn it is of those who wait for a picture."""
@@ -214,11 +192,7 @@ class Site:
         """Load and compile kernels before the first visitor waits for them."""
         loaded = self.loaded
         if loaded.model is not None and loaded.scene is not None:
-            camera = View.first(loaded.scene).camera(TRY_PX, TRY_PX)
+            camera = first_camera(loaded.scene).scaled(TRY_SCALE)
             with suppress(Superseded):
                 moment = None if loaded.model.motion is None else 0.5
                 render_layers(loaded.model, camera, moment, between=self._go_on)
-
-    def _go_on(self) -> None:
-        if self._closed.is_set():
-            raise Superseded

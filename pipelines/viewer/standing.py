@@ -1,33 +1,19 @@
-"""What the viewer says about a run: what it shows, how far the run is, how healthy it is, facts of the model."""
+"""What the viewer says about a run: what it shows, how far the run is, how healthy it is."""
 
-import html
-from collections.abc import Sequence
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from devrf.capture.scene import Scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import describe
-from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.runner.lock import is_held
 from devrf.pipelines.runner.plan import last_error, read_health
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.trained_model import model_files
 from devrf.pipelines.viewer.source import Loaded, progress
 
-if TYPE_CHECKING:  # it needs torch
-    from devrf.reconstruct.model import DynamicModel
-
 MOST_ROWS = 6  # of health: more are in the report
-COLOURS = {
-    "ok": "#1a7f4b",
-    "warn": "#9a6200",
-    "fail": "#b3261e",
-    "running": "#2563b8",
-}  # white is read on each
-PILL = "color:#fff;border-radius:0.6em;padding:0.05em 0.5em;white-space:nowrap;"
-FRAME = "font-size:0.85em;padding:0 0.75em 0.5em"
-LINE = "margin:0.35em 0;overflow-wrap:anywhere"
+OK, WARN, FAIL, RUNNING = "#1a7f4b", "#9a6200", "#b3261e", "#2563b8"  # white is read on each
+LINE = '<div style="font-size:0.85em;margin:0.35em 0.75em;overflow-wrap:anywhere">{}</div>'
+PILL = '<span style="color:#fff;border-radius:0.6em;padding:0.05em 0.5em;background:{}">{}</span> '
 
 
 def standing(config: SceneConfig, run_dir: Path, loaded: Loaded, unreadable: str = "") -> str:
@@ -42,33 +28,29 @@ def standing(config: SceneConfig, run_dir: Path, loaded: Loaded, unreadable: str
     applying = [stage.name for stage in STAGES if stage.applies(config) is None]
     missing = [name for name in applying if not (run_dir / name).is_dir()]
     working = is_held(run_dir)
-    lines = [f"<b>{_text(config.name)}</b>: {_shown(loaded, working)}"]
+    lines = [f"<b>{escape(config.name)}</b>: {_shown(loaded, working)}"]
     if unreadable:
-        lines.append(_pill("fail", "not readable") + _text(unreadable))
+        lines.append(PILL.format(FAIL, "not readable") + escape(unreadable))
     if working:
         event = progress(run_dir)
         share = f" {100 * event['fraction']:.0f} %" if "fraction" in event else ""
         detail = f": {event['text']}" if event.get("text") else ""
-        lines.append(_pill("running", "run at work") + _text(f"{event.get('stage', '')}{share}{detail}"))
+        lines.append(PILL.format(RUNNING, "run at work") + escape(f"{event.get('stage', '')}{share}{detail}"))
     elif missing:
-        lines.append(_pill("warn", "not finished") + f"not made yet: {', '.join(missing)}")
-    errors = {name: last_error(run_dir, name) for name in applying if not working}
-    lines += [_pill("fail", f"{name} failed") + _text(error) for name, error in errors.items() if error]
-    lines += _health(run_dir, applying, whole=not missing and not working)
-    return (
-        f'<div style="{FRAME}">' + "".join(f'<div style="{LINE}">{line}</div>' for line in lines) + "</div>"
-    )
-
-
-def facts(run_dir: Path, loaded: Loaded) -> str:
-    """Markdown: a table of what the model and the scene are."""
-    scene, model = loaded.scene, loaded.model
-    rows = [] if scene is None else _of_scene(scene)
-    rows += [] if model is None else _of_model(model)
-    if loaded.found.finished:
-        size = sum(path.stat().st_size for path in model_files(run_dir))
-        rows.append(("files of the model", f"{size / 1e6:.1f} MB"))
-    return "| | |\n|---|---|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows)
+        lines.append(PILL.format(WARN, "not finished") + f"not made yet: {', '.join(missing)}")
+    for name in () if working else applying:
+        error = last_error(run_dir, name)
+        lines += [PILL.format(FAIL, f"{name} failed") + escape(error)] if error else []
+    rows = [(name, row) for name in applying for row in read_health(run_dir / name)]
+    bad, doubtful = ([(n, r) for n, r in rows if r.verdict == verdict] for verdict in ("fail", "warn"))
+    if bad:
+        lines.append(PILL.format(FAIL, "unhealthy") + f"checks that refused the result: {len(bad)}")
+    elif doubtful:
+        lines.append(PILL.format(WARN, "doubtful") + f"warnings: {len(doubtful)} in {len(rows)} checks")
+    elif rows and not missing and not working:
+        lines.append(PILL.format(OK, "healthy") + f"{len(rows)} checks")
+    lines += [f"<b>{name}</b>: {escape(describe(row))}" for name, row in (bad + doubtful)[:MOST_ROWS]]
+    return "".join(LINE.format(line) for line in lines)
 
 
 def _shown(loaded: Loaded, working: bool) -> str:
@@ -83,57 +65,3 @@ def _shown(loaded: Loaded, working: bool) -> str:
     if found.motion_training is not None:
         return f"motion, <b>{doing}</b>"
     return "finished model" if loaded.model.motion is not None else "finished model at rest"
-
-
-def _health(run_dir: Path, applying: Sequence[str], *, whole: bool) -> list[str]:
-    """The verdict, then the rows that are not well, the worst first."""
-    rows = [(name, row) for name in applying for row in read_health(run_dir / name)]
-    bad, doubtful = ([(n, r) for n, r in rows if r.verdict == verdict] for verdict in ("fail", "warn"))
-    if bad:
-        lines = [_pill("fail", "unhealthy") + f"{_count(bad, 'check')} refused the result"]
-    elif doubtful:
-        lines = [_pill("warn", "doubtful") + f"{_count(doubtful, 'warning')} in {len(rows)} checks"]
-    else:
-        lines = [_pill("ok", "healthy") + f"{len(rows)} checks"] if whole and rows else []
-    worst = (bad + doubtful)[:MOST_ROWS]
-    return lines + [f"<b>{name}</b>: {_text(describe(row))}" for name, row in worst]
-
-
-def _count(rows: Sequence[tuple[str, HealthRow]], what: str) -> str:
-    return f"{len(rows)} {what}{'s' if len(rows) != 1 else ''}"
-
-
-def _of_scene(scene: Scene) -> list[tuple[str, str]]:
-    moving = {f.camera_name: f.split for f in scene.dynamic}
-    tests = sum(split == "test" for split in moving.values())
-    rows = [
-        ("sweep", f"{len(scene.static)} pictures"),
-        (
-            "moving cameras",
-            f"{len(moving) - tests}, and {tests} only for tests" if tests else f"{len(moving)}",
-        ),
-    ]
-    if scene.dynamic:
-        rows.append(("time", f"{scene.t0_s:.2f} to {scene.t1_s:.2f} s"))
-    return rows
-
-
-def _of_model(model: "DynamicModel") -> list[tuple[str, str]]:
-    x, y, z = model.rest.canonical.shape
-    rows = [("voxels at rest", f"{x} × {y} × {z}")]
-    if model.motion is not None:
-        t, a, b, c = model.motion.backward.shape[:4]
-        rows.append(("motion", f"{a} × {b} × {c} at {t} times"))
-    shell = model.rest.shell
-    rows.append(("surroundings", model.rest.background if shell is None else f"{shell.size}³"))
-    rows.append(("device", str(model.rest.canonical.density.device)))
-    return rows
-
-
-def _pill(kind: str, words: str) -> str:
-    return f'<span style="{PILL}background:{COLOURS[kind]}">{words}</span> '
-
-
-def _text(value: object) -> str:
-    """Text in HTML, nothing of it markup."""
-    return html.escape(str(value))

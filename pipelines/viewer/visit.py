@@ -6,20 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
+from jaxtyping import Float32
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import to_8_bits
-from devrf.pipelines.viewer.controls import FROM_REST, NO_ARROWS, Controls
-from devrf.pipelines.viewer.furniture import Furniture
+from devrf.pipelines.viewer.controls import Controls
+from devrf.pipelines.viewer.furniture import Furniture, Thumbnails
 from devrf.pipelines.viewer.source import Loaded
-from devrf.pipelines.viewer.thumbnails import Thumbnails
-from devrf.pipelines.viewer.view import View
+from devrf.pipelines.viewer.view import first_camera, look_through, seen_by
 from devrf.reconstruct.error_map import confidence_picture
 from devrf.reconstruct.film.layers import DepthScale, depth_colours, planar_depth
-from devrf.reconstruct.model import render_layers
-from devrf.reconstruct.motion_arrows import motion_arrows, next_key
-from devrf.reconstruct.refinement import Pace, at_most, at_size, next_size
-from devrf.reconstruct.view_pictures import hiding_depth
+from devrf.reconstruct.model import Layers, render_layers
+from devrf.reconstruct.refinement import FINER, FIRST, at_most, in_time
 
 if TYPE_CHECKING:
     from devrf.reconstruct.confidence import Confidence
@@ -28,11 +26,10 @@ if TYPE_CHECKING:
 FASTEST_S = 1 / 30  # between two pictures while time runs
 MOST_PIXELS = {"cpu": 1280 * 720, "cuda": 1920 * 1080}  # of a picture that is finished
 QUALITY_MOVING, QUALITY = 75, 92  # of JPEG
-BEHIND = {False: "white", True: "black"}  # what is in the box, where it is shown alone; of a dark page
+BEHIND = "white"  # what is in the box, where it is shown alone
 DEPTH_PIXELS = 40_000  # a PNG of more takes longer than the picture
 NOTHING_HIDES = 160.0  # depth; what the page can tell ends at 167.77
-MOST_ARROWS = 500
-LEARNING = "_How sure pictures are has to be learned from the training pictures first: a moment …_"
+BOX_FRAME = DepthScale(near=0.0, far=NOTHING_HIDES, unit=1e-6, world_per_box=1.0)
 UNFINISHED = "_How sure a picture is can be told once the training has finished._"
 SURENESS = "_White is sure, an expected PSNR of 40 dB or more; black is 10 dB or less._"
 
@@ -58,20 +55,20 @@ class Visit:
         self.gone = False
         self._loaded = Loaded()
         self._furniture: Furniture | None = None
-        self._home: View | None = None
-        self._alone: tuple[DynamicModel, bool, DynamicModel] | None = None
-        self._sure_of: Loaded | None = None  # of what it has been learned how sure pictures are
-        self._pace = Pace()
-        self._wish, self._painted, self._halvings = 1, 0, 0
+        self._alone: tuple[DynamicModel, DynamicModel] | None = None
+        self._budget = FIRST  # pixels that are there in time
+        self._wish, self._painted, self._whole, self._pixels = 1, 0, True, 0.0
         self._next = 0.0  # earliest moment of the next picture while time runs
-        self._arrows: tuple[str, float] = (NO_ARROWS, 0.0)
         self.controls = Controls(client, self.want, self._show, self._go_home)
         client.camera.on_update(lambda camera: self._moved())
 
-    def renew(self, loaded: Loaded, standing: str, facts: str, home: View | None) -> None:
-        """Show something else from now on."""
-        before, self._loaded, self._home = self._loaded, loaded, home
-        self.controls.renew(standing, facts, loaded)
+    def renew(self, loaded: Loaded, standing: str) -> None:
+        """Say how the run stands, and show something else from now on where there is."""
+        self.controls.say(standing)
+        before, self._loaded = self._loaded, loaded
+        if loaded is before:
+            return
+        self.controls.renew(loaded)
         if loaded.scene is not None and loaded.found.scene != before.found.scene:
             if self._furniture is not None:
                 self._client.scene.reset()
@@ -82,8 +79,8 @@ class Visit:
         if self._furniture is not None:
             if (loaded.model is None) != (before.model is None) or before.scene is None:
                 self.controls.choose(loaded.model is not None)
-            for name, visible in self.controls.groups():
-                self._furniture.show(name, visible)
+            for name, box in self.controls.groups.items():
+                self._furniture.show(name, box.value)
         self.want()
 
     def want(self) -> None:
@@ -91,16 +88,11 @@ class Visit:
         self._wish += 1
         self._wake()
 
-    def _moved(self) -> None:
-        if self._furniture is not None:
-            self._furniture.seen_from(self._client.camera.position)
-        self.want()
-
     def due(self, now: float) -> bool:
         """Whether there is something to paint."""
         if self._loaded.model is None:
             return False
-        return self._wish != self._painted or self._halvings > 0 or (self.plays and now >= self._next)
+        return self._wish != self._painted or not self._whole or (self.plays and now >= self._next)
 
     def paint(self, confidence: Callable[[], "Confidence"], between: Callable[[], object]) -> None:
         """Render the next picture and send it; a larger one of the same is given up when another is wanted.
@@ -113,43 +105,45 @@ class Visit:
         assert scene is not None
         fresh = wish != self._painted or self.plays
         moment = self.controls.moment(now) if scene.dynamic else 0.0
-        view = View.of(self._client.camera)
-        whole = at_most(view.width, view.height, MOST_PIXELS[model.rest.canonical.density.device.type])
-        halvings = self._pace.first(whole[0] * whole[1]) if fresh else next_size(self._halvings)
-        camera = view.camera(*at_size(*whole, halvings))
+        page, most = self._client.camera, MOST_PIXELS[model.rest.canonical.density.device.type]
+        whole = at_most(max(2, page.image_width), max(2, page.image_height), most)
+        pixels = self._budget if fresh else FINER * self._pixels
+        camera = seen_by(page, *at_most(*whole, pixels))
 
         def go_on() -> None:
             between()
             if self.gone or (not fresh and self._wish != wish):
                 raise Superseded
 
-        shown = moment if model.motion is not None and not self.controls.at_rest else None
+        shown = moment if model.motion is not None and not self.controls.at_rest.value else None
+        rough = fresh and pixels < whole[0] * whole[1]
         try:
-            layers = render_layers(model, camera, shown, between=go_on, roughly=fresh and halvings > 0)
+            layers = render_layers(model, camera, shown, between=go_on, roughly=rough)
             picture = self._picture(layers, camera, shown, confidence)
-            between()
-            if self.gone:
-                raise Superseded
+            go_on()
         except Superseded:
             return
-        depth = hiding_depth(layers[1], layers[2], camera, NOTHING_HIDES, DEPTH_PIXELS)
-        quality = QUALITY if halvings == 0 else QUALITY_MOVING
-        self._client.scene.set_background_image(picture, "jpeg", jpeg_quality=quality, depth=depth)
-        self._painted, self._halvings, self._next = wish, halvings, now + FASTEST_S
+        self._whole, self._pixels = pixels >= whole[0] * whole[1], pixels
+        quality = QUALITY if self._whole else QUALITY_MOVING
+        self._client.scene.set_background_image(
+            picture, "jpeg", jpeg_quality=quality, depth=hiding_depth(camera, layers)
+        )
+        self._painted, self._next = wish, now + FASTEST_S
         if fresh:
-            self._pace.note(camera.width * camera.height, time.monotonic() - now)
-            self._follow(moment)
+            self._budget = in_time(self._budget, camera.width * camera.height, time.monotonic() - now)
+            assert self._furniture is not None
+            self._furniture.at(moment)
 
     def give_up(self, reason: str) -> None:
         """No picture of what is wanted now."""
-        self._painted, self._halvings = self._wish, 0
-        self.controls.playback.stop(time.monotonic())
+        self.controls.run(False)
+        self._painted, self._whole = self._wish, True
         self.controls.note(f"_Not rendered: {reason}_")
 
     @property
     def plays(self) -> bool:
         """Whether what is to be shown changes by itself."""
-        return self.controls.playback.runs and not self.controls.at_rest
+        return self.controls.runs and not self.controls.at_rest.value
 
     def _model(self) -> "DynamicModel":
         """The model, or what is in its box alone."""
@@ -157,54 +151,36 @@ class Visit:
         assert whole is not None
         if not self.controls.alone:
             return whole
-        dark = self.controls.dark
-        if self._alone is None or self._alone[0] is not whole or self._alone[1] != dark:
-            self._alone = whole, dark, whole.alone(BEHIND[dark])
-        return self._alone[2]
+        if self._alone is None or self._alone[0] is not whole:
+            self._alone = whole, whole.alone(BEHIND)
+        return self._alone[1]
 
     def _picture(
-        self,
-        layers: tuple[np.ndarray, np.ndarray, np.ndarray],
-        camera: Camera,
-        moment: float | None,
-        confidence: Callable[[], "Confidence"],
+        self, layers: Layers, camera: Camera, moment: float | None, confidence: Callable[[], "Confidence"]
     ) -> np.ndarray:
         """What is to be shown of a view, bytes."""
         rgb, _, opacity = layers
-        layer, note = self.controls.layer, ""
+        layer, note = self.controls.layer.value, ""
+        picture = to_8_bits(rgb)
         if layer == "confidence" and not self._loaded.found.finished:
-            picture, note = to_8_bits(rgb), UNFINISHED
+            note = UNFINISHED
         elif layer == "confidence":
-            if self._sure_of is not self._loaded:
-                self.controls.note(LEARNING)
             expected, note = confidence().expected(camera, moment, layers), SURENESS
-            self._sure_of = self._loaded
             picture = np.repeat(confidence_picture(expected)[..., None], 3, axis=2)
         elif layer == "depth":
-            assert self._loaded.scene is not None
-            scale = DepthScale.of([camera], self._loaded.scene.aabb, self._loaded.scene.near, 1.0, False)
+            scene = self._loaded.scene
+            assert scene is not None
+            scale = DepthScale.of([camera], scene.aabb, scene.near, 1.0, metric=False)
             picture = depth_colours(planar_depth(camera, layers, scale), scale)
         elif layer == "opacity":
             picture = to_8_bits(np.repeat(opacity[..., None], 3, axis=2))
-        else:
-            picture = to_8_bits(rgb)
         self.controls.note(note)
         return picture
 
-    def _follow(self, moment: float) -> None:
-        """Let what stands in the scene follow the time."""
-        assert self._furniture is not None
-        self._furniture.at(moment)
-        wanted = (self.controls.arrows, moment)
-        if wanted == self._arrows or (self._arrows[0] == NO_ARROWS == wanted[0]):
-            return
-        self._arrows, model = wanted, self._loaded.model
-        if wanted[0] == NO_ARROWS or model is None or model.motion is None:
-            self._furniture.arrows(np.zeros((0, 2, 3)))
-        elif wanted[0] == FROM_REST:
-            self._furniture.arrows(motion_arrows(model, None, moment, MOST_ARROWS))
-        else:
-            self._furniture.arrows(motion_arrows(model, moment, next_key(model, moment), MOST_ARROWS))
+    def _moved(self) -> None:
+        if self._furniture is not None:
+            self._furniture.seen_from(self._client.camera.position)
+        self.want()
 
     def _show(self, name: str, visible: bool) -> None:
         if self._furniture is not None:
@@ -212,16 +188,17 @@ class Visit:
 
     def _look_through(self, camera: Camera) -> None:
         assert self._loaded.scene is not None
-        self._go_to(View.through(camera, self._loaded.scene.aabb.mean(axis=0)))
+        with self._client.atomic():
+            look_through(self._client.camera, camera, self._loaded.scene.aabb.mean(axis=0))
 
     def _go_home(self) -> None:
-        if self._home is not None:
-            self._go_to(self._home)
+        if self._loaded.scene is not None:
+            self._look_through(first_camera(self._loaded.scene))
 
-    def _go_to(self, view: View) -> None:
-        camera = self._client.camera
-        with self._client.atomic():
-            camera.position = view.position
-            camera.look_at = view.look_at
-            camera.wxyz = view.wxyz
-            camera.fov = view.fov_rad
+
+def hiding_depth(camera: Camera, layers: Layers) -> Float32[np.ndarray, "hs ws"]:
+    """Depth along the camera's axis of what hides things behind it, on every n-th pixel."""
+    depth = planar_depth(camera, layers, BOX_FRAME)
+    step = max(1, int(np.ceil(np.sqrt(depth.size / DEPTH_PIXELS))))
+    rows, columns = (slice(n % step // 2 + step // 2, None, step) for n in depth.shape)
+    return np.where(depth[rows, columns] > 0, depth[rows, columns], NOTHING_HIDES).astype(np.float32)

@@ -8,15 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.error_causes import Layers
 from devrf.reconstruct.error_map import inferno
-from devrf.reconstruct.evidence import SOLID
-from devrf.reconstruct.geometry.field import field_at
-from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.geometry.field import moved
+from devrf.reconstruct.model import SOLID, DynamicModel, Layers
 from devrf.reconstruct.rays import pixel_directions
 
 MILLIMETRE = 0.001
@@ -101,7 +98,7 @@ def backward_flow(
         known = np.ones_like(solid)  # surroundings stand still before a camera that does
     else:
         known = solid.copy()
-    there = before.project(_moved(model, surface[solid], time, time_before))
+    there = before.project(moved(model, surface[solid], time, time_before))
     flow[solid] = there - now[solid]
     lost = ~np.isfinite(flow).all(-1)
     flow[lost], known[lost] = 0, False
@@ -113,16 +110,3 @@ def _surface(camera: Camera, layers: Layers) -> tuple[Float[np.ndarray, "h w 3"]
     _, depth, opacity = layers
     distance = depth / np.maximum(opacity, SOLID)
     return camera.centre + distance[..., None] * pixel_directions(camera), opacity > SOLID
-
-
-@torch.no_grad()
-def _moved(
-    model: DynamicModel, points: Float[np.ndarray, "n 3"], time: float | None, then: float | None
-) -> Float[np.ndarray, "n 3"]:
-    """Where points seen at a time are at another one."""
-    if model.motion is None or time is None or then is None or time == then or not len(points):
-        return points
-    now, before = field_at(model, time), field_at(model, then)
-    x = torch.from_numpy(points.astype(np.float32)).to(model.rest.canonical.density.device)
-    x_rest = now.to_rest(now.from_box(x))
-    return before.to_box(before.from_rest(x_rest)).cpu().numpy().astype(np.float64)

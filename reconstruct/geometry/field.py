@@ -142,6 +142,19 @@ def field_at(model: DynamicModel, time: float | None) -> Field:
     return Field((model.in_motion or model.rest).canonical, motion, tau)
 
 
+@torch.no_grad()
+def moved(
+    model: DynamicModel, points: Float[np.ndarray, "n 3"], time: float | None, then: float | None
+) -> Float[np.ndarray, "n 3"]:
+    """Where points of the box frame, seen at a time in [0, 1], are at another one; None: at rest."""
+    if model.motion is None or time == then or not len(points):
+        return points
+    now, other = field_at(model, time), field_at(model, then)
+    x = torch.from_numpy(points.astype(np.float32)).to(model.rest.canonical.density.device)
+    x_rest = now.to_rest(now.from_box(x))
+    return other.to_box(other.from_rest(x_rest)).cpu().numpy().astype(np.float64)
+
+
 def _occupied(canonical: Canonical, x: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
     """Whether points at rest lie in the box, next to an occupied vertex: those that the march looks at."""
     lo, hi = canonical.aabb.to(x)

@@ -17,7 +17,7 @@ from tests.waiting import wait_for
 from devrf.capture.resize import shrink
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.viewer.site import Site
-from devrf.pipelines.viewer.view import View
+from devrf.pipelines.viewer.view import seen_by
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_model
 from devrf.reconstruct.rest_model import RestModel
@@ -40,10 +40,10 @@ class Visited:
     texts: list[str]
     rendered: dict[tuple, np.ndarray] = field(default_factory=dict)
 
-    def view(self) -> View:
+    def eye(self) -> Any:
         """Where the visitor looks from."""
         (visit,) = self.site._visits.values()
-        return View.of(visit._client.camera)
+        return visit._client.camera
 
     def picture(self) -> np.ndarray:
         """The page's picture of the scene, without what lies above it at the sides, as floats in [0, 1]."""
@@ -53,10 +53,10 @@ class Visited:
 
     def expected(self, moment: float | None) -> np.ndarray:
         """The same of a picture rendered without the viewer."""
-        view = self.view()
-        key = view.position.tobytes(), view.wxyz.tobytes(), moment
+        eye = self.eye()
+        key = eye.position.tobytes(), eye.wxyz.tobytes(), moment
         if key not in self.rendered:
-            picture = render_view(self.model, view.camera(view.width, view.height), moment)
+            picture = render_view(self.model, seen_by(eye, eye.image_width, eye.image_height), moment)
             self.rendered[key] = _middle(np.round(picture * 255))
         return self.rendered[key]
 
@@ -135,16 +135,16 @@ def test_a_slide_in_time_shows_another_moment(visited: Visited) -> None:
 
 
 def test_a_turned_view_is_rendered_anew(visited: Visited) -> None:
-    page, before = visited.page, visited.view()
+    page, before = visited.page, visited.eye().position
     old = visited.expected(0.0)
     page.mouse.move(120, 150)
     page.mouse.down()
     page.mouse.move(220, 130, steps=6)
     page.mouse.up()
-    wait_for(lambda: np.linalg.norm(visited.view().position - before.position) > 0.5, LIMIT_S)
+    wait_for(lambda: np.linalg.norm(visited.eye().position - before) > 0.5, LIMIT_S)
     wait_for(lambda: visited.shows(0.0)() and _psnr(visited.picture(), old) < SAME_DB - 5, LIMIT_S)
     page.get_by_text("Back to the first view").click()
-    wait_for(lambda: np.linalg.norm(visited.view().position - before.position) < 0.05, LIMIT_S)
+    wait_for(lambda: np.linalg.norm(visited.eye().position - before) < 0.05, LIMIT_S)
     wait_for(visited.shows(0.0), LIMIT_S)
 
 
@@ -175,8 +175,8 @@ def test_a_click_on_a_camera_looks_through_it(visited: Visited, ball: Ball) -> N
     frame = next(f for f in ball.scene.dynamic if f.split == "train")
     (visit,) = visited.site._visits.values()
     visit._look_through(frame.camera)
-    wait_for(lambda: np.linalg.norm(visited.view().position - frame.camera.centre) < 1e-3, LIMIT_S)
-    axes = visited.view().camera(8, 8).cam_from_world[:, :3]
+    wait_for(lambda: np.linalg.norm(visited.eye().position - frame.camera.centre) < 1e-3, LIMIT_S)
+    axes = seen_by(visited.eye(), 8, 8).cam_from_world[:, :3]
     np.testing.assert_allclose(axes, frame.camera.cam_from_world[:, :3], atol=0.02)
 
 

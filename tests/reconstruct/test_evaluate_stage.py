@@ -17,8 +17,6 @@ from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import evaluate, render
-from devrf.reconstruct.confidence import ErrorBudget
-from devrf.reconstruct.error_causes import CAUSES, Ground
 
 K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
 MOVE = np.diag([2.0, 2.0, 2.0, 1.0])  # the recovered world is twice as large as the true one
@@ -120,8 +118,6 @@ def _known(moves: bool = True) -> Callable:
 class _Unsure:
     """Expects the known model to be wrong by 0.02 everywhere."""
 
-    budget = ErrorBudget(Ground(0.0, 60.0, 1.0, 0.0, 0.0), dict.fromkeys(CAUSES, 0.0), (("cam0", 1),))
-
     def __init__(self, render: Callable) -> None:
         self._render = render
 
@@ -141,19 +137,17 @@ def _run(
     known: Callable | None = None,
 ) -> dict:
     render = _known(moves)(context.run_dir, "cpu", None)
-    region = {"where": "back, low", "share": 1.0, "expected_rms": 20.0, "low": 0.1, "cameras": 1.0}
-    regions = {
-        "as_seen_by": "cam0",
+    shares = {
         "moves": True,
         "low_above": 32.0,
         "low_share": low_share,
         "unseen_share": 0.6 if low_share > 0.5 else 0.2,
-        "regions": [region],
+        "seen_by": [{"cameras": 1, "share": 1.0, "expected_rms": 20.0}],
     }
     monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device: None)
     monkeypatch.setattr(evaluate, "renderer", lambda model: render)
     monkeypatch.setattr(evaluate, "Confidence", known or (lambda scene, model: _Unsure(render)))
-    monkeypatch.setattr(evaluate, "weakest_regions", lambda scene, confidence: regions)
+    monkeypatch.setattr(evaluate, "subject_confidence", lambda scene, confidence: shares)
     evaluate.run(context)
     return json.loads((context.out / "metrics.json").read_text())
 
@@ -191,12 +185,11 @@ def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
     metrics = _run(context, monkeypatch, low_share=0.75)
     assert metrics["confidence"]["test"]["expected_rms"] == pytest.approx(0.02 * 255, rel=1e-3)
     assert metrics["confidence"]["test"]["measured_rms"] == pytest.approx(0.01 * 255, rel=0.1)
-    assert json.loads((context.out / "confidence.json").read_text())["fitted_on"] == [["cam0", 1]]
+    assert metrics["confidence"]["seen_by"][0]["cameras"] == 1
     row = next(row for row in context.health if "low confidence" in row.check)
     assert row.verdict == "warn" and row.value == 75 and "32 grey levels" in row.check
-    assert "cam0: back, low" in row.remedy
     row = next(row for row in context.health if "no camera sees" in row.check)
-    assert row.verdict == "warn" and row.value == 60 and "cam0: back, low" in row.remedy
+    assert row.verdict == "warn" and row.value == 60
 
 
 def test_confidence_takes_the_times_that_were_trained_with(context: StageContext, monkeypatch):
@@ -216,17 +209,8 @@ def test_confidence_takes_the_times_that_were_trained_with(context: StageContext
 
 
 def test_a_box_without_anything_solid_is_told():
-    rows = confidence_rows(
-        {
-            "low_share": None,
-            "unseen_share": None,
-            "low_above": 32.0,
-            "regions": [],
-            "as_seen_by": "cam0",
-            "moves": False,
-        }
-    )
-    assert rows[0].verdict == "warn" and "nothing solid" in str(rows[0].value) and "box" in rows[0].remedy
+    (row,) = confidence_rows({"low_share": None, "unseen_share": None, "low_above": 32.0})
+    assert row.verdict == "warn" and "nothing solid" in str(row.value)
 
 
 def test_no_truth_no_block(context: StageContext, monkeypatch):

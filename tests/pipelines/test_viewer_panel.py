@@ -1,0 +1,35 @@
+"""What a visitor's panel says: the moment that is shown, and what is behind the box alone."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from tests.pipelines.trained_run import boxed_model
+
+from devrf.pipelines.viewer.controls import place, stepped
+from devrf.pipelines.viewer.visit import Visit
+
+
+def test_what_is_in_the_box_alone_is_before_white() -> None:
+    controls = SimpleNamespace(alone=True)
+    visit: Any = SimpleNamespace(_loaded=SimpleNamespace(model=boxed_model()), controls=controls, _alone=None)
+    alone = Visit._model(visit)
+    assert alone.rest.background == "white" and Visit._model(visit) is alone
+
+
+@pytest.mark.parametrize(
+    ("way", "step", "there_and_back", "places"),
+    [
+        (0.5, 0.25, False, [0.5, 0.75, 1.0, 0.25, 0.5]),
+        (1.0, 0.5, False, [1.0, 0.5, 1.0]),  # it stands at the end, and begins anew
+        (0.0, 0.5, True, [0.0, 0.5, 1.0, 0.5, 0.0, 0.5]),
+        (1.5, 0.25, False, [0.5, 0.75]),  # on the way back, where it then is there and back no more
+    ],
+)
+def test_time_runs_around_or_there_and_back(
+    way: float, step: float, there_and_back: bool, places: list[float]
+) -> None:
+    assert place(stepped(way, 0.0, there_and_back)) == places[0]
+    for expected in places:
+        assert place(way) == pytest.approx(expected)
+        way = stepped(way, step, there_and_back)
