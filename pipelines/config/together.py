@@ -79,29 +79,23 @@ def _named_elsewhere(config: SceneConfig, capture: CaptureConfig, *, sweep_writt
     ):
         for name in names:
             if name not in known:
-                yield (
-                    f"{key}.{name}",
-                    f"no camera has this name{suggestion(name, known)} ({', '.join(known)})",
-                )
+                near = suggestion(name, known)
+                yield f"{key}.{name}", f"no camera has this name{near} ({', '.join(known)})"
     by_sweep = capture.static is not None and config.calibration.rig.method != "board"
     reference = "static" if by_sweep else next(iter(capture.training_cameras), None)
     if chart and reference is not None and reference not in chart:
-        yield (
-            f"calibration.colour.chart.{reference}",
-            "is missing; all cameras are brought to the look of this one",
-        )
+        text = "is missing; all cameras are brought to the look of this one"
+        yield f"calibration.colour.chart.{reference}", text
 
 
 def _missing(config: SceneConfig, capture: CaptureConfig, *, board_is_wrong: bool) -> Mistakes:
     """What a method needs, or what cameras without a sweep need."""
-    rig, joint = config.calibration.rig, capture.board.joint_clips if capture.board else {}
+    rig, colour = config.calibration.rig, config.calibration.colour
+    joint = capture.board.joint_clips if capture.board else {}
     without = [name for name in capture.all_cameras if name not in joint]
     if config.kind == "cameras" and capture.cameras and rig.given is None:
         if joint and without:
-            yield (
-                "capture.board.joint_clips",
-                f"has no clip of {', '.join(without)}; expected one of every camera",
-            )
+            yield "capture.board.joint_clips", f"has no clip of {', '.join(without)}; give one of each"
         if not joint and not board_is_wrong:
             yield (
                 "capture.static",
@@ -109,21 +103,13 @@ def _missing(config: SceneConfig, capture: CaptureConfig, *, board_is_wrong: boo
                 "(capture.board.joint_clips) or from a file (calibration.rig.given); give one of the three",
             )
     if capture.mattes is not None and capture.mattes.method == "background" and config.kind == "sweep":
-        yield (
-            "capture.mattes",
-            "background needs fixed cameras, and there is only a sweep; use another method",
-        )
+        yield "capture.mattes", "background needs fixed cameras, and there is only a sweep"
     for key, value, method, wanted in (
         ("calibration.rig.given", rig.given, rig.method, "given"),
         ("capture.board.joint_clips", joint, rig.method, "board"),
         ("capture.static", capture.static, rig.method, "sweep"),
         ("capture.timestamps", capture.timestamps, config.calibration.sync.method, "timestamps"),
-        (
-            "calibration.colour.chart",
-            config.calibration.colour.chart,
-            config.calibration.colour.method,
-            "chart",
-        ),
+        ("calibration.colour.chart", colour.chart, colour.method, "chart"),
     ):
         if method == wanted and (value is None or value == {}):
             yield key, f"is missing; method: {wanted} needs it"
