@@ -146,8 +146,10 @@ def _rows(one: Judged) -> list[Row]:
     rows = []
     for name, unit in MEASURES.items():
         gain, title = one.gains.get(name), f"parts/{one.part.name}/{name}"
-        of = (None, unit) if gain is None else (gain.mean, unit, spread(gain.by_pair))
-        rows.append(Row(title, *of, why="not computed" if gain is None else None))
+        if gain is None:
+            rows.append(Row(title, None, unit, why="not computed"))
+        else:
+            rows.append(Row(title, gain.mean, unit, spread(gain.by_pair)))
     return rows
 
 
