@@ -16,7 +16,7 @@ def arguments(about: str | None, *paths: str, **options: Any) -> argparse.Namesp
     for name in paths:
         parser.add_argument(name, type=Path)
     for name, default in options.items():
-        parser.add_argument(f"--{name}", default=default, type=None if default is None else type(default))
+        parser.add_argument(f"--{name}", default=default, type=str if default is None else type(default))
     parser.add_argument("--json", type=Path)
     return parser.parse_args()
 

@@ -68,7 +68,7 @@ def speed(
     from devrf.pipelines.bench.speed import run_speed
 
     own = {name: list(asked.overrides) for name in names_of("--presets", presets, get_args(PresetName))}
-    shares = numbers_of("--efforts", efforts, 0.001, 100)
+    shares = numbers_of("--efforts", efforts, 0.001, 100.0)
     for setting in set_for or []:
         name, _, text = setting.partition(":")
         if name not in own or not text.startswith("reconstruct."):
@@ -93,10 +93,10 @@ def growth(
     """How seconds and bytes grow with the number of pictures, with the resolution, and with what moves."""
     from devrf.pipelines.bench.growth import run_growth
 
-    every = numbers_of("--strides", strides, 1, 1000)
+    every = numbers_of("--strides", strides, 1.0, 1000.0)
     if any(n % 1 for n in every):
         raise InputError(f"--strides {strides}: expected whole numbers, such as 4,2,1")
-    sizes = numbers_of("--shares", shares, 0.01, 1)
+    sizes = numbers_of("--shares", shares, 0.01, 1.0)
     others = [asked.of(path) for path in other or []]
     run_growth(asked.run, asked.folder, [int(n) for n in every], sizes, others, asked.rows)
 

@@ -6,11 +6,14 @@ of the run is watched, whatever is expected here.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from devrf.calibration.sweep.static_poses import FINE_OCTAVE_BELOW, MAX_IMAGE_SIZE
 from devrf.capture.cores import usable_cores
-from devrf.capture.frames import CameraFrames
 from devrf.pipelines.stage import StageContext
+
+if TYPE_CHECKING:  # at run time it brings OpenCV, which a data set with its own flow does not need
+    from devrf.capture.frames import CameraFrames
 
 BASE = 420_000_000  # bytes: Python with NumPy, SciPy, OpenCV and PyTorch; 0.36 to 0.41 GB
 SFM_WORKER = 160_000_000  # bytes: the process of pycolmap with nothing to do
@@ -31,7 +34,7 @@ SIDES_PX = (
 )  # of the sweep's pictures; features below that are too few to match
 
 
-def swept_at_once(context: StageContext, sweep: CameraFrames) -> tuple[int, int]:
+def swept_at_once(context: StageContext, sweep: "CameraFrames") -> tuple[int, int]:
     """Pictures of the sweep that are searched for features at once, and the longer side at which they are, pixels.
 
     A smaller side only where not even one picture fits at a larger one.
@@ -43,7 +46,7 @@ def swept_at_once(context: StageContext, sweep: CameraFrames) -> tuple[int, int]
     return fitting(context, base, _sift_bytes(sweep, side_px)), side_px
 
 
-def registered_at_once(context: StageContext, cameras: Sequence[CameraFrames], sweep_pictures: int) -> int:
+def registered_at_once(context: StageContext, cameras: "Sequence[CameraFrames]", sweep_pictures: int) -> int:
     """Pictures of fixed cameras that are searched for features at once."""
     pixels = max(camera.width * camera.height for camera in cameras)
     base = BASE + SFM_WORKER + BOARD * pixels + REGISTERED * sweep_pictures
@@ -66,7 +69,7 @@ def fitting(context: StageContext, base: int, each: int) -> int:
     return count
 
 
-def _sift_bytes(camera: CameraFrames, side_px: int) -> int:
+def _sift_bytes(camera: "CameraFrames", side_px: int) -> int:
     """Of a picture as SIFT blurs it: reduced, or doubled where it is small."""
     longest = max(camera.width, camera.height)
     scale = min(1.0, side_px / longest) * (2 if longest <= FINE_OCTAVE_BELOW else 1)

@@ -102,7 +102,8 @@ def _opencv_stereo(views: dict[str, list[BoardView]], spec: BoardSpec) -> float:
     one, two = ([(v.xy - 0.5).astype(np.float32) for v in of] for of in zip(*pairs, strict=True))
     (_, K1, lens1), (_, K2, lens2) = (_opencv_mono(views[side], spec) for side in ("left", "right"))
     there, guessed = [spec.corners.astype(np.float32)] * len(pairs), cv2.CALIB_USE_INTRINSIC_GUESS
-    return float(cv2.stereoCalibrate(there, one, two, K1, lens1, K2, lens2, (640, 480), flags=guessed)[0])
+    found = cv2.stereoCalibrate(there, one, two, K1, lens1, K2, lens2, (640, 480), flags=guessed)
+    return float(found[0])
 
 
 def _pose2sim(prefix: str, folder: Path) -> list[Row]:
