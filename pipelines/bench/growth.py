@@ -104,7 +104,7 @@ def _trained(bench: Bench, resolution: int | None, axis: str) -> Grown:
         "psnr": result["test"]["psnr"],
         "keys": float(result["train"]["keys"]),
     }
-    return Grown(axis, bench.out.name if axis == "moving" else f"{at[axis]:g}", at[axis], came_to)
+    return Grown(axis, bench.out.name if axis == "moving" else f"{at[axis]:g}", float(at[axis]), came_to)
 
 
 def _points(found: Sequence[Grown], axis: str, cost: str) -> list[tuple[float, float]]:

@@ -27,7 +27,7 @@ def film(path: Path, frames: int, bit_rate: int = BIT_RATE, seed: int = 0) -> Pa
             for n, clean in enumerate(filmed(frames, seed))
         )
         partial = path.with_suffix(".part.mp4")
-        write_video(partial, noisy, FPS, {"b": str(bit_rate), "preset": "veryfast", "g": str(FPS)})
+        write_video(partial, noisy, float(FPS), {"b": str(bit_rate), "preset": "veryfast", "g": str(FPS)})
         partial.rename(path)
     return path
 

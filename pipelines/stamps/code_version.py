@@ -38,12 +38,15 @@ RUNNER_FILES = (
 )
 NO_RESULTS = ("jaxtyping", "psutil")  # libraries that check or look at processes, and compute nothing
 
+_TEMPLATES = (
+    "templates"  # a folder; what is in it, and the data files beside it, which it may include, count whole
+)
 _IMPORT = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]*(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.MULTILINE
 )
 _COMMENT = re.compile(r"#[^\n]*")
 _DATA_FILE = r"[\w-]+\.(?:css|js|html|json)"
-_NAMED = re.compile(rf"""["'](devrf\.[\w.]+|{_DATA_FILE})["']""")
+_NAMED = re.compile(rf"""["'](devrf\.[\w.]+|{_DATA_FILE}|{_TEMPLATES})["']""")
 _RELEASE = re.compile(r"(\d+)(?:\.(\d+))?[\d.]*(?:\.post\d+)?(?:\+.*)?")
 
 
@@ -104,6 +107,9 @@ def sources(module: str) -> dict[str, Path]:
         todo += new
         seen |= new
         found |= {f"{name}:{word}": path.parent / word for word in named if (path.parent / word).is_file()}
+        if _TEMPLATES in named:
+            beside = (file for file in path.parent.rglob("*.*") if re.fullmatch(_DATA_FILE, file.name))
+            found |= {f"{name}:{file.relative_to(path.parent).as_posix()}": file for file in beside}
     return found
 
 

@@ -119,14 +119,14 @@ def test_a_picture_that_ends_early_is_seen_before_anything_starts(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_data_set_without_scene_yaml_says_what_to_write(
+def test_a_data_set_without_scene_yaml_says_who_writes_one(
     devrf: Callable, odd_scene: Scene, tmp_path: Path
 ) -> None:
     for name in ("nerfstudio", "devrf", "llff", "blender", "colmap"):
         write_dataset(name, odd_scene, tmp_path / name, _flow_of_nothing)
         result = devrf("status", tmp_path / name)
-        assert result.code == 2 and f"format: {name}, path: {tmp_path / name}" in result.err
-    assert "no such folder" in devrf("status", tmp_path / "nowhere" / "scene.yaml").err
+        assert result.code == 2 and f"devrf-pipeline init {tmp_path / name}" in result.err
+    assert "no such file" in devrf("status", tmp_path / "nowhere" / "scene.yaml").err
 
 
 def _flow_of_nothing(frame):

@@ -167,7 +167,7 @@ def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> No
 @pytest.mark.parametrize("key", GONE)
 def test_keys_that_are_gone_are_named_so(folder: Path, key: str) -> None:
     """As one mistake; a name in the table is no key."""
-    assert mistakes(folder, GOOD, (f"{key}=1",)) == [f"--set {key}: {GONE[key]}"]
+    assert mistakes(folder, GOOD, (f"{key}=1",)) == [f"--set {key}: is no longer a key: {GONE[key]}"]
 
 
 def test_every_mistake_at_once(folder: Path) -> None:

@@ -103,7 +103,8 @@ def test_code_version_follows_imports() -> None:
     assert {"devrf.pipelines.stages.flow", "devrf.flow.dis", "devrf.capture.scene"} <= flow.keys()
     assert not any(name.startswith(("devrf.reconstruct", "devrf.pipelines.config.scene")) for name in flow)
     report = sources("devrf.pipelines.stages.report")
-    assert any(name.endswith(":report.css") for name in report)  # a file beside the code counts too
+    beside = {name.split(":")[1] for name in report if ":" in name}  # what lies beside the code counts too
+    assert {"report.css", "report.js", "templates/page.html", "templates/summary.html"} <= beside
 
 
 def test_code_version_changes_with_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
