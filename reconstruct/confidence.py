@@ -155,7 +155,8 @@ class Confidence:
         """Each moving camera's witness nearest in time, and where points are then."""
         if time is None:
             return []
-        nearest = [min(clip, key=lambda w: abs((w.time or 0.0) - time)) for clip in self.fixed.values()]
+        at: float = time
+        nearest = [min(clip, key=lambda w: abs((w.time or 0.0) - at)) for clip in self.fixed.values()]
         return [(w, moved(self.model, now, time, w.time)) for w in nearest]
 
 

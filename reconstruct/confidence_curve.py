@@ -46,7 +46,7 @@ def curve(pictures: Sequence[Float64[np.ndarray, "2 _"]], absent: str) -> dict[s
     return {
         "pixels": n,
         **_rms(pairs),
-        "spearman": float(spearmanr(*pairs).statistic) if varies else 0.0,
+        "spearman": float(np.asarray(spearmanr(*pairs))[0]) if varies else 0.0,
         "bins": [{"share": part.shape[1] / n, **_rms(part)} for part in parts if part.size],
     }
 

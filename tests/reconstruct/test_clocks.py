@@ -55,7 +55,8 @@ def test_a_late_camera_is_seen_where_the_motion_is_right(ball, moving: Scene, re
     rays = RaySet(wrong.dynamic, 1.0, "white")
     looked_at = replace(rest, canonical=rest.canonical.seen_with(1.0, 1e-3, 1e-3))
     around = PixelSurroundings(DynamicModel(rest), rays)
-    names, changing, offset = [f.camera_name for f in wrong.dynamic], changing_pixels(rays), 0.0
+    names, changing = [f.camera_name for f in wrong.dynamic], changing_pixels(rays)
+    offset, std = 0.0, np.zeros(4)
     for _ in range(2):  # the second time finds little to change
         pictures = SHIFTS + offset * np.array([[name == "cam1"] for name in names])
         times = rays.times[:, None] + (GAP_S * torch.from_numpy(pictures)).float()
