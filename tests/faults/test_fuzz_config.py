@@ -57,7 +57,7 @@ BASES: dict[str, dict[str, Any]] = {
             "rig": {"method": "auto", "known_distance_m": 1.5},
             "colour": {"method": "auto", "chart": {"static": "photo.png", "cam0": "photo.png"}},
         },
-        "flow": {"method": "dis", "preset": "medium"},
+        "flow": {"method": "dis"},
         "reconstruct": {"image_scale": 0.5, "resolution": 64, "rays": 4096, "seed": 3, "key_times": 5},
         "budget": {"memory_gb": 4, "gpu_memory_gb": 4.0, "disk_gb": 100, "time_minutes": 60},
         "evaluate": {"holdout_every": 8, "lpips_weights": None, "truth": None},

@@ -136,7 +136,7 @@ def _run(
     low_share: float = 0.1,
     known: Callable | None = None,
 ) -> dict:
-    render = _known(moves)(context.run_dir, "cpu", None)
+    render = _known(moves)(context.run_dir, "cpu")
     shares = {
         "moves": True,
         "low_above": 32.0,
