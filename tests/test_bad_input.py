@@ -233,6 +233,7 @@ def test_a_clip_that_ends_early(devrf: Callable, tmp_path: Path, material: Path)
     assert "Traceback" not in result.said
 
 
+@pytest.mark.full
 def test_clips_without_sound_fall_back_to_motion(devrf: Callable, tmp_path: Path, material: Path) -> None:
     silent = {name: str(material / f"silent_{name}.mp4") for name in ("cam0", "cam1")}
     path = scene(tmp_path, material, cameras=silent)
@@ -285,6 +286,7 @@ def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, mate
     assert (tmp_path / "run" / "ingest" / "stamp.json").exists()
 
 
+@pytest.mark.full
 def test_a_board_that_is_never_seen(devrf: Callable, tmp_path: Path, material: Path) -> None:
     board = {
         "squares": [8, 6],
@@ -298,6 +300,7 @@ def test_a_board_that_is_never_seen(devrf: Callable, tmp_path: Path, material: P
     assert "cam0" in result.err and "board" in result.err
 
 
+@pytest.mark.full
 def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: Path, material: Path) -> None:
     path = scene(tmp_path, material, cameras=cameras(material, "elsewhere.mp4"))
     result = devrf("run", path, "--until", "rig", "--set", "calibration.sync.method=none")
@@ -334,6 +337,7 @@ def fill(folder: Path) -> None:
             pass
 
 
+@pytest.mark.full
 def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk: Path) -> None:
     """Found before the start, or while a stage writes: folder and remedy are named, what was made is kept."""
     path, run_dir = scene(tmp_path, material), small_disk / "run"

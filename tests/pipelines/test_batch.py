@@ -55,6 +55,7 @@ def whole(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_a_bad_scene_stops_no_other(whole: Path) -> None:
     rows = by_name(whole / "out")
     assert {name: row["state"] for name, row in rows.items()} == {
@@ -68,6 +69,7 @@ def test_a_bad_scene_stops_no_other(whole: Path) -> None:
     assert not (whole / "broken/run").exists()  # seen before anything was started
 
 
+@pytest.mark.full
 def test_the_summary_says_what_the_stages_left(whole: Path) -> None:
     batch = summary(whole / "out")
     assert batch["finished"] and batch["code"] == BAD_INPUT
@@ -82,6 +84,7 @@ def test_the_summary_says_what_the_stages_left(whole: Path) -> None:
     assert Path(row["report"]) == whole / "a/run/report/index.html"
 
 
+@pytest.mark.full
 def test_a_rerun_does_only_what_is_missing(whole: Path, devrf: Command) -> None:
     ids = {p: p.read_text() for p in whole.glob("*/run/*/stamp.json")}
     again = ("--device", "cpu", "--out", whole / "again")
@@ -94,6 +97,7 @@ def test_a_rerun_does_only_what_is_missing(whole: Path, devrf: Command) -> None:
     assert {name: row["made"] for name, row in by_name(whole / "again").items()} == {"a": [], "b": ["report"]}
 
 
+@pytest.mark.full
 def test_the_files_of_a_fresh_scene_are_not_opened(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its stamps tell all there is to know: a batch of which most is done begins at once."""
 

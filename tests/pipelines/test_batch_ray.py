@@ -89,6 +89,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
         return []
 
 
+@pytest.mark.full
 def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path) -> None:
     batch = start_batch(tmp_path, nodes, ["a", "b", "c"], 100_000)
     wait_for(lambda: len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2, process=batch)
@@ -109,6 +110,7 @@ def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path)
     assert not list(tmp_path.glob("*/run/.lock")) and not list(tmp_path.glob("*/run/.new-*"))
 
 
+@pytest.mark.full
 def test_all_scenes_finish_though_a_node_is_killed(
     nodes: Nodes, tmp_path: Path, faults: Literal["small", "full"], figures: Figures
 ) -> None:

@@ -161,6 +161,7 @@ def test_nothing_is_laid_out_where_a_run_works(tmp_path: Path, scratch: Path) ->
         assert (here.scene.parent / "in use").exists()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("missing", [False, True])
 def test_a_stage_that_is_damaged_in_the_store_is_made_anew(
     tmp_path: Path, scratch: Path, missing: bool
@@ -180,6 +181,7 @@ def test_a_stage_that_is_damaged_in_the_store_is_made_anew(
     assert code == DONE and rows["a"]["made"] == [] == rows["a"]["nodes"]
 
 
+@pytest.mark.full
 def test_damage_that_only_the_next_stage_meets_is_mended_too(tmp_path: Path, scratch: Path) -> None:
     tiny_scene(tmp_path, "a")
     url = f"file://{tmp_path}/store"
@@ -233,6 +235,7 @@ def test_a_store_that_does_not_answer_is_an_error(
         monkeypatch.undo()
 
 
+@pytest.mark.full
 def test_raw_files_are_read_once(tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny_scene(tmp_path, "a")
     tiny_scene(tmp_path, "b")
@@ -252,6 +255,7 @@ def test_raw_files_are_read_once(tmp_path: Path, scratch: Path, monkeypatch: pyt
     assert not read
 
 
+@pytest.mark.full
 def test_another_machine_goes_on_from_the_store(
     tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -369,6 +373,7 @@ def test_files_outside_of_the_scenes_folder_come_too(tmp_path: Path) -> None:
     assert len(found.files) == 1 + 1 + 9
 
 
+@pytest.mark.full
 def test_a_data_set_beside_its_scene_file_comes(tmp_path: Path, scratch: Path) -> None:
     scene = tiny_scene(tmp_path, "a")
     for path in (tmp_path / "a/data").iterdir():

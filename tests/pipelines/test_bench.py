@@ -75,6 +75,7 @@ def _rows(path: Path) -> dict[str, dict]:
     return {row["name"]: row for row in content["rows"]}
 
 
+@pytest.mark.full
 def test_ablation_measures_every_variant_beside_the_paper(ablation: tuple[Path, str]) -> None:
     out, _ = ablation
     rows = _rows(out / "ablation.json")
@@ -91,6 +92,7 @@ def test_ablation_measures_every_variant_beside_the_paper(ablation: tuple[Path, 
     assert (out / "ablation.png").stat().st_size > 10_000
 
 
+@pytest.mark.full
 def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], dataset: Path) -> None:
     out, _ = ablation
     files = sorted(out.glob("seed*/*/metrics.json"))
@@ -101,6 +103,7 @@ def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], datase
     assert before == {file: file.stat().st_mtime_ns for file in files}
 
 
+@pytest.mark.full
 def test_rows_that_cannot_be_written_are_refused_before_training(
     devrf: Any, dataset: Path, tmp_path: Path
 ) -> None:
@@ -113,12 +116,14 @@ def test_rows_that_cannot_be_written_are_refused_before_training(
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.full
 def test_the_table_is_whole_in_a_pipe(ablation: tuple[Path, str]) -> None:
     _, said = ablation
     assert "…" not in said
     assert "ablation/cycle/test_moving/psnr" in said and "not measured" in said
 
 
+@pytest.mark.full
 def test_some_variants_only(devrf: Any, dataset: Path, ablation: tuple[Path, str], tmp_path: Path) -> None:
     out, _ = ablation
     _bench(
@@ -131,6 +136,7 @@ def test_some_variants_only(devrf: Any, dataset: Path, ablation: tuple[Path, str
     assert "tvv" in wrong and "c2f" in wrong
 
 
+@pytest.mark.full
 def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path) -> None:
     chosen = (
         "--preset",
@@ -244,6 +250,7 @@ def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Pa
     assert (tmp_path / "views.png").is_file()
 
 
+@pytest.mark.full
 def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: Path) -> None:
     choice = ("--presets", "fast,reference", "--efforts", "0.5,1", "--every", "0.3")
     choice += ("--set-for", "reference:reconstruct.key_times=2")
@@ -302,6 +309,7 @@ def test_a_front_holds_what_no_other_beats() -> None:
     assert [one.case.name for one in pareto(found, "megabytes")] == ["slow and good"]
 
 
+@pytest.mark.full
 def test_growth_is_measured_along_every_axis(devrf: Any, dataset: Path, tmp_path: Path) -> None:
     less = tmp_path / "less.yaml"
     less.write_text(f"name: less\ndataset: {{format: devrf, path: {dataset}, frame_stride: 2}}\n")
@@ -330,6 +338,7 @@ def test_growth_is_measured_along_every_axis(devrf: Any, dataset: Path, tmp_path
     assert "--strides 2.5,1: expected whole numbers" in wrong
 
 
+@pytest.mark.full
 def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path: Path) -> None:
     """benchmarks/gpu.sh as a user calls it, on the CPU at a small size, where no vision or video library is."""
     script = tmp_path / "repository" / "benchmarks"

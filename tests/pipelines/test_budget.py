@@ -113,6 +113,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tmp_path: Path) -> None:
     """In processes of their own, as if there were 16 cores; the disk is slow, so that all are at work at once."""
     program = (

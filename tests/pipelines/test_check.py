@@ -58,6 +58,7 @@ def turned(room: np.ndarray, degrees: float) -> np.ndarray:
 # --- the example ---
 
 
+@pytest.mark.full
 def test_the_example_is_a_go(devrf: Callable, tmp_path: Path) -> None:
     result = devrf(
         "check", EXAMPLE, "--set", f"output={tmp_path / 'run'}", "--json", tmp_path / "new" / "rows.json"

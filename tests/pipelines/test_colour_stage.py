@@ -108,6 +108,7 @@ def miss(colours: Colours, name: str) -> float:
 # --- by surface points ---
 
 
+@pytest.mark.full
 def test_the_looks_are_found(matched: Path) -> None:
     colours = read_colours(matched / "colour")
     assert colours.reference == "cam0"
@@ -132,6 +133,7 @@ def test_the_looks_are_found(matched: Path) -> None:
     assert colours.total.after < colours.total.before / 5
 
 
+@pytest.mark.full
 def test_pictures_of_the_scene_carry_them(matched: Path) -> None:
     scene = read_scene(matched / "scene")
     colours = read_colours(matched / "colour")
@@ -156,6 +158,7 @@ def test_pictures_of_the_scene_carry_them(matched: Path) -> None:
         assert frame.look == Look(colours.cameras[name].matrix)
 
 
+@pytest.mark.full
 def test_a_test_camera_that_differs_is_named(matched: Path) -> None:
     rows = read(matched / "colour" / "health.json")["rows"]
     assert [row["verdict"] for row in rows] == ["ok", "ok", "warn"]
@@ -164,6 +167,7 @@ def test_a_test_camera_that_differs_is_named(matched: Path) -> None:
     assert "Film one colour chart with witness and cam0" in rows[2]["remedy"]
 
 
+@pytest.mark.full
 def test_nothing_is_matched_where_that_is_switched_off(matched: Path, session: Path, tmp_path: Path) -> None:
     colours, rows = again(session, tmp_path / "colour", "method=none")
     assert colours.reference is None and all(colours.look(name, 0) is None for name in LOOKS)
@@ -173,6 +177,7 @@ def test_nothing_is_matched_where_that_is_switched_off(matched: Path, session: P
 # --- by a chart ---
 
 
+@pytest.mark.full
 def test_a_chart_of_every_camera(matched: Path, session: Path, tmp_path: Path) -> None:
     colours, rows = again(session, tmp_path / "colour", "method=chart", charts(*LOOKS))
     assert {name: c.source for name, c in colours.cameras.items()} == dict.fromkeys(LOOKS, "chart") | {
@@ -185,6 +190,7 @@ def test_a_chart_of_every_camera(matched: Path, session: Path, tmp_path: Path) -
     assert colours.look("witness", 3) == Look(colours.cameras["witness"].matrix)
 
 
+@pytest.mark.full
 def test_a_chart_goes_before_points(matched: Path, session: Path, tmp_path: Path) -> None:
     colours, _ = again(session, tmp_path / "colour", charts("cam0", "cam1"))
     assert {n: c.source for n, c in colours.cameras.items()} == {
@@ -195,6 +201,7 @@ def test_a_chart_goes_before_points(matched: Path, session: Path, tmp_path: Path
     }
 
 
+@pytest.mark.full
 def test_a_chart_filmed_in_other_light_is_named(matched: Path, session: Path, tmp_path: Path) -> None:
     """Both charts in the scene's light agree with its surface points; one with two thirds of the light does not."""
     _, rows = again(session, tmp_path / "agrees", charts("cam0", "cam1"))
@@ -209,6 +216,7 @@ def test_a_chart_filmed_in_other_light_is_named(matched: Path, session: Path, tm
     assert abs(dim.value - np.log2(1.5)) < agrees.value + 0.03
 
 
+@pytest.mark.full
 def test_a_picture_without_a_chart_stops_the_run(devrf: Command, matched: Path, session: Path) -> None:
     write_png(session.parent / "wall.png", room.show(STANDS["cam1"]).rgb)
     chart = "calibration.colour.chart={cam0: chart_cam0.png, cam1: wall.png}"

@@ -116,6 +116,7 @@ def test_a_film_is_a_camera_path_that_is_filmed_again(scene: Path) -> None:
         assert getattr(animated, "n_frames", 1) == 8 and animated.size == (48, 36)
 
 
+@pytest.mark.full
 def test_a_stopped_film_goes_on_and_a_finished_one_stays(scene: Path, capsys: pytest.CaptureFixture) -> None:
     """Killed at a random moment by the real signal; then no picture is made twice."""
     options = ["--path", "spiral", "--size", "200x150", "--seconds", "3", "--fps", "8", "--speed", "0.5"]

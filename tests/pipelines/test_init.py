@@ -229,6 +229,7 @@ def test_names_become_cameras_and_the_file_is_what_run_takes(tmp_path: Path) -> 
 # --- the command ---
 
 
+@pytest.mark.full
 def test_the_example_without_its_scene(devrf: Callable, tmp_path: Path) -> None:
     """Every role of the example from its clips alone; the truth beside them is not read."""
     for clip in EXAMPLE.glob("*.mp4"):

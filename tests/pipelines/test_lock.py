@@ -154,6 +154,7 @@ def test_who_has_lost_it_is_told_and_leaves_it_alone(tmp_path: Path) -> None:
     assert (tmp_path / LOCK).read_text() == "another's"
 
 
+@pytest.mark.full
 def test_of_many_that_start_at_once_one_gets_it(tmp_path: Path) -> None:
     code = HOLD.replace("Lock(", "while time.time() < float(sys.argv[2]): pass\nLock(").replace(
         "sleep(60)", "sleep(2)"

@@ -188,6 +188,7 @@ def test_what_benchmarks_measured_is_shown(full_run):
     assert "motion blur" in page.text and NASTY in page.text and "and 1 more" in page.text
 
 
+@pytest.mark.full
 def test_a_page_that_would_be_too_large_gives_up_the_film_then_pictures_and_says_so(
     full_run, tmp_path, monkeypatch
 ):
@@ -249,7 +250,9 @@ FILES = (
 )
 
 
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize(
+    "file", [*FILES[:2], *(pytest.param(file, marks=pytest.mark.full) for file in FILES[2:])]
+)
 def test_no_damaged_file_stops_it(full_run, tmp_path, file):
     for entry in full_run.iterdir():
         (tmp_path / entry.name).symlink_to(entry)
