@@ -260,7 +260,9 @@ def _attempt(
         options.random_seed = SEED
         options.num_threads = MAPPER_THREADS
         if not held:
-            pycolmap.calibrate_view_graph(str(database))
+            focal_lengths = pycolmap.ViewGraphCalibrationOptions()
+            focal_lengths.random_seed = SEED  # it estimates relative poses anew
+            pycolmap.calibrate_view_graph(str(database), focal_lengths)
         options.mapper.bundle_adjustment.refine_focal_length = not held
         options.mapper.bundle_adjustment.refine_extra_params = not held
         models = pycolmap.global_mapping(str(database), job["image_path"], str(output), options)

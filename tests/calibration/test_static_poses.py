@@ -1,9 +1,11 @@
 """Structure from motion of rendered pictures with known poses; the worker process when things go wrong."""
 
 import json
+import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from devrf.calibration.sweep import sfm_process
 from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.sfm_process import run_job
-from devrf.calibration.sweep.static_poses import read_static_poses, recover_static_poses
+from devrf.calibration.sweep.static_poses import SweepOptions, read_static_poses, recover_static_poses
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.errors import CalibrationError, HealthError
 
@@ -51,9 +53,18 @@ def test_what_is_left_on_disk(corner):
 
 
 @pytest.mark.full
-def test_the_same_pictures_give_the_same_model(corner, tmp_path):
-    again = corner.corner.recover(tmp_path)
-    for a, b in zip(corner.model.cameras, again.cameras, strict=True):
+@pytest.mark.parametrize("mapper", ["incremental", "global"])
+def test_the_same_pictures_give_the_same_model(corner, tmp_path, mapper):
+    """On all cores as on one: how pairs fall to threads decides nothing."""
+    options, cores = SweepOptions(mapper=mapper), os.sched_getaffinity(0)
+    pictures = replace(corner.corner, exif={})  # focal lengths are found from pairs
+    one = pictures.recover(tmp_path / "all", options)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        other = pictures.recover(tmp_path / "one", options)
+    finally:
+        os.sched_setaffinity(0, cores)
+    for a, b in zip(one.cameras, other.cameras, strict=True):
         np.testing.assert_array_equal(a.cam_from_world, b.cam_from_world)
 
 
