@@ -62,7 +62,9 @@ def supervised(work: Callable[[], None]) -> None:
     if child:
         os.close(write)
         os.setpgid(child, child)  # both do it: neither can know who is first
-        sys.exit(_Supervisor(child, read, waited).exit_code())
+        code = _Supervisor(child, read, waited).exit_code()
+        _hear_no_more()
+        sys.exit(code)
     os.close(read)
     os.setpgid(0, 0)
     die_with_parent(parent)
@@ -75,8 +77,13 @@ def supervised(work: Callable[[], None]) -> None:
     except KeyboardInterrupt:
         sys.exit(STOPPED)
     finally:
-        for sign in (signal.SIGINT, signal.SIGTERM):  # too late: the exit code is settled
-            signal.signal(sign, signal.SIG_IGN)
+        _hear_no_more()
+
+
+def _hear_no_more() -> None:
+    """Too late: the exit code is settled. As Python leaves, it would give handlers back, and die by the signal."""
+    for sign in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(sign, signal.SIG_IGN)
 
 
 def tell(**facts: str | int | None) -> None:

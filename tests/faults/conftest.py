@@ -40,7 +40,9 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run() -> Iterator[Fuzzer]:
-    """What takes hostile input."""
-    with fuzzer() as one:
-        yield one
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzer]:
+    """What takes hostile input; a generated `~` is an empty folder for it and for all processes beside it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HOME", str(tmp_path_factory.mktemp("home")))
+        with fuzzer() as one:
+            yield one

@@ -164,6 +164,22 @@ def test_who_needs_longer_to_end_in_order_may_say_so() -> None:
     assert started.returncode == 7
 
 
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_that_comes_as_python_leaves_changes_no_exit_code(sign: signal.Signals) -> None:
+    """Sent by the parent to itself, when its modules are taken down and its handlers are gone."""
+    code = (
+        "import os, sys\n"
+        "from devrf.pipelines.runner.supervise import supervised\n"
+        "class Late:\n"
+        "    def __init__(self, kill, pid): self.kill, self.pid = kill, pid\n"
+        f"    def __del__(self): self.kill(self.pid, {int(sign)})\n"
+        "late = Late(os.kill, os.getpid())\n"
+        "supervised(lambda: os._exit(7))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (7, "")
+
+
 def test_the_parent_is_small(tiny: Tiny) -> None:
     """When it forks, nothing heavy has been imported and there is one thread."""
     code = (

@@ -103,7 +103,6 @@ def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], datase
     assert before == {file: file.stat().st_mtime_ns for file in files}
 
 
-@pytest.mark.full
 def test_rows_that_cannot_be_written_are_refused_before_training(
     devrf: Any, dataset: Path, tmp_path: Path
 ) -> None:
