@@ -9,6 +9,7 @@ from ipaddress import ip_address
 from devrf.capture.errors import DevrfError, InputError
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
+from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.runner.lock import is_held
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.runner.signals import stopped_by_signals
@@ -66,7 +67,8 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
             talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
             threading.Event().wait()
         finally:
-            site.close()
+            if not site.close():
+                os._exit(STOPPED)  # Python would crash where it took itself apart beside native code
 
 
 def _check_free(host: str, port: int) -> None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LOOK_EVERY_S = 1.0  # at the run folder
 IDLE_S = 1.0  # longest wait for something to paint ...
 PLAYING_S = 1 / 120  # ... and where time runs
-ENDING_S = 12.0  # for a thread that learns how sure pictures are; the command's parent waits for 15
+ENDING_S = 1.0  # for a part of a picture
 CHUNK_CPU = 1 << 12  # rays between two looks at what is wanted
 TRY_SCALE = 0.1  # of the picture with which kernels are made ready
 
@@ -79,13 +79,18 @@ class Site:
         self.server.on_client_connect(self._welcome)
         self.server.on_client_disconnect(self._farewell)
 
-    def close(self) -> None:
-        """End, as soon as the part of a picture is done that is being rendered."""
+    def close(self) -> bool:
+        """End, as soon as the part of a picture is done that is being rendered.
+
+        Returns:
+            Whether it is: compiling kernels and learning how sure pictures are take longer, and cannot be broken off.
+        """
         self._closed.set()
         self._wanted.set()
         self._thumbnails.end()
         self.server.stop()
-        self._thread.join(ENDING_S)  # Python must not end while it is in native code
+        self._thread.join(ENDING_S)
+        return not self._thread.is_alive()
 
     def standing(self) -> str:
         """What is said of the run, HTML."""

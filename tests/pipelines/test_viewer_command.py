@@ -66,8 +66,9 @@ def test_it_reads_only_and_ends_at_once(odd_scene: Scene, tmp_path: Path, sign: 
     out = tmp_path / "said"
     with out.open("w") as file:
         process = subprocess.Popen(
-            [*command, "--host", host, "--port", str(port)], stdout=file, stderr=subprocess.STDOUT
-        )
+            [*command, "--host", host, "--port", str(port)], stdout=file, stderr=subprocess.STDOUT,
+            env=os.environ | {"WARP_CACHE_PATH": str(tmp_path / "kernels")},  # compiled while it is to end
+        )  # fmt: skip
         wait_for(lambda: "Ctrl-C ends it" in out.read_text(), process=process)
         with socket.create_connection(("127.0.0.1", port), timeout=10) as page:
             page.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
