@@ -51,5 +51,5 @@ def errors_told(talk: Talk) -> Iterator[None]:
     try:
         yield
     except DevrfError as error:
-        talk.error(str(error))
+        talk.error(str(error), error.code)
         raise typer.Exit(code_of(error)) from None

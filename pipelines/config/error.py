@@ -10,4 +10,7 @@ class ConfigError(InputError):
 
     def __init__(self, mistakes: Iterable[str]) -> None:
         self.mistakes = tuple(dict.fromkeys(mistakes))
-        super().__init__("\n".join(self.mistakes))
+        super().__init__("configuration", "\n".join(self.mistakes))
+
+    def __reduce__(self) -> tuple[type["ConfigError"], tuple[tuple[str, ...]]]:
+        return type(self), (self.mistakes,)

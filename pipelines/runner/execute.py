@@ -93,7 +93,7 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
     try:
         return work()
     except DevrfError as error:
-        run.talk.error(str(error))
+        run.talk.error(str(error), error.code)
         return code_of(error)
     except KeyboardInterrupt:
         run.talk.error("stopped; finished stages are kept, the next run goes on from there")
