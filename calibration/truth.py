@@ -76,8 +76,9 @@ def read_truth(path: Path) -> Truth:
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
+            "file-damaged",
             f"{path}: not a ground truth ({error!r}); expected static and cams with world_from_camera poses, "
-            "see evaluate.truth"
+            "see evaluate.truth",
         ) from error
 
 

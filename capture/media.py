@@ -21,11 +21,13 @@ MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises again
 def check_file(path: Path) -> None:
     """Raise InputError unless `path` is a file with something in it."""
     if not path.exists():
-        raise InputError(f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)")
+        raise InputError(
+            "file-missing", f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)"
+        )
     if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a video file")
+        raise InputError("file-is-folder", f"{path}: is a folder, expected a video file")
     if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty (0 bytes); copy it from the camera again")
+        raise InputError("file-empty", f"{path}: the file is empty (0 bytes); copy it from the camera again")
 
 
 def open_media(path: Path) -> InputContainer:
@@ -40,12 +42,16 @@ def open_media(path: Path) -> InputContainer:
             str(path), metadata_errors="replace"
         )  # of cameras in other alphabets, and damaged
     except FFmpegError as error:
-        raise InputError(f"{path}: not a video ({_what_is_it(path, error)})") from None
+        raise InputError("file-not-video", f"{path}: not a video ({_what_is_it(path, error)})") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+        raise InputError(
+            "file-unreadable", f"{path}: cannot be read ({error.strerror}); check its permissions"
+        ) from None
     if container.format.name in TEXT_FORMATS:
         container.close()
-        raise InputError(f"{path}: not a video (it holds text); check the path in scene.yaml")
+        raise InputError(
+            "file-not-video", f"{path}: not a video (it holds text); check the path in scene.yaml"
+        )
     return container
 
 
@@ -70,10 +76,16 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        raise InputError(f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml")
+        raise InputError(
+            "video-stream-missing",
+            f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml",
+        )
     stream = streams[0]
     if stream.codec_context is None:
-        raise InputError(f"{path}: its pictures are coded in a way that is not known; convert it to H.264")
+        raise InputError(
+            "video-coding-unknown",
+            f"{path}: its pictures are coded in a way that is not known; convert it to H.264",
+        )
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
         check_pixels(path, stream.codec_context.width, stream.codec_context.height, CLIP_PX)
     stream.thread_type = "AUTO"

@@ -48,11 +48,13 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
         raise
     except UnidentifiedImageError:
         raise CaptureError(
-            f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it"
+            "picture-unreadable",
+            f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it",
         ) from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes
         raise CaptureError(
-            f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
+            "picture-unreadable",
+            f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set",
         ) from error
 
 

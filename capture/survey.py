@@ -139,7 +139,8 @@ def _look_at_clip(path: Path, count: int) -> Look:
     pictures = tuple(small(run[0].rgb) for run in runs if run)
     if not pictures:
         raise CaptureError(
-            f"{path}: none of its pictures decodes at {len(times)} times; record or copy it again"
+            "video-unreadable",
+            f"{path}: none of its pictures decodes at {len(times)} times; record or copy it again",
         )
     size = info.width, info.height
     return Look(path, True, *size, len(times), info.has_audio, "", info.notes, times, pictures)

@@ -27,7 +27,8 @@ def check_folder(folder: Path, what: str) -> None:
     else:
         return
     raise InputError(
-        f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable"
+        "folder-unwritable",
+        f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable",
     )
 
 
@@ -47,5 +48,5 @@ def check_file(path: Path, what: str) -> None:
         InputError: It is a folder, or its folder cannot be written.
     """
     if path.is_dir():
-        raise InputError(f"{what} {path}: is a folder; expected the name of a file")
+        raise InputError("file-is-folder", f"{what} {path}: is a folder; expected the name of a file")
     check_folder(path.parent, what)

@@ -108,7 +108,8 @@ def synchronise(
     names = list(spans_s)
     if method == "timestamps" and not true_times:
         raise CalibrationError(
-            "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
+            "timestamps-missing",
+            "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps",
         )
     if true_times and method in ("auto", "timestamps"):
         basis = "the table of times is on one clock"
@@ -126,8 +127,9 @@ def synchronise(
         silent = [n for n in names if n not in sounds]
         if method == "audio" and silent:
             raise CalibrationError(
+                "sound-missing",
                 f"camera {', '.join(silent)}: no sound to synchronise by; set calibration.sync.method to auto, "
-                "flash or motion, or give capture.timestamps"
+                "flash or motion, or give capture.timestamps",
             )
         if silent:
             evidence.notes.append(f"camera {', '.join(silent)}: no sound")

@@ -72,7 +72,7 @@ def find_calibration(path: Path) -> Found:
             return read_singles({path.stem: (path, data)})
         if is_stereo(data):
             return read_stereo(path, data)
-    raise InputError(f"{path}: not a calibration that can be read; expected {READ}")
+    raise InputError("calibration-unread", f"{path}: not a calibration that can be read; expected {READ}")
 
 
 def find_single_files(files: Mapping[str, Path]) -> Found:
@@ -86,8 +86,9 @@ def find_single_files(files: Mapping[str, Path]) -> Found:
         data = storage(text_of(path))
         if data is None or not is_single(data):
             raise InputError(
+                "entry-missing",
                 f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}'); a file with all "
-                "cameras is named without the camera's name"
+                "cameras is named without the camera's name",
             )
         out[name] = (path, data)
     return read_singles(out)
@@ -107,7 +108,8 @@ def _from_folder(folder: Path) -> Found:
             singles[path.stem] = (path, data)
     if not singles:
         raise InputError(
+            "calibration-unread",
             f"{folder}: no calibration in this folder; expected a COLMAP model, intri.yml and extri.yml, "
-            "intrinsics.yml and extrinsics.yml, or OpenCV files, one a camera; else name the file itself"
+            "intrinsics.yml and extrinsics.yml, or OpenCV files, one a camera; else name the file itself",
         )
     return read_singles(singles)

@@ -136,11 +136,14 @@ def read_rig(path: Path) -> Rig:
         )
         return Rig(cameras, scale, data.get("route", "given"))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
+        raise InputError(
+            "file-unreadable", f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
+        ) from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
+            "file-damaged",
             f"{path}: not a rig.json ({where}{_words(error)}); expected cameras with width, height, K, distortion and "
-            "cam_from_world, as docs/formats.md says"
+            "cam_from_world, as docs/formats.md says",
         ) from None
 
 

@@ -34,7 +34,9 @@ def prepare_masks(
         InputError: No folder, no mask at all, a mask of another size, or one that ignores everything.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml")
+        raise InputError(
+            "folder-missing", f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml"
+        )
     without, problems = [], []
     for name, original in pictures.items():
         file = _find(folder, name, original)
@@ -66,8 +68,9 @@ def prepare_masks(
     if len(without) == len(pictures):
         example = next(iter(pictures.values()))
         raise InputError(
+            "mask-missing",
             f"{folder}: holds no mask of the sweep's {len(pictures)} pictures; expected names such as "
-            f"{example}.png"
+            f"{example}.png",
         )
     return without
 

@@ -71,7 +71,8 @@ def run_job(
     ended = _how_it_ended(process.returncode, timeout_s if late else None)
     if not result.is_file():
         raise CalibrationError(
-            f"structure from motion (pycolmap) {ended}; the last lines of its log ({log.name}):\n{_tail(log)}"
+            "sfm-timed-out" if late else "sfm-failed",
+            f"structure from motion (pycolmap) {ended}; the last lines of its log ({log.name}):\n{_tail(log)}",
         )
     return json.loads(result.read_text()) | {"stopped": None if process.returncode == 0 else ended}
 

@@ -126,7 +126,9 @@ def recover_static_poses(
     """
     names = sorted(name for group in groups for name in group.names)
     if len(names) < MIN_MODEL:
-        raise CalibrationError(f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer")
+        raise CalibrationError(
+            "sweep-too-short", f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer"
+        )
     metres, std_m = local_metres(places or {})
     no_gps = why_not(metres, std_m, len(names))
     nowhere = np.full(3, np.nan)
@@ -298,9 +300,10 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
     angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
     late = result["skipped_pictures"] or any(attempt["out_of_time"] for attempt in result["attempts"])
     raise HealthError(
+        "sweep-unregistered",
         f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: "
         f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
-        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {_cause(pairs, bool(late))}"
+        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {_cause(pairs, bool(late))}",
     )
 
 

@@ -60,23 +60,30 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         undo = _undone(path.with_name(DATAPARSER))
         kind = str(meta.get("camera_type", "perspective")).lower()
         if kind != "perspective":
-            raise InputError(f"{path}: camera_type is {kind}; only perspective cameras are filmed")
+            raise InputError(
+                "lens-unread", f"{path}: camera_type is {kind}; only perspective cameras are filmed"
+            )
         every_picture = bool(meta.get("camera_path"))
         entries = meta.get("camera_path") or meta.get("keyframes")
         if not isinstance(entries, list) or not 0 < len(entries) <= MOST_PICTURES:
             raise InputError(
+                "pictures-none",
                 f"{path}: neither camera_path nor keyframes lists any picture; export a camera path from nerfstudio's "
-                "viewer, or see docs/film.md for what such a file holds"
+                "viewer, or see docs/film.md for what such a file holds",
             )
         width, height = size or _size(meta, path) or usual
         cameras, times = [], []
         for number, entry in enumerate(entries):
             where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{number}]"
             if not isinstance(entry, dict):
-                raise InputError(f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov")
+                raise InputError(
+                    "entry-malformed", f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
+                )
             fov = _number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
-                raise InputError(f"{where}: fov is {fov:g}; expected degrees between 0 and 180")
+                raise InputError(
+                    "entry-out-of-range", f"{where}: fov is {fov:g}; expected degrees between 0 and 180"
+                )
             f = 0.5 * height / np.tan(0.5 * np.radians(fov))
             K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
             pose = undo(_matrix(entry.get("camera_to_world", entry.get("matrix")), where))
@@ -87,10 +94,11 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
             for key in ("fps", "seconds")
         }
     except CaptureError as error:
-        raise InputError(str(error)) from None
+        raise InputError(error.code, str(error)) from None
     if any(time is None for time in times) and any(time is not None for time in times):
         raise InputError(
-            f"{path}: some pictures have a render_time and others have none; give all of them one, or none"
+            "entry-missing",
+            f"{path}: some pictures have a render_time and others have none; give all of them one, or none",
         )
     known = tuple(time for time in times if time is not None)
     closed = bool(meta.get("is_cycle")) and not every_picture
@@ -105,7 +113,9 @@ def _matrix(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
         pose = np.array(json.loads(value) if isinstance(value, str) else value, dtype=np.float64)
         pose = pose.reshape(4, 4)
     except (TypeError, ValueError):
-        raise InputError(f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers") from None
+        raise InputError(
+            "entry-malformed", f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers"
+        ) from None
     return pose.T if np.any(pose[3, :3]) and not np.any(pose[:3, 3]) else pose
 
 
@@ -122,7 +132,7 @@ def _undone(path: Path) -> Any:
             raise ValueError(f"scale is {scale}")
     except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
         raise InputError(
-            f"{path}: cannot be used ({error}); expected transform (3 rows of 4) and scale"
+            "file-damaged", f"{path}: cannot be used ({error}); expected transform (3 rows of 4) and scale"
         ) from None
 
     def undo(pose: np.ndarray) -> np.ndarray:
@@ -146,11 +156,13 @@ def _time(entry: dict[str, Any], where: str) -> float | None:
         return None
     time = _number(value, "render_time", where)
     if not 0 <= time <= 1:
-        raise InputError(f"{where}: render_time is {time:g}, outside the clip; expected 0 to 1")
+        raise InputError(
+            "entry-out-of-range", f"{where}: render_time is {time:g}, outside the clip; expected 0 to 1"
+        )
     return time
 
 
 def _number(value: Any, key: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(f"{where}: {key} is {value!r}; expected a number")
+        raise InputError("entry-malformed", f"{where}: {key} is {value!r}; expected a number")
     return float(value)

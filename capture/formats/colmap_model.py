@@ -109,7 +109,9 @@ def read_model(folder: Path) -> Model:
             if name == "points3D":
                 parts.append({})
                 continue
-            raise CaptureError(f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model")
+            raise CaptureError(
+                "file-missing", f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model"
+            )
         try:
             check_bytes(path, MODEL_BYTES)
             parts.append(
@@ -117,7 +119,8 @@ def read_model(folder: Path) -> Model:
             )
         except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
             raise CaptureError(
-                f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
+                "file-damaged",
+                f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again",
             ) from None
     return Model(*parts)
 

@@ -110,7 +110,7 @@ def read_dataset(
             nothing at rest.
     """
     if not folder.is_dir():
-        raise CaptureError(f"data set {folder}: no such folder; check dataset.path")
+        raise CaptureError("folder-missing", f"data set {folder}: no such folder; check dataset.path")
     notes = [] if notes is None else notes
     found = READERS[dataset_format](folder, notes)
     check_sizes(found.dynamic)
@@ -132,7 +132,8 @@ def read_dataset(
         np.linalg.LinAlgError,
     ) as error:  # positions of 1e300, all at one place
         raise CaptureError(
-            f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"
+            "scene-cameras-unusable",
+            f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths",
         ) from None
 
 

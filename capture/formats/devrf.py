@@ -46,14 +46,17 @@ def write_devrf(export: Export) -> None:
     if not scene.static or not scene.dynamic:
         missing = "sweep" if not scene.static else "pictures in motion"
         raise CaptureError(
-            f"devrf holds a scene at rest and in motion, this scene has no {missing}; export to nerfstudio"
+            "scene-incomplete",
+            f"devrf holds a scene at rest and in motion, this scene has no {missing}; export to nerfstudio",
         )
     write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static, "static"), export)
     cameras = list(dict.fromkeys(f.camera_name for f in scene.dynamic))
     counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
     views = [count for count in counts if count]
     if not views:
-        raise CaptureError("devrf needs training cameras of the moving scene, this scene has none")
+        raise CaptureError(
+            "scene-incomplete", "devrf needs training cameras of the moving scene, this scene has none"
+        )
     folder = export.folder / f"dynamic_{len(views)}views"
     pinholes = Pinholes(export, scene.dynamic, folder.name)
     train = write_splits(folder, _in_order_of_time(scene.dynamic, cameras), pinholes, export)
@@ -100,8 +103,9 @@ def moving_folder(folder: Path, notes: list[str]) -> Path:
     }
     if not found or not (folder / "static").is_dir():
         raise CaptureError(
+            "folder-missing",
             f"data set {folder}: expected the folders static/ and dynamic_4views/ (format devrf); check "
-            "dataset.path and dataset.format"
+            "dataset.path and dataset.format",
         )
     chosen = found[max(found)]
     if len(found) > 1:

@@ -110,7 +110,7 @@ def check_target(folder: Path, dataset_format: str) -> None:
     earlier = marker.read_text(errors="replace").strip() if marker.is_file() else None
     if earlier != dataset_format:
         what = f"an export to {earlier}" if earlier else "files that are no export"
-        raise InputError(f"--out {folder}: holds {what}; name another folder, or empty it")
+        raise InputError("folder-exists", f"--out {folder}: holds {what}; name another folder, or empty it")
 
 
 def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[PosedFrame, ...]:
@@ -122,7 +122,9 @@ def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[P
         path = export.folder / part / f"{stem}{frame.path.suffix.lower() if as_it_is else '.png'}"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not frame.path.is_file():
-            raise CaptureError(f"{frame.path}: picture not found; run the scene again with --force scene")
+            raise CaptureError(
+                "picture-missing", f"{frame.path}: picture not found; run the scene again with --force scene"
+            )
         if as_it_is:
             shutil.copyfile(frame.path, path)
         else:
@@ -147,7 +149,10 @@ def static_of(export: Export, what: str, left_out: bool = True) -> tuple[PosedFr
     """
     scene = export.scene
     if not scene.static:
-        raise CaptureError(f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio")
+        raise CaptureError(
+            "scene-without-rest",
+            f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio",
+        )
     if scene.dynamic and left_out:
         export.notes.append(
             f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio, colmap and "
@@ -192,7 +197,8 @@ class Pinholes:
         rgba = _with_alpha(read_matted(frame, self.export.scene.background))
         if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
             raise CaptureError(
-                f"{frame.path}: picture has another size than its calibration; run again with --force scene"
+                "picture-size-wrong",
+                f"{frame.path}: picture has another size than its calibration; run again with --force scene",
             )
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])

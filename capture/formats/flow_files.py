@@ -77,8 +77,9 @@ def with_flow_files(
             continue
         if not path.is_file():
             raise CaptureError(
+                "file-missing",
                 f"{path}: flow of {frame.path.name} not found, while the folder is there; copy it again, or remove "
-                "the whole folder so that flow is computed"
+                "the whole folder so that flow is computed",
             )
         width, height = size or (frame.camera.width, frame.camera.height)
         try:
@@ -88,12 +89,13 @@ def with_flow_files(
         if found != ((height, width, 2), (height, width)):
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
             raise CaptureError(
+                "flow-size-wrong",
                 f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}; expected [{height}, {width}, 2] "
-                f"and [{height}, {width}], the size of {of}; compute the flow on the pictures of the data set"
+                f"and [{height}, {width}], the size of {of}; compute the flow on the pictures of the data set",
             )
         out.append(replace(frame, flow=path.resolve()))
     return tuple(out)
 
 
 def _damaged(what: object) -> CaptureError:
-    return CaptureError(f"{what}; expected an npz with flow and mask; copy it again")
+    return CaptureError(error.code, f"{what}; expected an npz with flow and mask; copy it again")

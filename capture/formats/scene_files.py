@@ -63,7 +63,7 @@ def with_scene_entry(scene: Scene, entry: Any, path: Path) -> Scene:
         return replace(scene, **_values(entry))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CaptureError(
-            f"{path}: {OWN_KEY} is damaged ({error}); remove the key, or export again"
+            "entry-malformed", f"{path}: {OWN_KEY} is damaged ({error}); remove the key, or export again"
         ) from None
 
 

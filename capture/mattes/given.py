@@ -41,11 +41,14 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
     hint = f" (it holds {', '.join(others[:LISTED])})" if others else ""
     if not found:
         called = " or ".join(wanted[:LISTED])
-        raise InputError(f"{folder}: no folder called {called} in it{hint}; expected one per camera")
+        raise InputError(
+            "folder-missing", f"{folder}: no folder called {called} in it{hint}; expected one per camera"
+        )
     if SWEEP in found and without:
         raise InputError(
+            "matte-missing",
             f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}; before a plain background every "
-            "picture needs one: add them, or take static away"
+            "picture needs one: add them, or take static away",
         )
     return found
 
@@ -76,7 +79,7 @@ def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
         if file is None:
             missing.append(f"{index:06d}.png" if name is None else f"{Path(name).stem}.png")
     if missing:
-        raise CaptureError(_missing(folder, missing, len(names), by_number, set(names)))
+        raise CaptureError("matte-missing", _missing(folder, missing, len(names), by_number, set(names)))
     return [file for file in found if file is not None]
 
 
@@ -94,8 +97,9 @@ def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.
         return matte
     if abs(w * height - h * width) > SAME_SHAPE * h * width:
         raise CaptureError(
+            "matte-size-wrong",
             f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright); make it from the picture as it was "
-            "filmed, not cropped or turned"
+            "filmed, not cropped or turned",
         )
     return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
 

@@ -79,7 +79,8 @@ def simulate_forward(
     check_arguments("devrf-forward", scene, size, cameras, len(PLACES))
     if max(size) > 2 * min(size):
         raise InputError(
-            f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1 (--protocol devrf-forward)"
+            "option-out-of-range",
+            f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1 (--protocol devrf-forward)",
         )
     folder = OutputFolder(
         out,
