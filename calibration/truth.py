@@ -77,8 +77,7 @@ def read_truth(path: Path) -> Truth:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
             "file-damaged",
-            f"{path}: not a ground truth ({error!r}); expected static and cams with world_from_camera poses, "
-            "see evaluate.truth",
+            f"{path}: not a ground truth ({error!r}); expected static and cams with poses, see evaluate.truth",
         ) from error
 
 

@@ -111,7 +111,7 @@ def read_wav(path: Path, start_s: float = 0.0) -> Sound:
             layout = (file.getnchannels(), file.getsampwidth())
             if layout != (1, 2):
                 raise CaptureError(
-                    "sound-format-wrong",
+                    "sound-wrong",
                     f"{path}: {layout[0]} channels of {layout[1]} bytes, expected mono 16 bit",
                 )
             pcm = np.frombuffer(file.readframes(file.getnframes()), dtype="<i2")

@@ -9,8 +9,8 @@ class DevrfError(Exception):
     """Base of every error that is the data's or the configuration's fault, not the program's.
 
     Args:
-        code: Which error it is, for programs and tests: two to four words joined by hyphens (`rig-unlinked-camera`). It stays
-            as it is when the text is put in other words.
+        code: Which error it is, for programs and tests: two to four words joined by hyphens (`rig-unlinked-camera`). It
+            stays as it is when the text is put in other words.
         text: For people: the thing, the value, what was expected, what to do.
     """
 

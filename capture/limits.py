@@ -25,9 +25,7 @@ def check_pixels(path: Path, width: int, height: int, most: int = PICTURE_PX) ->
         CaptureError: It claims more, or none.
     """
     if width < 1 or height < 1:
-        raise CaptureError(
-            "file-damaged", f"{path}: its header says {width}x{height} pixels; copy it from the camera again"
-        )
+        raise CaptureError("file-damaged", f"{path}: its header says {width}x{height} pixels; copy it again")
     if width * height > most:
         raise CaptureError(
             "picture-too-large",
@@ -61,6 +59,5 @@ def check_span(path: Path, seconds: float) -> None:
     if not seconds <= CLIP_S:
         raise CaptureError(
             "clip-too-long",
-            f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut the clip, or copy it again "
-            "if it is damaged",
+            f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut it, or copy it again",
         )

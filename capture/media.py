@@ -21,9 +21,7 @@ MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises again
 def check_file(path: Path) -> None:
     """Raise InputError unless `path` is a file with something in it."""
     if not path.exists():
-        raise InputError(
-            "file-missing", f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)"
-        )
+        raise InputError("file-missing", f"{path}: no such file; check the path (relative to scene.yaml)")
     if path.is_dir():
         raise InputError("file-is-folder", f"{path}: is a folder, expected a video file")
     if path.stat().st_size == 0:
@@ -44,14 +42,10 @@ def open_media(path: Path) -> InputContainer:
     except FFmpegError as error:
         raise InputError("file-not-video", f"{path}: not a video ({_what_is_it(path, error)})") from None
     except OSError as error:
-        raise InputError(
-            "file-unreadable", f"{path}: cannot be read ({error.strerror}); check its permissions"
-        ) from None
+        raise InputError("file-unreadable", f"{path}: cannot be read ({error.strerror})") from None
     if container.format.name in TEXT_FORMATS:
         container.close()
-        raise InputError(
-            "file-not-video", f"{path}: not a video (it holds text); check the path in scene.yaml"
-        )
+        raise InputError("file-not-video", f"{path}: not a video (it holds text); check the path")
     return container
 
 
@@ -76,14 +70,11 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        raise InputError(
-            "video-stream-missing",
-            f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml",
-        )
+        raise InputError("video-missing", f"{path}: has no video stream (it holds: {kinds}); check the path")
     stream = streams[0]
     if stream.codec_context is None:
         raise InputError(
-            "video-coding-unknown",
+            "video-unknown",
             f"{path}: its pictures are coded in a way that is not known; convert it to H.264",
         )
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells

@@ -47,15 +47,9 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
     except (DevrfError, MemoryError):
         raise
     except UnidentifiedImageError:
-        raise CaptureError(
-            "picture-unreadable",
-            f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it",
-        ) from None
+        raise CaptureError("picture-unreadable", f"{path}: not a JPEG or PNG; remove it") from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes
-        raise CaptureError(
-            "picture-unreadable",
-            f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set",
-        ) from error
+        raise CaptureError("picture-unreadable", f"{path}: {error}; make it again or remove it") from error
 
 
 def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:

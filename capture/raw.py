@@ -212,9 +212,7 @@ def _open(path: Path) -> "RawPy":
     try:
         file = rawpy.imread(str(path))
     except rawpy.LibRawError as error:
-        raise InputError(
-            "file-not-raw", f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
-        ) from None
+        raise InputError("file-not-raw", f"{path}: {_reason(error)}; convert it to DNG") from None
     try:
         check_pixels(path, file.sizes.raw_width, file.sizes.raw_height)
     except CaptureError:

@@ -168,8 +168,7 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
     if absent:
         raise InputError(
             "camera-missing",
-            f"{path}: no rows for camera {', '.join(absent)} (it has: {', '.join(rows) or 'no rows'}); "
-            "use the names of capture.cameras",
+            f"{path}: no rows for camera {', '.join(absent)} (it has {', '.join(rows) or 'none'}); see capture.cameras",
         )
     out = {}
     for name in names:
@@ -192,15 +191,11 @@ def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
         index, time_s = int(row["frame_index"]), float(row["time_s"])
     except (TypeError, ValueError):
         raise InputError(
-            "entry-malformed",
-            f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}; "
-            "expected a whole number and seconds",
+            "entry-wrong",
+            f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}; expected whole number, seconds",
         ) from None
     if index < 0 or not np.isfinite(time_s):
-        raise InputError(
-            "entry-out-of-range",
-            f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite",
-        )
+        raise InputError("entry-wrong", f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more")
     return (row["camera"] or "").strip(), index, time_s
 
 
@@ -212,10 +207,7 @@ def _check_sweep(path: Path) -> None:
         return
     pictures = _check_folder(path)
     if len(pictures) < MIN_SWEEP_FRAMES:
-        raise InputError(
-            "sweep-too-short",
-            f"{path}: {len(pictures)} picture; a sweep needs many views of the scene, at least 20",
-        )
+        raise InputError("sweep-too-short", f"{path}: {len(pictures)} picture; a sweep needs 20 or more")
 
 
 def _check_clip_or_folder(path: Path) -> None:
@@ -240,10 +232,10 @@ def _check_folder(path: Path) -> list[Path]:
             check_file(picture)
             probe_picture(picture)
         except DevrfError as error:
-            broken.append(str(error))
+            broken.append(error)
     if broken:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
-        raise InputError(broken[0] + more)
+        raise InputError(broken[0].code, f"{broken[0]}{more}")
     return pictures
 
 

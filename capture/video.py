@@ -153,8 +153,7 @@ class VideoReader:
                 self._container.close()
                 raise InputError(
                     "video-unreadable",
-                    f"{self.path}: no picture decodes ({reason}); "
-                    "expected at least one; record the clip again or leave it out",
+                    f"{self.path}: no picture decodes ({reason}); record the clip again or leave it out",
                 )
         try:
             assert self._first is not None
@@ -225,7 +224,7 @@ class VideoReader:
             pts = picture.pts if shown is None or self.decoded >= len(shown) else int(shown[self.decoded])
             if pts is None or self._stream.time_base is None:
                 raise CaptureError(
-                    "video-times-missing",
+                    "times-missing",
                     f"{self.path}: frame {self.decoded} has no timestamp (a raw stream without container?); "
                     "put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i in.h264 out.mp4`",
                 )

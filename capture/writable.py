@@ -26,10 +26,7 @@ def check_folder(folder: Path, what: str) -> None:
         reason = f"{there} takes no files"
     else:
         return
-    raise InputError(
-        "folder-unwritable",
-        f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable",
-    )
+    raise InputError("folder-unwritable", f"{what} {folder}: cannot be written ({reason}); choose another")
 
 
 def _takes_files(folder: Path) -> bool:

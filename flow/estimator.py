@@ -47,7 +47,7 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
         InputError: A `mistake`; weights that do not fit; an installed method that is no estimator.
     """
     if wrong := mistake(method, weights):
-        raise InputError("flow-method-unusable", f"flow: {wrong}")
+        raise InputError("method-unusable", f"flow: {wrong}")
     if method == "dis":
         from devrf.flow.dis import DisFlow
 
@@ -62,12 +62,12 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
         estimator = point.load()(weights, device)
     except Exception as error:  # somebody else's code: whatever it raises, the user is told whose it is
         raise InputError(
-            "flow-method-unusable",
+            "method-unusable",
             f"flow.method: {method}: {point.value} cannot be used ({type(error).__name__}: {error})",
         ) from error
     if not isinstance(estimator, FlowEstimator):
         raise InputError(
-            "flow-method-unusable",
+            "method-unusable",
             f"flow.method: {method}: {point.value} gave {type(estimator).__name__}, expected an estimator with "
             "name, parallel and estimate(image0, image1)",
         )

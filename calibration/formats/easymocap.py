@@ -39,7 +39,7 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
     names, cameras = intri.get("names"), {}
     if not isinstance(names, list):
         raise InputError(
-            "entry-malformed",
+            "entry-wrong",
             f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names",
         )
     for name in map(str, names):
@@ -67,8 +67,7 @@ def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -
     if wide:
         raise InputError(
             "lens-unwritable",
-            f"camera '{wide[0]}' has a fisheye lens, which EasyMocap's files cannot say; export to rig-opencv or "
-            "rig-kalibr",
+            f"camera '{wide[0]}' has a fisheye lens, which EasyMocap lacks; export to rig-opencv or rig-kalibr",
         )
     intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
     extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
@@ -94,8 +93,5 @@ def _other(path: Path, name: str, required: bool) -> dict[str, Any]:
     other = path.with_name(name)
     found = storage(text_of(other)) if other.is_file() else None
     if found is None and required:
-        raise InputError(
-            "file-missing",
-            f"{path}: has poses, but no K_ of any camera; expected {name} beside it; copy it there",
-        )
+        raise InputError("file-missing", f"{path}: poses, but no K_ of any camera; expected {name} beside it")
     return found or {}

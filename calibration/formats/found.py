@@ -73,10 +73,7 @@ def text_of(path: Path) -> str:
     """
     try:
         if path.stat().st_size > LARGEST_BYTES:
-            raise InputError(
-                "file-too-large",
-                f"{path}: has {path.stat().st_size / 1e6:.0f} MB; expected a calibration file",
-            )
+            raise InputError("file-too-large", f"{path}: {path.stat().st_size / 1e6:.0f} MB, no calibration")
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError("file-damaged", f"{path}: not a text file; expected a calibration file") from None
@@ -111,17 +108,17 @@ def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
-            "entry-malformed", f"{where} is {_shorten(value)}; expected {_shape_words(shape)}"
+            "entry-wrong", f"{where} is {_shorten(value)}; expected {_shape_words(shape)}"
         ) from None
     squeezed = tuple(n for n in array.shape if n != 1)
     if squeezed != tuple(n for n in shape if n != 1) and array.shape != (int(np.prod(shape)),):
         raise InputError(
-            "entry-malformed",
+            "entry-wrong",
             f"{where} has {'x'.join(map(str, array.shape)) or 'one'} number(s); expected {_shape_words(shape)}",
         )
     if not np.isfinite(array).all():
         raise InputError(
-            "entry-malformed",
+            "entry-wrong",
             f"{where} is {_shorten(array.tolist())}; expected finite numbers; calibrate again",
         )
     return array.reshape(shape)
@@ -137,7 +134,7 @@ def matrix(value: Any, where: str) -> Float[np.ndarray, "3 3"]:
     fx, skew, fy = K[0, 0], K[0, 1], K[1, 1]
     if min(fx, fy) <= 0 or abs(K[1, 0]) > 0 or not np.allclose(K[2], [0, 0, 1]):
         raise InputError(
-            "entry-malformed",
+            "entry-wrong",
             f"{where} is {K.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0",
         )
     if abs(skew) > LARGEST_SKEW * fx:
@@ -161,12 +158,12 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
         flat = np.array([] if value is None else value, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
         raise InputError(
-            "entry-malformed", f"{where} is {_shorten(value)}; expected distortion coefficients"
+            "entry-wrong", f"{where} is {_shorten(value)}; expected distortion coefficients"
         ) from None
     lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
         raise InputError(
-            "entry-malformed",
+            "entry-wrong",
             f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())}); expected "
             f"{' or '.join(map(str, lengths))} finite numbers{' of the fisheye model' if fisheye else ''}",
         )
@@ -195,7 +192,7 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
         R = Rotation.from_rotvec(array).as_matrix()
         if not np.isfinite(R).all():
             raise InputError(
-                "entry-malformed",
+                "entry-wrong",
                 f"{where}: rotation is {array.tolist()}; expected a rotation vector, radians",
             )
     else:
@@ -224,7 +221,7 @@ def size_of(pair: Any, where: str) -> tuple[int, int]:
     """
     w, h = numbers(pair, (2,), where).tolist()
     if w < 1 or h < 1 or w != round(w) or h != round(h):
-        raise InputError("entry-malformed", f"{where} is {w:g}x{h:g}; expected width and height in pixels")
+        raise InputError("entry-wrong", f"{where} is {w:g}x{h:g}; expected width and height in pixels")
     return int(w), int(h)
 
 

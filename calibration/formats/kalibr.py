@@ -76,9 +76,7 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             )
         lens = str(camera.get("distortion_model", "none"))
         if lens not in LENSES:
-            raise InputError(
-                "lens-unread", f"{where}: distortion_model is {lens!r}; expected {', '.join(LENSES)}"
-            )
+            raise InputError("lens-unread", f"{where}: distortion_model {lens!r}, not {', '.join(LENSES)}")
         if n > 0:
             step = numbers(camera.get("T_cn_cnm1"), (4, 4), f"{where}: T_cn_cnm1")
             pose(step[:3, :3], step[:3, 3], f"{where}: T_cn_cnm1")

@@ -89,7 +89,7 @@ def _values(camera: ElementTree.Element, tag: str, keys: tuple[str, ...], where:
             out.append(float(text if text is not None else "missing"))
         except ValueError:
             raise InputError(
-                "entry-malformed",
+                "entry-wrong",
                 f"{where}: {tag}.{key} is {text!r}; expected a number; export the calibration from QTM again",
             ) from None
     return out

@@ -232,6 +232,5 @@ def _check_apart(cameras: Mapping[str, RigCamera], where: str) -> None:
         if np.array_equal(first.camera.cam_from_world, second.camera.cam_from_world):
             raise InputError(
                 "poses-equal",
-                f"{where}: cameras '{a}' and '{b}' have the same pose; expected a pose each; calibrate the rig, "
-                "not only the lenses",
+                f"{where}: cameras '{a}' and '{b}' have the same pose; calibrate the rig, not only the lenses",
             )

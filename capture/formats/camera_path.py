@@ -60,9 +60,7 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         undo = _undone(path.with_name(DATAPARSER))
         kind = str(meta.get("camera_type", "perspective")).lower()
         if kind != "perspective":
-            raise InputError(
-                "lens-unread", f"{path}: camera_type is {kind}; only perspective cameras are filmed"
-            )
+            raise InputError("lens-unread", f"{path}: camera_type is {kind}; only perspective cameras film")
         every_picture = bool(meta.get("camera_path"))
         entries = meta.get("camera_path") or meta.get("keyframes")
         if not isinstance(entries, list) or not 0 < len(entries) <= MOST_PICTURES:
@@ -77,13 +75,11 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
             where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{number}]"
             if not isinstance(entry, dict):
                 raise InputError(
-                    "entry-malformed", f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
+                    "entry-wrong", f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
                 )
             fov = _number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
-                raise InputError(
-                    "entry-out-of-range", f"{where}: fov is {fov:g}; expected degrees between 0 and 180"
-                )
+                raise InputError("entry-wrong", f"{where}: fov is {fov:g}; expected degrees from 0 to 180")
             f = 0.5 * height / np.tan(0.5 * np.radians(fov))
             K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
             pose = undo(_matrix(entry.get("camera_to_world", entry.get("matrix")), where))
@@ -114,7 +110,7 @@ def _matrix(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
         pose = pose.reshape(4, 4)
     except (TypeError, ValueError):
         raise InputError(
-            "entry-malformed", f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers"
+            "entry-wrong", f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers"
         ) from None
     return pose.T if np.any(pose[3, :3]) and not np.any(pose[:3, 3]) else pose
 
@@ -156,13 +152,11 @@ def _time(entry: dict[str, Any], where: str) -> float | None:
         return None
     time = _number(value, "render_time", where)
     if not 0 <= time <= 1:
-        raise InputError(
-            "entry-out-of-range", f"{where}: render_time is {time:g}, outside the clip; expected 0 to 1"
-        )
+        raise InputError("entry-wrong", f"{where}: render_time is {time:g}, outside the clip, 0 to 1")
     return time
 
 
 def _number(value: Any, key: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError("entry-malformed", f"{where}: {key} is {value!r}; expected a number")
+        raise InputError("entry-wrong", f"{where}: {key} is {value!r}; expected a number")
     return float(value)

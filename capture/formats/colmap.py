@@ -54,9 +54,7 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     place = model_folder(folder)
     model = read_model(place)
     if not model.images:
-        raise CaptureError(
-            "pictures-none", f"{place}: no image is registered; expected a model with pictures"
-        )
+        raise CaptureError("pictures-none", f"{place}: no image is registered; expected one with pictures")
     test = read_names(place / TEST_LIST)
     order = sorted(model.images, key=lambda number: natural_key(model.images[number].name))
     frames, grey = [], 0
@@ -161,8 +159,7 @@ def model_folder(folder: Path) -> Path:
             return place
     raise CaptureError(
         "file-missing",
-        f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself; expected a "
-        "COLMAP model and images/",
+        f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or itself; expected a COLMAP model",
     )
 
 
@@ -184,9 +181,7 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]
     if not (np.isfinite(p).all() and min(fx, fy) > 0):
-        raise CaptureError(
-            "entry-out-of-range", f"{where}: camera parameters are {list(p)}; expected focal lengths above 0"
-        )
+        raise CaptureError("entry-wrong", f"{where}: parameters {list(p)}; expected focal lengths above 0")
     model: LensModel = "OPENCV_FISHEYE" if camera.model == "OPENCV_FISHEYE" else "OPENCV"
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, model
 
@@ -195,8 +190,7 @@ def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) 
     if (header.width, header.height) != (camera.width, camera.height):
         raise CaptureError(
             "picture-size-wrong",
-            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the "
-            "pictures that the model was made from",
+            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the model's own",
         )
     K, distortion, model = intrinsics(camera, where)
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)

@@ -54,9 +54,7 @@ def write_devrf(export: Export) -> None:
     counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
     views = [count for count in counts if count]
     if not views:
-        raise CaptureError(
-            "scene-incomplete", "devrf needs training cameras of the moving scene, this scene has none"
-        )
+        raise CaptureError("scene-incomplete", "devrf needs moving training cameras, this scene has none")
     folder = export.folder / f"dynamic_{len(views)}views"
     pinholes = Pinholes(export, scene.dynamic, folder.name)
     train = write_splits(folder, _in_order_of_time(scene.dynamic, cameras), pinholes, export)
@@ -104,8 +102,7 @@ def moving_folder(folder: Path, notes: list[str]) -> Path:
     if not found or not (folder / "static").is_dir():
         raise CaptureError(
             "folder-missing",
-            f"data set {folder}: expected the folders static/ and dynamic_4views/ (format devrf); check "
-            "dataset.path and dataset.format",
+            f"data set {folder}: no static/ and dynamic_4views/; check dataset.path and dataset.format",
         )
     chosen = found[max(found)]
     if len(found) > 1:

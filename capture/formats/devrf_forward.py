@@ -43,8 +43,7 @@ def read_devrf_forward(folder: Path, moving: Path, notes: list[str]) -> Pictures
     if len(views) < 2 or [_number(p) for p in views] != list(range(1, len(views) + 1)):
         raise CaptureError(
             "folder-missing",
-            f"{moving}: expected the folders view1, view2, ... (two or more), found "
-            f"{', '.join(p.name for p in views) or 'none'}",
+            f"{moving}: expected two or more of view1, view2, ..., found {', '.join(p.name for p in views) or 'none'}",
         )
     poses = read_rows(moving / "poses.npy", 15)
     check_bounds(read_rows(moving / "bds.npy", 2), moving / "bds.npy")
@@ -52,8 +51,7 @@ def read_devrf_forward(folder: Path, moving: Path, notes: list[str]) -> Pictures
         if count < len(views):
             raise CaptureError(
                 "count-mismatch",
-                f"{moving}: {count} {name} for {len(views)} views; expected the fixed cameras in the last "
-                f"{len(views)}",
+                f"{moving}: {count} {name} for {len(views)} views; expected the fixed cameras in the last {len(views)}",
             )
     box_from_world = forward_frame([f.camera for f in static], bounds)
     dynamic: list[PosedFrame] = []

@@ -122,9 +122,7 @@ def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[P
         path = export.folder / part / f"{stem}{frame.path.suffix.lower() if as_it_is else '.png'}"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not frame.path.is_file():
-            raise CaptureError(
-                "picture-missing", f"{frame.path}: picture not found; run the scene again with --force scene"
-            )
+            raise CaptureError("picture-missing", f"{frame.path}: not found; run again with --force scene")
         if as_it_is:
             shutil.copyfile(frame.path, path)
         else:
@@ -149,10 +147,7 @@ def static_of(export: Export, what: str, left_out: bool = True) -> tuple[PosedFr
     """
     scene = export.scene
     if not scene.static:
-        raise CaptureError(
-            "scene-without-rest",
-            f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio",
-        )
+        raise CaptureError("rest-missing", f"{what} needs a sweep, this scene has none; export to nerfstudio")
     if scene.dynamic and left_out:
         export.notes.append(
             f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio, colmap and "

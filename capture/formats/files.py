@@ -45,8 +45,7 @@ def find_picture(file: Path) -> Path:
             return candidate.resolve()
     raise CaptureError(
         "picture-missing",
-        f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its "
-        "entry",
+        f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry",
     )
 
 
@@ -66,8 +65,7 @@ def read_header(path: Path) -> Header:
     count = {"LA": "2 channels (grey and transparency)", "PA": "2 channels (palette and transparency)"}
     raise CaptureError(
         "picture-kind-unread",
-        f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or "
-        "RGBA",
+        f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or RGBA",
     )
 
 
@@ -81,15 +79,11 @@ def read_json(path: Path) -> dict[str, Any]:
         check_bytes(path, TEXT_BYTES)
         value = json.loads(path.read_text(), parse_int=_whole)
     except FileNotFoundError:
-        raise CaptureError(
-            "file-missing", f"{path}: file not found; check dataset.path and dataset.format"
-        ) from None
+        raise CaptureError("file-missing", f"{path}: check dataset.path and dataset.format") from None
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError("file-damaged", f"{path}: not a JSON file ({error}); copy it again") from None
     if not isinstance(value, dict):
-        raise CaptureError(
-            "file-damaged", f"{path}: holds a {type(value).__name__}; expected an object with the key frames"
-        )
+        raise CaptureError("file-damaged", f"{path}: a {type(value).__name__}, not an object with frames")
     return value
 
 
@@ -103,18 +97,14 @@ def frames_of(meta: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     """The entries of a transforms file, each known to be an object with `file_path` and `transform_matrix`."""
     entries = meta.get("frames")
     if not isinstance(entries, list) or not entries:
-        raise CaptureError(
-            "pictures-none", f"{path}: no frames listed; expected a list frames with an entry per picture"
-        )
+        raise CaptureError("pictures-none", f"{path}: no frames listed; expected a list with one per picture")
     for number, entry in enumerate(entries):
         if not isinstance(entry, dict):
-            raise CaptureError(
-                "entry-malformed", f"{path}: frames[{number}] is {entry!r}; expected an object"
-            )
+            raise CaptureError("entry-wrong", f"{path}: frames[{number}] is {entry!r}; expected an object")
         for key, kind in (("file_path", str), ("transform_matrix", list)):
             if not isinstance(entry.get(key), kind):
                 raise CaptureError(
-                    "entry-malformed",
+                    "entry-wrong",
                     f"{path}: frames[{number}].{key} is {entry.get(key)!r}; expected {_word(kind)}",
                 )
     return entries

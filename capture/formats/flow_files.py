@@ -36,10 +36,12 @@ def read_flow_file(path: Path) -> Flow:
     try:
         data = read_npz(path, ("flow", "mask"))
     except ArrayError as error:
-        raise _damaged(error) from None
+        raise _damaged(error.code, error) from None
     flow, mask = data["flow"].astype(np.float32), np.asarray(data["mask"] > 0)
     if flow.shape != (*mask.shape, 2):
-        raise _damaged(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
+        raise _damaged(
+            "flow-size-wrong", f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}"
+        )
     finite = np.asarray(np.isfinite(flow).all(axis=-1))
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
 
@@ -85,7 +87,7 @@ def with_flow_files(
         try:
             found = tuple(npz_shapes(path, ("flow", "mask")))
         except ArrayError as error:
-            raise _damaged(error) from None
+            raise _damaged(error.code, error) from None
         if found != ((height, width, 2), (height, width)):
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
             raise CaptureError(
@@ -97,5 +99,5 @@ def with_flow_files(
     return tuple(out)
 
 
-def _damaged(what: object) -> CaptureError:
-    return CaptureError(error.code, f"{what}; expected an npz with flow and mask; copy it again")
+def _damaged(code: str, what: object) -> CaptureError:
+    return CaptureError(code, f"{what}; expected an npz with flow and mask; copy it again")

@@ -109,10 +109,7 @@ def pinhole(
     """The camera of a row; its focal length is scaled from the size in the row to that of the picture."""
     height, width, focal = hwf
     if not (np.isfinite(hwf).all() and hwf.min() > 0):
-        raise CaptureError(
-            "entry-out-of-range",
-            f"{where}: height, width, focal are {hwf.tolist()}; expected numbers above 0",
-        )
+        raise CaptureError("entry-wrong", f"{where}: height, width, focal are {hwf.tolist()}, not above 0")
     ratio_x, ratio_y = header.width / width, header.height / height
     if (
         abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3
@@ -135,13 +132,10 @@ def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
     try:
         table = read_npy(path).astype(np.float64)
     except ArrayError as error:
-        raise CaptureError(
-            error.code,
-            f"{error}; expected a table of numbers: copy it again, or check dataset.path and dataset.format",
-        ) from None
+        raise CaptureError(error.code, f"{error}; check dataset.path and dataset.format") from None
     if table.ndim < 2 or len(table) == 0 or table[0].size != columns:
         raise CaptureError(
-            "table-malformed",
+            "table-wrong",
             f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture",
         )
     return table.reshape(len(table), columns)
@@ -157,9 +151,8 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
     if not good.all():
         n = int(np.argmin(good))
         raise CaptureError(
-            "entry-out-of-range",
-            f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; the picture saw no "
-            "points: remove its row and its file",
+            "entry-wrong",
+            f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; remove row and picture",
         )
     return bounds
 
@@ -203,6 +196,4 @@ def read_names(path: Path) -> frozenset[str] | None:
         check_bytes(path, TEXT_BYTES)
         return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
     except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(
-            "file-damaged", f"{path}: no list of names ({error}); write one name per line, or remove it"
-        ) from None
+        raise CaptureError("file-damaged", f"{path}: {error}; write a name per line, or remove it") from None

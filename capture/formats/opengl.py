@@ -32,27 +32,20 @@ def cam_from_opengl(matrix: Any, where: str) -> Float[np.ndarray, "3 4"]:
     except (TypeError, ValueError):
         pose = np.zeros(0)
     if pose.shape not in ((3, 4), (4, 4)):
-        raise CaptureError(
-            "pose-malformed", f"{where}: the pose has shape {list(pose.shape)}; expected 4 rows of 4 numbers"
-        )
+        raise CaptureError("pose-wrong", f"{where}: the pose has shape {list(pose.shape)}; expected [4, 4]")
     if not np.isfinite(pose).all():
-        raise CaptureError(
-            "pose-not-finite",
-            f"{where}: the pose is not finite ({pose[:3].tolist()}); remove the picture, it was not registered",
-        )
+        raise CaptureError("pose-not-finite", f"{where}: pose {pose[:3].tolist()}; remove the picture")
     full = np.vstack([pose[:3], [0, 0, 0, 1]]) @ FLIP_YZ
     u, s, vt = np.linalg.svd(full[:3, :3])
     if np.abs(s - 1).max() > RIGID_REPAIR:
         raise CaptureError(
             "pose-not-rigid",
-            f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}, expected 1, 1, 1); "
-            "take the scale out of its rotation",
+            f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}); take the scale out of it",
         )
     if np.linalg.det(full[:3, :3]) < 0:
         raise CaptureError(
             "pose-mirrored",
-            f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}, expected 1); one of "
-            "its axes points the wrong way",
+            f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}); turn one of its axes",
         )
     R = (u @ vt).T
     return np.column_stack([R, -R @ full[:3, 3]])
@@ -71,28 +64,20 @@ def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
     if stated != (width, height):
         raise CaptureError(
             "picture-size-wrong",
-            f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}; use the pictures "
-            "that were calibrated",
+            f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}; use the calibrated ones",
         )
     if "fl_x" in entry:
         fl_x = _number(entry["fl_x"], "fl_x", where)
     elif "camera_angle_x" in entry:
         angle = _number(entry["camera_angle_x"], "camera_angle_x", where)
         if not 0 < angle < np.pi:
-            raise CaptureError(
-                "entry-out-of-range",
-                f"{where}: camera_angle_x is {angle}; expected radians between 0 and 3.14",
-            )
+            raise CaptureError("entry-wrong", f"{where}: camera_angle_x is {angle}; expected 0 to 3.14")
         fl_x = 0.5 * width / np.tan(0.5 * angle)
     else:
-        raise CaptureError(
-            "entry-missing", f"{where}: neither fl_x nor camera_angle_x given; one of them is needed"
-        )
+        raise CaptureError("entry-missing", f"{where}: has neither fl_x nor camera_angle_x; one is needed")
     fl_y = _number(entry.get("fl_y", fl_x), "fl_y", where)
     if min(fl_x, fl_y) <= 0:
-        raise CaptureError(
-            "entry-out-of-range", f"{where}: focal length is {fl_x}, {fl_y}; expected pixels above 0"
-        )
+        raise CaptureError("entry-wrong", f"{where}: focal length is {fl_x}, {fl_y}; expected above 0")
     cx, cy = (_number(entry.get(key, side / 2), key, where) for key, side in (("cx", width), ("cy", height)))
     K = np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1.0]])
     model: LensModel = "OPENCV_FISHEYE" if entry.get("camera_model") == "OPENCV_FISHEYE" else "OPENCV"
@@ -120,5 +105,5 @@ def opengl_pose(camera: Camera) -> list[list[float]]:
 
 def _number(value: Any, key: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise CaptureError("entry-malformed", f"{where}: {key} is {value!r}; expected a number")
+        raise CaptureError("entry-wrong", f"{where}: {key} is {value!r}; expected a number")
     return float(value)

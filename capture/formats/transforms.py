@@ -100,9 +100,7 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
     """`frame_index` of an entry, else the number given."""
     index = entry.get("frame_index", number)
     if isinstance(index, bool) or not isinstance(index, int) or index < 0:
-        raise CaptureError(
-            "entry-malformed", f"{where}: frame_index is {index!r}; expected a whole number from 0"
-        )
+        raise CaptureError("entry-wrong", f"{where}: frame_index is {index!r}, expected a whole number")
     return index
 
 
@@ -110,8 +108,7 @@ def _check_model(model: object, path: Path) -> None:
     if model not in MODELS:
         raise CaptureError(
             "lens-unread",
-            f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE; "
-            "undistort the pictures",
+            f"{path}: camera_model {model} is not read, but OPENCV, PINHOLE and OPENCV_FISHEYE; undistort it",
         )
 
 
@@ -128,7 +125,7 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
         )
     except (TypeError, ValueError) as error:
         raise CaptureError(
-            "entry-malformed",
+            "entry-wrong",
             f"{where}: its look cannot be used ({error}); expected colour_matrix with 3 rows of 3 numbers and "
             "colour_gains with 3 numbers above 0, or no such keys",
         ) from None
@@ -140,7 +137,7 @@ def _number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise CaptureError(
-            "entry-malformed", f"{where}: {key} is {value!r}; expected a number, or no such key at rest"
+            "entry-wrong", f"{where}: {key} is {value!r}; expected a number, or no such key at rest"
         )
     return float(value)
 
@@ -156,5 +153,5 @@ def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
             else "train"
         )
     if split not in ("train", "test", "val"):
-        raise CaptureError("entry-malformed", f"{where}: split is {split!r}; expected train or test")
+        raise CaptureError("entry-wrong", f"{where}: split is {split!r}; expected train or test")
     return "train" if split == "train" else "test"

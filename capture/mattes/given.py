@@ -41,9 +41,7 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
     hint = f" (it holds {', '.join(others[:LISTED])})" if others else ""
     if not found:
         called = " or ".join(wanted[:LISTED])
-        raise InputError(
-            "folder-missing", f"{folder}: no folder called {called} in it{hint}; expected one per camera"
-        )
+        raise InputError("folder-missing", f"{folder}: no folder called {called} in it{hint}; one per camera")
     if SWEEP in found and without:
         raise InputError(
             "matte-missing",
@@ -98,8 +96,7 @@ def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.
     if abs(w * height - h * width) > SAME_SHAPE * h * width:
         raise CaptureError(
             "matte-size-wrong",
-            f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright); make it from the picture as it was "
-            "filmed, not cropped or turned",
+            f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright); make it from the picture as filmed",
         )
     return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
 

@@ -151,18 +151,15 @@ def check_arguments(
     if scene not in MODELS:
         raise InputError(
             "scene-unknown",
-            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(MODELS)} "
-            f"(--protocol {protocol})",
+            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(MODELS)} (--protocol {protocol})",
         )
     if not 1 <= cameras <= most_cameras:
         raise InputError(
-            "option-out-of-range",
+            "option-wrong",
             f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})",
         )
     if not all(16 <= n <= 4096 for n in size):
-        raise InputError(
-            "option-out-of-range", f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels each way"
-        )
+        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels")
 
 
 def lens(size: tuple[int, int]) -> np.ndarray:

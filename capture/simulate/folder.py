@@ -103,8 +103,7 @@ class OutputFolder:
         except (OSError, ValueError, KeyError, AttributeError):
             raise InputError(
                 "folder-exists",
-                f"simulate {path}: not an empty folder, and none that was begun with {MADE_BY}; "
-                "give a new one or empty it",
+                f"simulate {path}: not an empty folder, and none begun with {MADE_BY}; give a new one or empty it",
             ) from None
         changed = sorted(k for k in {*found, *self._made_by} if found.get(k) != self._made_by.get(k))
         if changed:

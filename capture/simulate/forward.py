@@ -78,10 +78,7 @@ def simulate_forward(
     options = options or ForwardOptions()
     check_arguments("devrf-forward", scene, size, cameras, len(PLACES))
     if max(size) > 2 * min(size):
-        raise InputError(
-            "option-out-of-range",
-            f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1 (--protocol devrf-forward)",
-        )
+        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1")
     folder = OutputFolder(
         out,
         {
