@@ -40,12 +40,12 @@ def open_media(path: Path) -> InputContainer:
             str(path), metadata_errors="replace"
         )  # of cameras in other alphabets, and damaged
     except FFmpegError as error:
-        raise InputError("file-not-video", f"{path}: not a video ({_what_is_it(path, error)})") from None
+        raise _what_is_it(path, error) from None
     except OSError as error:
         raise InputError("file-unreadable", f"{path}: cannot be read ({error.strerror})") from None
     if container.format.name in TEXT_FORMATS:
         container.close()
-        raise InputError("file-not-video", f"{path}: not a video (it holds text); check the path")
+        raise InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
     return container
 
 
@@ -85,15 +85,19 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     return stream
 
 
-def _what_is_it(path: Path, error: Exception) -> str:
+def _what_is_it(path: Path, error: Exception) -> InputError:
     """What an unreadable file seems to be, and what to do."""
     with path.open("rb") as file:
         head = file.read(SNIFF_BYTES)
     if b"ftyp" in head[:16]:
-        return "an mp4 or mov whose index is missing: the recording or the copy was cut short; copy it again"
+        return InputError(
+            "file-cut-short", f"{path}: not a video (an mp4 or mov without its index); copy it again"
+        )
     try:
         head.decode("utf-8")
-        return "it holds text; check the path in scene.yaml"
+        return InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
     except UnicodeDecodeError:
         reason = getattr(error, "strerror", None) or str(error)
-        return f"{reason}; expected mp4, mov, mkv, avi or another format ffmpeg reads"
+        return InputError(
+            "file-not-video", f"{path}: not a video ({reason}); expected a format that ffmpeg reads"
+        )

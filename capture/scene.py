@@ -238,7 +238,7 @@ def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     if matte.shape != size:
         raise CaptureError(
             "matte-size-wrong",
-            f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}; save it at that size",
+            f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}; save it as large",
         )
     return matte
 

@@ -190,7 +190,7 @@ def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) 
     if (header.width, header.height) != (camera.width, camera.height):
         raise CaptureError(
             "picture-size-wrong",
-            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the model's own",
+            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use its own",
         )
     K, distortion, model = intrinsics(camera, where)
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)

@@ -79,7 +79,7 @@ def read_json(path: Path) -> dict[str, Any]:
         check_bytes(path, TEXT_BYTES)
         value = json.loads(path.read_text(), parse_int=_whole)
     except FileNotFoundError:
-        raise CaptureError("file-missing", f"{path}: check dataset.path and dataset.format") from None
+        raise CaptureError("file-missing", f"{path}: no such file; check dataset.path") from None
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError("file-damaged", f"{path}: not a JSON file ({error}); copy it again") from None
     if not isinstance(value, dict):

@@ -77,7 +77,7 @@ def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
         if file is None:
             missing.append(f"{index:06d}.png" if name is None else f"{Path(name).stem}.png")
     if missing:
-        raise CaptureError("matte-missing", _missing(folder, missing, len(names), by_number, set(names)))
+        raise _missing(folder, missing, len(names), by_number, set(names))
     return [file for file in found if file is not None]
 
 
@@ -124,9 +124,12 @@ def _opacity(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 def _missing(
     folder: Path, missing: list[str], count: int, by_number: Mapping[int, Path], wanted: set[int]
-) -> str:
+) -> CaptureError:
     listed = ", ".join(missing[:LISTED]) + (" ..." if len(missing) > LISTED else "")
     text = f"{folder}: no matte of {len(missing)} of the camera's {count} pictures: {listed}; "
     if by_number and 0 in wanted and min(by_number) == 1:
-        return text + "its files are numbered from 1, frames are counted from 0: rename them"
-    return text + "add them (black where no subject is seen), or leave the whole folder out"
+        text += "its files are numbered from 1, frames are counted from 0: rename them"
+        return CaptureError("mattes-misnumbered", text)
+    return CaptureError(
+        "matte-missing", f"{text}add them (black where no subject is), or leave the folder out"
+    )
