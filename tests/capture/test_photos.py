@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
+from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.photo_curve import declared_gamma
@@ -78,7 +79,5 @@ def test_a_photo_that_breaks_off_is_named(tmp_path):
         Image.fromarray(noise).save(folder / name)
     whole = (folder / "b.jpg").read_bytes()
     (folder / "b.jpg").write_bytes(whole[: 2 * len(whole) // 3])
-    with pytest.raises(
-        CaptureError, match="in/b.jpg: the picture does not decode; copy it from the camera again"
-    ):
+    with refused("picture-unreadable", "in/b.jpg", kind=CaptureError):
         extract_folder(folder, tmp_path, "static", "sweep", "in")
