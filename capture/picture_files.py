@@ -46,6 +46,8 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
             yield image
     except (DevrfError, MemoryError):
         raise
+    except FileNotFoundError:
+        raise CaptureError("picture-missing", f"{path}: no such file") from None
     except UnidentifiedImageError:
         raise CaptureError("picture-unreadable", f"{path}: not a JPEG or PNG; remove it") from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes

@@ -212,7 +212,7 @@ def _open(path: Path) -> "RawPy":
     try:
         file = rawpy.imread(str(path))
     except rawpy.LibRawError as error:
-        raise InputError("file-not-raw", f"{path}: {_reason(error)}; convert it to DNG") from None
+        raise InputError("file-not-raw", f"{path}: no RAW file ({_reason(error)}); convert it") from None
     try:
         check_pixels(path, file.sizes.raw_width, file.sizes.raw_height)
     except CaptureError:

@@ -44,17 +44,16 @@ def write_devrf(export: Export) -> None:
     """`static/`, `dynamic_<n>views/` and the flow of its training pictures, entries in order of time."""
     scene = export.scene
     if not scene.static or not scene.dynamic:
-        missing = "sweep" if not scene.static else "pictures in motion"
+        code, missing = ("motion-missing", "motion") if scene.static else ("rest-missing", "sweep")
         raise CaptureError(
-            "scene-incomplete",
-            f"devrf holds a scene at rest and in motion, this scene has no {missing}; export to nerfstudio",
+            code, f"devrf needs a sweep and motion, this scene has no {missing}; export to nerfstudio"
         )
     write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static, "static"), export)
     cameras = list(dict.fromkeys(f.camera_name for f in scene.dynamic))
     counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
     views = [count for count in counts if count]
     if not views:
-        raise CaptureError("scene-incomplete", "devrf needs moving training cameras, this scene has none")
+        raise CaptureError("motion-missing", "devrf needs moving training cameras, this scene has none")
     folder = export.folder / f"dynamic_{len(views)}views"
     pinholes = Pinholes(export, scene.dynamic, folder.name)
     train = write_splits(folder, _in_order_of_time(scene.dynamic, cameras), pinholes, export)

@@ -91,7 +91,7 @@ def test_damaged_and_missing_files_are_named(tmp_path):
         path.write_bytes(content)
         with refused("picture-unreadable", path, kind=CaptureError):
             read_pixels(path)
-    with refused("picture-unreadable", "b.png", kind=CaptureError):
+    with refused("picture-missing", "b.png", kind=CaptureError):
         read_pixels(tmp_path / "b.png")
     Image.fromarray(np.zeros((4, 4), np.float32)).save(tmp_path / "c.tif")
     with refused("picture-kind-unread", "c.tif", kind=CaptureError):

@@ -74,14 +74,14 @@ def test_broken_photo_is_named(tmp_path):
     write_picture(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
     (tmp_path / "b.jpg").write_text("not a photo")
     problems = preflight(CaptureSession(static=tmp_path))
-    assert len(problems) == 1 and "b.jpg" in problems[0] and "not a picture" in problems[0]
+    assert len(problems) == 1 and "b.jpg" in problems[0]
 
 
 def test_raw_photos_are_looked_into(tmp_path):
     (tmp_path / "a.dng").write_text("not a photo")
     (tmp_path / "b.nef").touch()
     (problem,) = preflight(CaptureSession(static=tmp_path))
-    assert "a.dng: not a RAW file that LibRaw reads" in problem and "(and 1 more)" in problem
+    assert "a.dng" in problem and problem.endswith("(and 1 more)")
 
 
 @pytest.mark.parametrize(
