@@ -357,7 +357,7 @@ def test_a_chart_that_is_overexposed(tmp_path):
 
 def test_a_file_that_is_no_picture(tmp_path):
     (tmp_path / "chart.mp4").write_bytes(b"no film")
-    with refused("X", "chart.mp4", kind=InputError):
+    with refused("file-is-text", "chart.mp4", kind=InputError):
         read_chart(tmp_path / "chart.mp4")
 
 

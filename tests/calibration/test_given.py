@@ -98,7 +98,7 @@ def test_a_smaller_clip_scales_the_calibration(tmp_path: Path) -> None:
     whole, half = cameras()["cam1"], rig_of(given).cameras["cam1"].camera
     points = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (20, 3))
     np.testing.assert_allclose(half.project(points), whole.project(points) / 2, rtol=0, atol=1e-12)
-    assert "calibrated at 640x480, scaled by 0.5 to the clip's 320x240" in [n.text for n in given.notes]
+    assert any(all(w in n.text for w in ("640x480", "0.5", "320x240")) for n in given.notes)
 
 
 def test_a_cropped_clip_is_refused(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def without_size(folder: Path, apart: float = 1.0) -> Path:
 
 def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path) -> None:
     given = read(without_size(tmp_path))
-    assert "the file has no picture size; taken as the clip's, 640x480" in [n.text for n in given.notes]
+    assert any("640x480" in n.text for n in given.notes)
     with refused("principal-point-outside", "320, 240", "320x240", kind=InputError):
         read(tmp_path / "intri.yml", size=(320, 240))
 

@@ -167,7 +167,7 @@ def test_local_metres_of_known_distances():
     assert metres["b"] - metres["a"] == pytest.approx([0.0, 1852.9, 10.0], abs=0.5)
     assert (metres["c"] - metres["a"])[:2] == pytest.approx([1267.2, 0.0], abs=0.5)
     assert set(metres) == {"a", "b", "c"} and std_m["a"] == USUAL_STD_M
-    assert "3 of 4 pictures have a place, need 6" in why_not(metres, std_m, 4)
+    assert all(w in str(why_not(metres, std_m, 4)) for w in ("3 of 4", "6"))
 
 
 def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):

@@ -100,7 +100,7 @@ def test_masks_of_other_programs_need_a_word(matted: Scene, tmp_path: Path) -> N
     write_json(path, meta)
     notes: list[str] = []
     assert read_dataset("nerfstudio", tmp_path / "out", notes=notes).background == "shell"
-    assert any("mask_path is not used" in note for note in notes)
+    assert any("mask_path" in note for note in notes)
     notes.clear()
     plain = read_dataset("nerfstudio", tmp_path / "out", background="white", notes=notes)
     assert not notes and (load_image(plain.static[0], 1.0, "white") == 255).all()

@@ -56,18 +56,19 @@ def test_all_problems_at_once(make_clip, pictures, tmp_path):
     )
     problems = preflight(session)
     for words in (
-        ("capture.static", "nothing", "no pictures"),
-        ("camera a", "missing.mp4", "no such file"),
-        ("camera b", "text.mp4", "it holds text"),
-        ("camera c", "zero.mp4", "empty"),
-        ("camera e", "good.mp4", "also the clip of camera d"),
+        ("capture.static", "nothing"),
+        ("camera a", "missing.mp4"),
+        ("camera b", "text.mp4"),
+        ("camera c", "zero.mp4"),
+        ("camera e", "good.mp4", "camera d"),
         ("board.clips.a", "missing_board.mp4"),
         ("joint_clips.a", "text.mp4"),
         ("timestamps", "t.csv", "camera, frame_index, time_s"),
     ):
         assert any(all(w in p for w in words) for p in problems), (words, problems)
     assert len(problems) == 8
-    assert preflight(CaptureSession()) == ["capture: neither static nor cameras; name at least one"]
+    (problem,) = preflight(CaptureSession())
+    assert "static" in problem and "cameras" in problem
 
 
 def test_broken_photo_is_named(tmp_path):

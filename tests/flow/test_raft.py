@@ -123,17 +123,17 @@ def test_both_networks_are_those_of_torchvision(size, tmp_path):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda w: w.pop("fnet.conv2.bias"), "missing fnet.conv2.bias"),
-        (lambda w: w.update(extra=torch.zeros(1)), "surplus extra"),
-        (lambda w: w.update({"cnet.conv2.bias": torch.zeros(3)}), r"another shape cnet.conv2.bias \[3\] for"),
-        (lambda w: w.pop("fnet.conv1.weight"), "no RAFT: fnet.conv1.weight is absent"),
+        (lambda w: w.pop("fnet.conv2.bias"), ("missing fnet.conv2.bias",)),
+        (lambda w: w.update(extra=torch.zeros(1)), ("surplus extra",)),
+        (lambda w: w.update({"cnet.conv2.bias": torch.zeros(3)}), ("cnet.conv2.bias [3]",)),
+        (lambda w: w.pop("fnet.conv1.weight"), ("fnet.conv1.weight is absent",)),
     ],
 )
 def test_weights_that_do_not_fit_are_named(network, change, expected, tmp_path):
     weights = dict(network.state_dict())
     change(weights)
     torch.save(weights, tmp_path / "raft.pth")
-    with pytest.raises(InputError, match=f"raft.pth.*{expected}"):
+    with refused("weights-wrong", "raft.pth", *expected, kind=InputError):
         load_raft(tmp_path / "raft.pth")
 
 
