@@ -75,9 +75,8 @@ def _errors_named(path: Path) -> Iterator[None]:
     except FileNotFoundError:
         raise ArrayError("file-missing", f"{path}: no such file") from None
     except Exception as error:
-        raise ArrayError(
-            "file-damaged", f"{path}: damaged or not a file of arrays ({error or type(error).__name__})"
-        ) from None
+        text = f"{path}: damaged or not a file of arrays ({error or type(error).__name__})"
+        raise ArrayError("file-damaged", text) from None
 
 
 def _name(entry: zipfile.ZipInfo) -> str:

@@ -110,10 +110,8 @@ def read_wav(path: Path, start_s: float = 0.0) -> Sound:
         with wave.open(str(path), "rb") as file:
             layout = (file.getnchannels(), file.getsampwidth())
             if layout != (1, 2):
-                raise CaptureError(
-                    "sound-wrong",
-                    f"{path}: {layout[0]} channels of {layout[1]} bytes, expected mono 16 bit",
-                )
+                text = f"{path}: {layout[0]} channels of {layout[1]} bytes, expected mono 16 bit"
+                raise CaptureError("sound-wrong", text)
             pcm = np.frombuffer(file.readframes(file.getnframes()), dtype="<i2")
             return Sound(pcm.astype(np.float32) / INT16_MAX, file.getframerate(), start_s)
     except (wave.Error, EOFError) as error:

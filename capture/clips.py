@@ -179,9 +179,8 @@ def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"], info:
     if keep.range_s is None:
         if len(time_s):
             return CaptureError("video-unreadable", f"{path}: no frame can be used; record the clip again")
-        return CaptureError(
-            "times-missing", f"{path}: none of its frames has a time; correct capture.timestamps"
-        )
+        wrong = f"{path}: none of its frames has a time; correct capture.timestamps"
+        return CaptureError("times-missing", wrong)
     from_s, to_s = keep.range_s
     if len(time_s):
         there = f"it goes from {time_s[0]:.2f} to {time_s[-1]:.2f} s"

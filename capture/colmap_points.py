@@ -37,10 +37,8 @@ def read_colmap_points(folder: Path) -> tuple[Float[np.ndarray, "n 3"], UInt8[np
         (count,) = _COUNT.unpack_from(data)
         return _unpack_points(data, count)
     except struct.error as error:
-        raise CaptureError(
-            "file-damaged",
-            f"{path}: {len(data)} bytes are fewer than its header promises; run with --force static_poses",
-        ) from error
+        text = f"{path}: {len(data)} bytes are fewer than its header promises; run with --force static_poses"
+        raise CaptureError("file-damaged", text) from error
 
 
 def _unpack_points(data: bytes, count: int) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:

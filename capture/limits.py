@@ -57,7 +57,5 @@ def check_span(path: Path, seconds: float) -> None:
         CaptureError: They do.
     """
     if not seconds <= CLIP_S:
-        raise CaptureError(
-            "clip-too-long",
-            f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut it, or copy it again",
-        )
+        text = f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut it, or copy it again"
+        raise CaptureError("clip-too-long", text)

@@ -73,10 +73,8 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
         raise InputError("video-missing", f"{path}: has no video stream (it holds: {kinds}); check the path")
     stream = streams[0]
     if stream.codec_context is None:
-        raise InputError(
-            "video-unknown",
-            f"{path}: its pictures are coded in a way that is not known; convert it to H.264",
-        )
+        text = f"{path}: its pictures are coded in a way that is not known; convert it to H.264"
+        raise InputError("video-unknown", text)
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
         check_pixels(path, stream.codec_context.width, stream.codec_context.height, CLIP_PX)
     stream.thread_type = "AUTO"
@@ -90,14 +88,12 @@ def _what_is_it(path: Path, error: Exception) -> InputError:
     with path.open("rb") as file:
         head = file.read(SNIFF_BYTES)
     if b"ftyp" in head[:16]:
-        return InputError(
-            "file-cut-short", f"{path}: not a video (an mp4 or mov without its index); copy it again"
-        )
+        text = f"{path}: not a video (an mp4 or mov without its index); copy it again"
+        return InputError("file-cut-short", text)
     try:
         head.decode("utf-8")
         return InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
     except UnicodeDecodeError:
         reason = getattr(error, "strerror", None) or str(error)
-        return InputError(
-            "file-not-video", f"{path}: not a video ({reason}); expected a format that ffmpeg reads"
-        )
+        text = f"{path}: not a video ({reason}); expected a format that ffmpeg reads"
+        return InputError("file-not-video", text)

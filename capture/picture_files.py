@@ -65,9 +65,8 @@ def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
             grey = _rounded(np.asarray(image))
             return grey[:, :, None].repeat(3, axis=2)
         if image.mode == "F":
-            raise CaptureError(
-                "picture-kind-unread", f"{path}: pixels are real numbers, expected 8 or 16 bits"
-            )
+            text = f"{path}: pixels are real numbers, expected 8 or 16 bits"
+            raise CaptureError("picture-kind-unread", text)
         deep = _deep_colour(path, image)
         if deep is not None:
             return deep

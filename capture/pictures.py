@@ -58,10 +58,8 @@ def list_pictures(folder: Path) -> list[Path]:
         InputError: If the folder is missing or holds no photos.
     """
     if not folder.is_dir():
-        raise InputError(
-            "folder-missing",
-            f"{folder}: no such folder; check the path in scene.yaml (relative to scene.yaml)",
-        )
+        text = f"{folder}: no such folder; check the path in scene.yaml (relative to scene.yaml)"
+        raise InputError("folder-missing", text)
     files = sorted(
         (p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")),
         key=lambda p: (natural_key(p.name), p.name),

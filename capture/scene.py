@@ -236,10 +236,8 @@ def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     """
     matte = read_pixels(path)[..., 0]
     if matte.shape != size:
-        raise CaptureError(
-            "matte-size-wrong",
-            f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}; save it as large",
-        )
+        wrong = f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}"
+        raise CaptureError("matte-size-wrong", f"{wrong}; save it as large")
     return matte
 
 

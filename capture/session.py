@@ -148,28 +148,21 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
             columns = tuple(reader.fieldnames or ())
             missing = [c for c in TIMESTAMP_COLUMNS if c not in columns]
             if missing:
-                raise InputError(
-                    "entry-missing",
-                    f"{path}: no column {', '.join(missing)} (it has: {', '.join(columns) or 'nothing'}); "
-                    f"expected {', '.join(TIMESTAMP_COLUMNS)}",
-                )
+                wrong = f"{path}: no column {', '.join(missing)} (it has: {', '.join(columns) or 'nothing'})"
+                raise InputError("entry-missing", f"{wrong}; expected {', '.join(TIMESTAMP_COLUMNS)}")
             for row in reader:
                 name, index, time_s = _times_row(row, f"{path}: line {reader.line_num}")
                 if index in rows.setdefault(name, {}):
-                    raise InputError(
-                        "entry-twice",
-                        f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice",
-                    )
+                    text = f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice"
+                    raise InputError("entry-twice", text)
                 rows[name][index] = time_s
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError("file-damaged", f"{path}: not a CSV text file ({error})") from None
     names = list(cameras)
     absent = [name for name in names if name not in rows]
     if absent:
-        raise InputError(
-            "camera-missing",
-            f"{path}: no rows for camera {', '.join(absent)} (it has {', '.join(rows) or 'none'}); see capture.cameras",
-        )
+        wrong = f"{path}: no rows for camera {', '.join(absent)} (it has {', '.join(rows) or 'none'})"
+        raise InputError("camera-missing", f"{wrong}; see capture.cameras")
     out = {}
     for name in names:
         index = np.array(sorted(rows[name]))
@@ -190,10 +183,8 @@ def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
     try:
         index, time_s = int(row["frame_index"]), float(row["time_s"])
     except (TypeError, ValueError):
-        raise InputError(
-            "entry-wrong",
-            f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}; expected whole number, seconds",
-        ) from None
+        wrong = f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}"
+        raise InputError("entry-wrong", f"{wrong}; expected whole number, seconds") from None
     if index < 0 or not np.isfinite(time_s):
         raise InputError("entry-wrong", f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more")
     return (row["camera"] or "").strip(), index, time_s

@@ -151,10 +151,8 @@ class VideoReader:
             if self._first is None:
                 reason = self._failure or "the video stream is empty"
                 self._container.close()
-                raise InputError(
-                    "video-unreadable",
-                    f"{self.path}: no picture decodes ({reason}); record the clip again or leave it out",
-                )
+                text = f"{self.path}: no picture decodes ({reason}); record the clip again or leave it out"
+                raise InputError("video-unreadable", text)
         try:
             assert self._first is not None
             self.info = self._describe(self._first)

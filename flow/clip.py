@@ -81,9 +81,8 @@ def clip_flow(
             try:
                 found = measured(find, n, load, size, n in asked, len(index) - 1)
             except FlowError as error:
-                raise FlowError(
-                    error.code, f"camera {camera!r}: frames {index[n]} and {index[n - 1]}: {error}"
-                ) from error
+                text = f"camera {camera!r}: frames {index[n]} and {index[n - 1]}: {error}"
+                raise FlowError(error.code, text) from error
         write_pair(path, found[0], found[1], asdict(found[2]))
         return found[2]
 

@@ -61,10 +61,8 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
     try:
         estimator = point.load()(weights, device)
     except Exception as error:  # somebody else's code: whatever it raises, the user is told whose it is
-        raise InputError(
-            "method-unusable",
-            f"flow.method: {method}: {point.value} cannot be used ({type(error).__name__}: {error})",
-        ) from error
+        text = f"flow.method: {method}: {point.value} cannot be used ({type(error).__name__}: {error})"
+        raise InputError("method-unusable", text) from error
     if not isinstance(estimator, FlowEstimator):
         raise InputError(
             "method-unusable",

@@ -114,11 +114,8 @@ def check_pictures(image0: np.ndarray, image1: np.ndarray) -> None:
                 "in 8 bits; bring both pictures of a pair to 8 bits by one fixed scale",
             )
     if image0.shape != image1.shape:
-        raise FlowError(
-            "picture-size-wrong",
-            f"pictures of a pair have shapes {list(image0.shape)} and {list(image1.shape)}, expected the same; "
-            "a clip must keep its size",
-        )
+        wrong = f"a pair has shapes {list(image0.shape)} and {list(image1.shape)}, expected the same"
+        raise FlowError("picture-size-wrong", f"{wrong}; a clip must keep its size")
 
 
 def _unsure_px(

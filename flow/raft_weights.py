@@ -104,11 +104,8 @@ def _check(path: Path, named: dict[str, Tensor], expected: dict[str, Tensor], si
     wrong += [f"surplus {_listed(surplus)}"] if surplus else []
     wrong += [f"of another shape {_listed(shapes)}"] if shapes else []
     if wrong:
-        raise InputError(
-            "weights-wrong",
-            f"flow.weights: {path}: not all weights of RAFT ({size}) and nothing else: {'; '.join(wrong)}; use the "
-            "authors' or torchvision's file as published",
-        )
+        found = f"flow.weights: {path}: not all weights of RAFT ({size}) and nothing else: {'; '.join(wrong)}"
+        raise InputError("weights-wrong", f"{found}; use the authors' or torchvision's file as published")
 
 
 def _listed(names) -> str:

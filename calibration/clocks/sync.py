@@ -107,10 +107,8 @@ def synchronise(
     extras = extras or Extras()
     names = list(spans_s)
     if method == "timestamps" and not true_times:
-        raise CalibrationError(
-            "timestamps-missing",
-            "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps",
-        )
+        text = "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
+        raise CalibrationError("timestamps-missing", text)
     if true_times and method in ("auto", "timestamps"):
         basis = "the table of times is on one clock"
         return SyncResult({n: Clock(0.0, 0.0, 0.0, "timestamps", 1.0, basis) for n in names})

@@ -39,10 +39,8 @@ def read_colmap_rig(folder: Path) -> Found:
         where = f"{place}: image {number} ({image.name})"
         camera = model.cameras.get(image.camera_id)
         if camera is None:
-            raise InputError(
-                "camera-missing",
-                f"{where}: its camera {image.camera_id} is not in the model; export it again",
-            )
+            text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
+            raise InputError("camera-missing", text)
         K, lens, lens_model = intrinsics(camera, where)
         path = PurePosixPath(image.name)
         name = path.parts[-2] if len(path.parts) > 1 else path.stem

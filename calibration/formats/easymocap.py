@@ -38,10 +38,8 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
         extri = _other(path, EXTRI, required=False)
     names, cameras = intri.get("names"), {}
     if not isinstance(names, list):
-        raise InputError(
-            "entry-wrong",
-            f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names",
-        )
+        text = f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names"
+        raise InputError("entry-wrong", text)
     for name in map(str, names):
         where, lens = f"{path.parent / INTRI}", "dist" if f"dist_{name}" in intri else "D"
         width, height = intri.get(f"W_{name}"), intri.get(f"H_{name}")
@@ -65,10 +63,8 @@ def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -
     """
     wide = [name for name, camera in cameras.items() if camera.model == "OPENCV_FISHEYE"]
     if wide:
-        raise InputError(
-            "lens-unwritable",
-            f"camera '{wide[0]}' has a fisheye lens, which EasyMocap lacks; export to rig-opencv or rig-kalibr",
-        )
+        text = f"camera '{wide[0]}' has a fisheye lens, which EasyMocap lacks; export to rig-opencv or rig-kalibr"
+        raise InputError("lens-unwritable", text)
     intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
     extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
     for file in (intri, extri):

@@ -78,9 +78,8 @@ def text_of(path: Path) -> str:
     except UnicodeDecodeError:
         raise InputError("file-damaged", f"{path}: not a text file; expected a calibration file") from None
     except OSError as error:
-        raise InputError(
-            "file-unreadable", f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
-        ) from None
+        wrong = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
+        raise InputError("file-unreadable", wrong) from None
     if nesting(text) > DEEPEST:
         raise InputError("file-damaged", f"{path}: nested {nesting(text)} deep; expected a calibration file")
     return text
@@ -107,20 +106,15 @@ def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            "entry-wrong", f"{where} is {_shorten(value)}; expected {_shape_words(shape)}"
-        ) from None
+        text = f"{where} is {_shorten(value)}; expected {_shape_words(shape)}"
+        raise InputError("entry-wrong", text) from None
     squeezed = tuple(n for n in array.shape if n != 1)
     if squeezed != tuple(n for n in shape if n != 1) and array.shape != (int(np.prod(shape)),):
-        raise InputError(
-            "entry-wrong",
-            f"{where} has {'x'.join(map(str, array.shape)) or 'one'} number(s); expected {_shape_words(shape)}",
-        )
+        text = f"{where} has {'x'.join(map(str, array.shape)) or 'one'} number(s); expected {_shape_words(shape)}"
+        raise InputError("entry-wrong", text)
     if not np.isfinite(array).all():
-        raise InputError(
-            "entry-wrong",
-            f"{where} is {_shorten(array.tolist())}; expected finite numbers; calibrate again",
-        )
+        text = f"{where} is {_shorten(array.tolist())}; expected finite numbers; calibrate again"
+        raise InputError("entry-wrong", text)
     return array.reshape(shape)
 
 
@@ -133,10 +127,8 @@ def matrix(value: Any, where: str) -> Float[np.ndarray, "3 3"]:
     K = numbers(value, (3, 3), where)
     fx, skew, fy = K[0, 0], K[0, 1], K[1, 1]
     if min(fx, fy) <= 0 or abs(K[1, 0]) > 0 or not np.allclose(K[2], [0, 0, 1]):
-        raise InputError(
-            "entry-wrong",
-            f"{where} is {K.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0",
-        )
+        text = f"{where} is {K.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0"
+        raise InputError("entry-wrong", text)
     if abs(skew) > LARGEST_SKEW * fx:
         raise InputError("lens-unread", f"{where} has skew {skew:g}; expected 0; calibrate without skew")
     return np.array([[fx, 0, K[0, 2]], [0, fy, K[1, 2]], [0, 0, 1]]) + HALF_PIXEL
@@ -157,9 +149,8 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
     try:
         flat = np.array([] if value is None else value, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            "entry-wrong", f"{where} is {_shorten(value)}; expected distortion coefficients"
-        ) from None
+        text = f"{where} is {_shorten(value)}; expected distortion coefficients"
+        raise InputError("entry-wrong", text) from None
     lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
         raise InputError(
@@ -191,10 +182,8 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
     if array.shape == (3,):
         R = Rotation.from_rotvec(array).as_matrix()
         if not np.isfinite(R).all():
-            raise InputError(
-                "entry-wrong",
-                f"{where}: rotation is {array.tolist()}; expected a rotation vector, radians",
-            )
+            text = f"{where}: rotation is {array.tolist()}; expected a rotation vector, radians"
+            raise InputError("entry-wrong", text)
     else:
         R = array
         off = float(np.abs(R @ R.T - np.eye(3)).max())

@@ -70,10 +70,8 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
     for n, (key, camera) in enumerate(cameras.items()):
         where = f"{path}: {key}"
         if camera["camera_model"] != "pinhole":
-            raise InputError(
-                "lens-unread",
-                f"{where}: camera_model is {camera['camera_model']!r}; expected pinhole; calibrate with pinhole-radtan",
-            )
+            wrong = f"{where}: camera_model is {camera['camera_model']!r}"
+            raise InputError("lens-unread", f"{wrong}; expected pinhole; calibrate with pinhole-radtan")
         lens = str(camera.get("distortion_model", "none"))
         if lens not in LENSES:
             raise InputError("lens-unread", f"{where}: distortion_model {lens!r}, not {', '.join(LENSES)}")

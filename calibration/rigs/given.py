@@ -230,7 +230,5 @@ def _scale(
 def _check_apart(cameras: Mapping[str, RigCamera], where: str) -> None:
     for (a, first), (b, second) in combinations(cameras.items(), 2):
         if np.array_equal(first.camera.cam_from_world, second.camera.cam_from_world):
-            raise InputError(
-                "poses-equal",
-                f"{where}: cameras '{a}' and '{b}' have the same pose; calibrate the rig, not only the lenses",
-            )
+            text = f"{where}: cameras '{a}' and '{b}' have one pose; calibrate the rig, not only the lenses"
+            raise InputError("poses-equal", text)

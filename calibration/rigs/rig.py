@@ -136,9 +136,8 @@ def read_rig(path: Path) -> Rig:
         )
         return Rig(cameras, scale, data.get("route", "given"))
     except OSError as error:
-        raise InputError(
-            "file-unreadable", f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
-        ) from None
+        text = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
+        raise InputError("file-unreadable", text) from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
             "file-damaged",

@@ -62,10 +62,8 @@ def prepare_masks(
         raise InputError(problems[0].code, "\n".join(map(str, problems[:LISTED])) + more)
     if len(without) == len(pictures):
         example = next(iter(pictures.values()))
-        raise InputError(
-            "mask-missing",
-            f"{folder}: holds no mask of the sweep's {len(pictures)} pictures; expected names such as {example}.png",
-        )
+        wrong = f"{folder}: holds no mask of the sweep's {len(pictures)} pictures"
+        raise InputError("mask-missing", f"{wrong}; expected names such as {example}.png")
     return without
 
 

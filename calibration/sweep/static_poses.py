@@ -126,9 +126,8 @@ def recover_static_poses(
     """
     names = sorted(name for group in groups for name in group.names)
     if len(names) < MIN_MODEL:
-        raise CalibrationError(
-            "sweep-too-short", f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer"
-        )
+        text = f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer"
+        raise CalibrationError("sweep-too-short", text)
     metres, std_m = local_metres(places or {})
     no_gps = why_not(metres, std_m, len(names))
     nowhere = np.full(3, np.nan)

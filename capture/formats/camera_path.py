@@ -74,9 +74,8 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         for number, entry in enumerate(entries):
             where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{number}]"
             if not isinstance(entry, dict):
-                raise InputError(
-                    "entry-wrong", f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
-                )
+                text = f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
+                raise InputError("entry-wrong", text)
             fov = _number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
                 raise InputError("entry-wrong", f"{where}: fov is {fov:g}; expected degrees from 0 to 180")
@@ -92,10 +91,8 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
     except CaptureError as error:
         raise InputError(error.code, str(error)) from None
     if any(time is None for time in times) and any(time is not None for time in times):
-        raise InputError(
-            "entry-missing",
-            f"{path}: some pictures have a render_time and others have none; give all of them one, or none",
-        )
+        text = f"{path}: some pictures have a render_time and others have none; give all of them one, or none"
+        raise InputError("entry-missing", text)
     known = tuple(time for time in times if time is not None)
     closed = bool(meta.get("is_cycle")) and not every_picture
     return CameraPath(
@@ -109,9 +106,8 @@ def _matrix(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
         pose = np.array(json.loads(value) if isinstance(value, str) else value, dtype=np.float64)
         pose = pose.reshape(4, 4)
     except (TypeError, ValueError):
-        raise InputError(
-            "entry-wrong", f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers"
-        ) from None
+        text = f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers"
+        raise InputError("entry-wrong", text) from None
     return pose.T if np.any(pose[3, :3]) and not np.any(pose[:3, 3]) else pose
 
 
@@ -127,9 +123,8 @@ def _undone(path: Path) -> Any:
         if not (scale > 0 and np.isfinite(inverse).all()):
             raise ValueError(f"scale is {scale}")
     except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-        raise InputError(
-            "file-damaged", f"{path}: cannot be used ({error}); expected transform (3 rows of 4) and scale"
-        ) from None
+        text = f"{path}: cannot be used ({error}); expected transform (3 rows of 4) and scale"
+        raise InputError("file-damaged", text) from None
 
     def undo(pose: np.ndarray) -> np.ndarray:
         moved = pose.copy()

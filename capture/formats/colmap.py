@@ -65,10 +65,8 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
         grey += header.grey
         intrinsics = model.cameras.get(image.camera_id)
         if intrinsics is None:
-            raise CaptureError(
-                "camera-missing",
-                f"{where}: its camera {image.camera_id} is not in the model; export it again",
-            )
+            text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
+            raise CaptureError("camera-missing", text)
         split = "test" if test is not None and image.name in test else "train"
         camera = _camera(intrinsics, image, header, where)
         frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
@@ -157,10 +155,8 @@ def model_folder(folder: Path) -> Path:
     for place in places:
         if any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
             return place
-    raise CaptureError(
-        "file-missing",
-        f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or itself; expected a COLMAP model",
-    )
+    text = f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or itself; expected a COLMAP model"
+    raise CaptureError("file-missing", text)
 
 
 def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray, LensModel]:
@@ -188,10 +184,8 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:
     if (header.width, header.height) != (camera.width, camera.height):
-        raise CaptureError(
-            "picture-size-wrong",
-            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use its own",
-        )
+        text = f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use its own"
+        raise CaptureError("picture-size-wrong", text)
     K, distortion, model = intrinsics(camera, where)
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)
 

@@ -131,10 +131,8 @@ def read_dataset(
         OverflowError,
         np.linalg.LinAlgError,
     ) as error:  # positions of 1e300, all at one place
-        raise CaptureError(
-            "scene-cameras-unusable",
-            f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths",
-        ) from None
+        text = f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"
+        raise CaptureError("scene-cameras-unusable", text) from None
 
 
 def _scene(found: Pictures, background: Background | None, notes: list[str]) -> Scene:

@@ -45,9 +45,8 @@ def write_devrf(export: Export) -> None:
     scene = export.scene
     if not scene.static or not scene.dynamic:
         code, missing = ("motion-missing", "motion") if scene.static else ("rest-missing", "sweep")
-        raise CaptureError(
-            code, f"devrf needs a sweep and motion, this scene has no {missing}; export to nerfstudio"
-        )
+        text = f"devrf needs a sweep and motion, this scene has no {missing}; export to nerfstudio"
+        raise CaptureError(code, text)
     write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static, "static"), export)
     cameras = list(dict.fromkeys(f.camera_name for f in scene.dynamic))
     counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
@@ -99,10 +98,8 @@ def moving_folder(folder: Path, notes: list[str]) -> Path:
         if (m := re.fullmatch(r"dynamic_(\d+)views", p.name))
     }
     if not found or not (folder / "static").is_dir():
-        raise CaptureError(
-            "folder-missing",
-            f"data set {folder}: no static/ and dynamic_4views/; check dataset.path and dataset.format",
-        )
+        text = f"data set {folder}: no static/ and dynamic_4views/; check dataset.path and dataset.format"
+        raise CaptureError("folder-missing", text)
     chosen = found[max(found)]
     if len(found) > 1:
         others = ", ".join(p.name for p in found.values() if p != chosen)

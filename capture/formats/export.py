@@ -191,10 +191,8 @@ class Pinholes:
         undistorter = self._of(frame.camera)
         rgba = _with_alpha(read_matted(frame, self.export.scene.background))
         if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
-            raise CaptureError(
-                "picture-size-wrong",
-                f"{frame.path}: picture has another size than its calibration; run again with --force scene",
-            )
+            text = f"{frame.path}: not as large as calibrated; run again with --force scene"
+            raise CaptureError("picture-size-wrong", text)
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])
         return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None, matte=None)

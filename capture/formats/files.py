@@ -43,10 +43,8 @@ def find_picture(file: Path) -> Path:
         candidate = file.with_name(file.name + ending) if file.name else file
         if candidate.is_file():
             return candidate.resolve()
-    raise CaptureError(
-        "picture-missing",
-        f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry",
-    )
+    text = f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry"
+    raise CaptureError("picture-missing", text)
 
 
 def read_header(path: Path) -> Header:
@@ -63,10 +61,8 @@ def read_header(path: Path) -> Header:
     if mode in COLOUR_MODES:
         return Header(path, width, height, False, alpha)
     count = {"LA": "2 channels (grey and transparency)", "PA": "2 channels (palette and transparency)"}
-    raise CaptureError(
-        "picture-kind-unread",
-        f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or RGBA",
-    )
+    text = f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or RGBA"
+    raise CaptureError("picture-kind-unread", text)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -103,10 +99,8 @@ def frames_of(meta: dict[str, Any], path: Path) -> list[dict[str, Any]]:
             raise CaptureError("entry-wrong", f"{path}: frames[{number}] is {entry!r}; expected an object")
         for key, kind in (("file_path", str), ("transform_matrix", list)):
             if not isinstance(entry.get(key), kind):
-                raise CaptureError(
-                    "entry-wrong",
-                    f"{path}: frames[{number}].{key} is {entry.get(key)!r}; expected {_word(kind)}",
-                )
+                text = f"{path}: frames[{number}].{key} is {entry.get(key)!r}; expected {_word(kind)}"
+                raise CaptureError("entry-wrong", text)
     return entries
 
 

@@ -134,10 +134,8 @@ def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
     except ArrayError as error:
         raise CaptureError(error.code, f"{error}; check dataset.path and dataset.format") from None
     if table.ndim < 2 or len(table) == 0 or table[0].size != columns:
-        raise CaptureError(
-            "table-wrong",
-            f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture",
-        )
+        text = f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture"
+        raise CaptureError("table-wrong", text)
     return table.reshape(len(table), columns)
 
 
@@ -150,10 +148,8 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
     good = np.isfinite(bounds).all(axis=1) & (bounds[:, 0] > 0) & (bounds[:, 1] > bounds[:, 0])
     if not good.all():
         n = int(np.argmin(good))
-        raise CaptureError(
-            "entry-wrong",
-            f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; remove row and picture",
-        )
+        text = f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; remove row and picture"
+        raise CaptureError("entry-wrong", text)
     return bounds
 
 

@@ -38,15 +38,11 @@ def cam_from_opengl(matrix: Any, where: str) -> Float[np.ndarray, "3 4"]:
     full = np.vstack([pose[:3], [0, 0, 0, 1]]) @ FLIP_YZ
     u, s, vt = np.linalg.svd(full[:3, :3])
     if np.abs(s - 1).max() > RIGID_REPAIR:
-        raise CaptureError(
-            "pose-not-rigid",
-            f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}); take the scale out of it",
-        )
+        text = f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}); take the scale out of it"
+        raise CaptureError("pose-not-rigid", text)
     if np.linalg.det(full[:3, :3]) < 0:
-        raise CaptureError(
-            "pose-mirrored",
-            f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}); turn one of its axes",
-        )
+        text = f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}); turn one of its axes"
+        raise CaptureError("pose-mirrored", text)
     R = (u @ vt).T
     return np.column_stack([R, -R @ full[:3, 3]])
 
@@ -62,10 +58,8 @@ def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
         int(_number(entry.get(key, size), key, where)) for key, size in (("w", width), ("h", height))
     )
     if stated != (width, height):
-        raise CaptureError(
-            "picture-size-wrong",
-            f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}; use the calibrated ones",
-        )
+        wrong = f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}"
+        raise CaptureError("picture-size-wrong", f"{wrong}; use the calibrated ones")
     if "fl_x" in entry:
         fl_x = _number(entry["fl_x"], "fl_x", where)
     elif "camera_angle_x" in entry:

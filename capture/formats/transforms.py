@@ -106,10 +106,8 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
 
 def _check_model(model: object, path: Path) -> None:
     if model not in MODELS:
-        raise CaptureError(
-            "lens-unread",
-            f"{path}: camera_model {model} is not read, but OPENCV, PINHOLE and OPENCV_FISHEYE; undistort it",
-        )
+        text = f"{path}: camera_model is {model}; expected OPENCV, PINHOLE or OPENCV_FISHEYE; undistort it"
+        raise CaptureError("lens-unread", text)
 
 
 def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
@@ -136,9 +134,8 @@ def _number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise CaptureError(
-            "entry-wrong", f"{where}: {key} is {value!r}; expected a number, or no such key at rest"
-        )
+        text = f"{where}: {key} is {value!r}; expected a number, or no such key at rest"
+        raise CaptureError("entry-wrong", text)
     return float(value)
 
 

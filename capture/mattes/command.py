@@ -138,10 +138,8 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
             "run it by hand on this picture, then again; finished mattes are kept",
         )
     if not new.is_file():
-        raise CaptureError(
-            "command-without-output",
-            f"{_named(command)}: ended well but left no file at {MATTE} for {picture}; what it said last:\n{last}",
-        )
+        text = f"{_named(command)}: ended well but left no file at {MATTE} for {picture}; what it said last:\n{last}"
+        raise CaptureError("command-without-output", text)
     height, width = read_pixels(picture).shape[:2]
     try:
         read_given(new, width, height, inverted=False)

@@ -94,10 +94,8 @@ def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.
     if (w, h) == (width, height):
         return matte
     if abs(w * height - h * width) > SAME_SHAPE * h * width:
-        raise CaptureError(
-            "matte-size-wrong",
-            f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright); make it from the picture as filmed",
-        )
+        wrong = f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright)"
+        raise CaptureError("matte-size-wrong", f"{wrong}; make it from the picture as filmed")
     return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
 
 
@@ -130,6 +128,5 @@ def _missing(
     if by_number and 0 in wanted and min(by_number) == 1:
         text += "its files are numbered from 1, frames are counted from 0: rename them"
         return CaptureError("mattes-misnumbered", text)
-    return CaptureError(
-        "matte-missing", f"{text}add them (black where no subject is), or leave the folder out"
-    )
+    wrong = f"{text}add them (black where no subject is), or leave the folder out"
+    return CaptureError("matte-missing", wrong)

@@ -154,10 +154,8 @@ def check_arguments(
             f"simulate --scene {scene}: unknown scene, expected one of {', '.join(MODELS)} (--protocol {protocol})",
         )
     if not 1 <= cameras <= most_cameras:
-        raise InputError(
-            "option-wrong",
-            f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})",
-        )
+        text = f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})"
+        raise InputError("option-wrong", text)
     if not all(16 <= n <= 4096 for n in size):
         raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels")
 

@@ -133,10 +133,8 @@ def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: Se
         InputError: Unknown scene, odd size, or options that do not fit together.
     """
     if scene not in SCENES:
-        raise InputError(
-            "scene-unknown",
-            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)",
-        )
+        text = f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
+        raise InputError("scene-unknown", text)
     if not 1 <= cameras <= 64:
         raise InputError("option-wrong", f"simulate --cameras {cameras}: expected 1 to 64")
     if any(n < 16 or n % 2 for n in size):
