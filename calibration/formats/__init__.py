@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
 from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap, write_easymocap
@@ -42,6 +43,12 @@ RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths 
     "rig-pose2sim": write_pose2sim,
 }
 
+PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], Found]], ...] = (
+    (parse_qualisys, read_qualisys),
+    (parse_toml, read_toml),
+    (parse_kalibr, read_kalibr),
+)
+
 
 def find_calibration(path: Path) -> Found:
     """Read a calibration of another tool.
@@ -55,17 +62,10 @@ def find_calibration(path: Path) -> Found:
     if path.is_dir():
         return _from_folder(path)
     text = text_of(path)
-    qualisys = parse_qualisys(text)
-    if qualisys is not None:
-        return read_qualisys(path, qualisys)
-    tables = parse_toml(text)
-    if tables is not None:
-        return read_toml(path, tables)
-    chain = parse_kalibr(text)
-    if chain is not None:
-        return read_kalibr(path, chain)
-    data = storage(text)
-    if data is not None:
+    for parse, read in PARSED:
+        if (content := parse(text)) is not None:
+            return read(path, content)
+    if (data := storage(text)) is not None:
         if is_easymocap(data):
             return read_easymocap(path, data)
         if is_single(data):

@@ -156,10 +156,9 @@ def time_within(value: Any, where: str) -> float:
     Raises:
         CaptureError: It does not, or is no number.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise CaptureError("entry-wrong", f"{where}: time is {value!r}; expected a number in [0, 1]")
-    if not -TIME_TOLERANCE <= value <= 1 + TIME_TOLERANCE:
-        text = f"{where}: time is {value}; expected a number in [0, 1]; divide all times by the last one"
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and -TIME_TOLERANCE <= value <= 1 + TIME_TOLERANCE):
+        text = f"{where}: time is {value!r}; expected a number in [0, 1]; divide all times by the last one"
         raise CaptureError("entry-wrong", text)
     return float(np.clip(value, 0.0, 1.0))
 

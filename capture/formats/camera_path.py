@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.formats.files import read_json
+from devrf.capture.formats.files import number, number_or_none, read_json
 from devrf.capture.formats.opengl import cam_from_opengl
 
 DATAPARSER = "dataparser_transforms.json"
@@ -71,12 +71,12 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
             )
         width, height = size or _size(meta, path) or usual
         cameras, times = [], []
-        for number, entry in enumerate(entries):
-            where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{number}]"
+        for n, entry in enumerate(entries):
+            where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{n}]"
             if not isinstance(entry, dict):
                 text = f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
                 raise InputError("entry-wrong", text)
-            fov = _number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
+            fov = number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
                 raise InputError("entry-wrong", f"{where}: fov is {fov:g}; expected degrees from 0 to 180")
             f = 0.5 * height / np.tan(0.5 * np.radians(fov))
@@ -84,10 +84,7 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
             pose = undo(_matrix(entry.get("camera_to_world", entry.get("matrix")), where))
             cameras.append(Camera(width, height, K, cam_from_opengl(pose, where)))
             times.append(_time(entry, where))
-        numbers = {
-            key: None if meta.get(key) is None else _number(meta[key], key, str(path))
-            for key in ("fps", "seconds")
-        }
+        fps, seconds = (number_or_none(meta, key, str(path)) for key in ("fps", "seconds"))
     except CaptureError as error:
         raise InputError(error.code, str(error)) from None
     if any(time is None for time in times) and any(time is not None for time in times):
@@ -95,9 +92,7 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         raise InputError("entry-missing", text)
     known = tuple(time for time in times if time is not None)
     closed = bool(meta.get("is_cycle")) and not every_picture
-    return CameraPath(
-        tuple(cameras), known or None, numbers["fps"], numbers["seconds"], every_picture, closed
-    )
+    return CameraPath(tuple(cameras), known or None, fps, seconds, every_picture, closed)
 
 
 def _matrix(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
@@ -138,20 +133,14 @@ def _size(meta: dict[str, Any], path: Path) -> tuple[int, int] | None:
     width, height = meta.get("render_width"), meta.get("render_height")
     if width is None or height is None:
         return None
-    return int(_number(width, "render_width", str(path))), int(_number(height, "render_height", str(path)))
+    return int(number(width, "render_width", str(path))), int(number(height, "render_height", str(path)))
 
 
 def _time(entry: dict[str, Any], where: str) -> float | None:
     value = entry.get("render_time", entry.get("time"))
     if value is None:
         return None
-    time = _number(value, "render_time", where)
+    time = number(value, "render_time", where)
     if not 0 <= time <= 1:
         raise InputError("entry-wrong", f"{where}: render_time is {time:g}, outside the clip, 0 to 1")
     return time
-
-
-def _number(value: Any, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError("entry-wrong", f"{where}: {key} is {value!r}; expected a number")
-    return float(value)

@@ -1,6 +1,7 @@
 """Files of data sets: JSON, and what the header of a picture says before its pixels are read."""
 
 import json
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ LONGEST_NAME = 64  # of a camera, characters
 PICTURE_ENDINGS = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 GREY_MODES = ("1", "L", "I;16", "I;16B", "I")  # Pillow's names
 COLOUR_MODES = ("RGB", "RGBA", "P", "RGBX")
+# Of an entry.
+REQUIRED = (("file_path", str, "the path of a picture"), ("transform_matrix", list, "4 rows of 4 numbers"))
 
 
 @dataclass(frozen=True)
@@ -94,14 +97,26 @@ def frames_of(meta: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     entries = meta.get("frames")
     if not isinstance(entries, list) or not entries:
         raise CaptureError("pictures-none", f"{path}: no frames listed; expected a list with one per picture")
-    for number, entry in enumerate(entries):
+    for n, entry in enumerate(entries):
         if not isinstance(entry, dict):
-            raise CaptureError("entry-wrong", f"{path}: frames[{number}] is {entry!r}; expected an object")
-        for key, kind in (("file_path", str), ("transform_matrix", list)):
+            raise CaptureError("entry-wrong", f"{path}: frames[{n}] is {entry!r}; expected an object")
+        for key, kind, what in REQUIRED:
             if not isinstance(entry.get(key), kind):
-                text = f"{path}: frames[{number}].{key} is {entry.get(key)!r}; expected {_word(kind)}"
+                text = f"{path}: frames[{n}].{key} is {entry.get(key)!r}; expected {what}"
                 raise CaptureError("entry-wrong", text)
     return entries
+
+
+def number(value: Any, key: str, where: str) -> float:
+    """A value that must be a finite number; `key` and `where` name it in the error."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CaptureError("entry-wrong", f"{where}: {key} is {value!r}; expected a number")
+    return float(value)
+
+
+def number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None:
+    """The number of a key that may be missing."""
+    return None if entry.get(key) is None else number(entry[key], key, where)
 
 
 def relative_to(path: Path, base: Path) -> str:
@@ -117,7 +132,3 @@ def safe_name(name: object) -> str:
 def _whole(digits: str) -> int | float:
     """Of hundreds of digits no array can be made, nor are they asked whether they are finite."""
     return int(digits) if len(digits) < 20 else float(digits)
-
-
-def _word(kind: type) -> str:
-    return {str: "the path of a picture", list: "4 rows of 4 numbers"}[kind]

@@ -12,6 +12,7 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.formats.files import (
     find_picture,
     frames_of,
+    number_or_none,
     read_header,
     read_json,
     relative_to,
@@ -73,8 +74,8 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
         _check_model(entry.get("camera_model", "OPENCV"), path)
         header = read_header(find_picture(path.parent / entry["file_path"]))
         grey += header.grey
-        time = _number_or_none(entry, "time", where)
-        time_s = _number_or_none(entry, "time_s", where)
+        time = number_or_none(entry, "time", where)
+        time_s = number_or_none(entry, "time_s", where)
         frames.append(
             PosedFrame(
                 path=header.path,
@@ -127,16 +128,6 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
             f"{where}: its look cannot be used ({error}); expected colour_matrix with 3 rows of 3 numbers and "
             "colour_gains with 3 numbers above 0, or no such keys",
         ) from None
-
-
-def _number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None:
-    value = entry.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        text = f"{where}: {key} is {value!r}; expected a number, or no such key at rest"
-        raise CaptureError("entry-wrong", text)
-    return float(value)
 
 
 def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:

@@ -80,17 +80,8 @@ def simulate_dataset(
     """
     options = options or DatasetOptions()
     check_arguments("devrf", scene, size, cameras, len(PLACES))
-    folder = OutputFolder(
-        out,
-        {
-            "protocol": "devrf",
-            "scene": scene,
-            "seed": seed,
-            "cameras": cameras,
-            "size": size,
-            "options": options.model_dump(mode="json"),
-        },
-    )
+    made_by = {"protocol": "devrf", "scene": scene, "seed": seed, "cameras": cameras, "size": size}
+    folder = OutputFolder(out, {**made_by, "options": options.model_dump(mode="json")})
     path = out / "scene.yaml"
     if folder.complete:
         return Made(path, 0)
