@@ -47,8 +47,9 @@ def common_pinhole(cameras: Sequence[Camera], whole: bool) -> Camera:
             reach = np.minimum(reach, LARGEST_STRETCH * np.min([_linear_reach(c) for c in distinct], axis=0))
     if not reach.min() > 0:
         raise CaptureError(
+            "principal-point-outside",
             "the principal point lies outside a picture, so the pictures have no common middle; export to "
-            "nerfstudio or colmap, which keep each camera as it is"
+            "nerfstudio or colmap, which keep each camera as it is",
         )
     focal = max(float(c.K[i, i]) for c in distinct for i in (0, 1))
     area = max(c.width * c.height for c in distinct)

@@ -60,8 +60,9 @@ def write_video(
                     stream.width, stream.height = size
                 elif (even.shape[1], even.shape[0]) != size:
                     raise CaptureError(
+                        "picture-size-wrong",
                         f"{path.name}: picture {count} is {even.shape[1]}x{even.shape[0]}, the first one "
-                        f"{size[0]}x{size[1]}; a film needs pictures of one size"
+                        f"{size[0]}x{size[1]}; a film needs pictures of one size",
                     )
                 frame = av.VideoFrame.from_ndarray(even, format="rgb24")
                 frame = frame.reformat(
@@ -72,10 +73,10 @@ def write_video(
             if count:
                 container.mux(stream.encode(None))
     except (OSError, FFmpegError) as error:
-        raise CaptureError(f"{path}: cannot be written ({error}); check the folder and free space") from error
+        raise CaptureError("file-unwritable", f"{path}: {error}; check the folder and free space") from error
     if not count:
         path.unlink(missing_ok=True)
-        raise CaptureError(f"{path.name}: no pictures to write, expected at least one")
+        raise CaptureError("pictures-none", f"{path.name}: no pictures to write, expected at least one")
     return count
 
 

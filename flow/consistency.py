@@ -58,8 +58,9 @@ def both_ways(
         shape, kind = getattr(found, "shape", ()), getattr(found, "dtype", type(found).__name__)
         if not isinstance(found, np.ndarray) or kind != np.float32 or shape != expected:
             raise FlowError(
+                "estimator-result-wrong",
                 f"flow.method {estimator.name}: estimate gave {kind} of shape {list(shape)}, expected a numpy array "
-                f"of float32 of shape {list(expected)}"
+                f"of float32 of shape {list(expected)}",
             )
     return flow, *round_trip(flow, back)
 

@@ -124,7 +124,7 @@ def _read(path: Path, *names: str, text: bool = False) -> dict[str, np.ndarray]:
     try:
         return read_npz(path, names, text=text)
     except ArrayError as error:
-        raise FlowError(f"{error}; run again with --force flow") from error
+        raise FlowError(error.code, f"{error}; run again with --force flow") from error
 
 
 def _carried_on(

@@ -47,7 +47,7 @@ def find_board(
         if other is not None:
             settled, views = other, _search(name, files, other, progress)
     if not views and required:
-        raise HealthError(never_seen(name, len(files), settled))
+        raise HealthError("board-never-seen", never_seen(name, len(files), settled))
     return views, settled
 
 

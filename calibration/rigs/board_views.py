@@ -126,10 +126,11 @@ def spanning_tree(seen: Views) -> list[tuple[int, int]]:
         best, known, new = max((int(links[a, b]), a, b) for a in reached for b in lost)
         if best < MIN_SHARED_POINTS:
             raise HealthError(
+                "rig-unlinked-camera",
                 f"{', '.join(names[c] for c in lost)} share{'s' if len(lost) == 1 else ''} no view of the board "
                 f"with {', '.join(names[c] for c in sorted(reached))}: {best} corners seen at once, need "
                 f"{MIN_SHARED_POINTS} (200 are good); hold the board where both see it, put a camera between "
-                "them for the calibration, or use the sweep"
+                "them for the calibration, or use the sweep",
             )
         tree.append((known, new))
         reached.add(new)

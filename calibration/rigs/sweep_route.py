@@ -111,8 +111,9 @@ def rig_from_sweep(
         progress(0.2 + 0.6 * (n + 1) / len(inputs), f"{item.name}: {most} inliers")
     if refused:
         raise HealthError(
+            "rig-unlinked-camera",
             "; ".join(refused) + ". Add sweep pictures from near these cameras, looking the same way, "
-            "and check that they film the same place"
+            "and check that they film the same place",
         )
     return _refined(model, inputs, found)
 

@@ -42,16 +42,16 @@ def read_devrf_forward(folder: Path, moving: Path, notes: list[str]) -> Pictures
     views = [p for p in sorted(moving.glob("view*"), key=_number) if _number(p) > 0]
     if len(views) < 2 or [_number(p) for p in views] != list(range(1, len(views) + 1)):
         raise CaptureError(
-            f"{moving}: expected the folders view1, view2, ... (two or more), found "
-            f"{', '.join(p.name for p in views) or 'none'}"
+            "folder-missing",
+            f"{moving}: expected two or more of view1, view2, ..., found {', '.join(p.name for p in views) or 'none'}",
         )
     poses = read_rows(moving / "poses.npy", 15)
     check_bounds(read_rows(moving / "bds.npy", 2), moving / "bds.npy")
     for name, count in (("poses.npy", len(poses)), ("static pictures", len(static))):
         if count < len(views):
             raise CaptureError(
-                f"{moving}: {count} {name} for {len(views)} views; expected the fixed cameras in the last "
-                f"{len(views)}"
+                "count-mismatch",
+                f"{moving}: {count} {name} for {len(views)} views; expected the fixed cameras in the last {len(views)}",
             )
     box_from_world = forward_frame([f.camera for f in static], bounds)
     dynamic: list[PosedFrame] = []
@@ -121,9 +121,10 @@ def _check_same_place(camera: Camera, static: Camera, path: Path, view: str) -> 
     turn = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     if miss > LARGEST_MISS or turn > LARGEST_TURN_DEG:
         raise CaptureError(
+            "pose-differs",
             f"{path}: {view} is {miss:.3g} units and {turn:.1f} degrees from its picture at rest, expected the "
             "same pose; the last pictures of static/ must be the fixed cameras, in order, and poses.npy must be "
-            "recentred and scaled by 1 / (0.75 nearest bound), as the published loader does"
+            "recentred and scaled by 1 / (0.75 nearest bound), as the published loader does",
         )
 
 

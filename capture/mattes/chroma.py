@@ -48,9 +48,10 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
     near = strong & (np.abs((angle - best + 180) % 360 - 180) < SECTOR_DEG)
     if near.mean() < LEAST_SHARE:
         raise CaptureError(
+            "key-colour-unfound",
             f"camera '{camera}': no key colour found: the commonest strong colour fills "
             f"{100 * near.mean():.0f} % of its pictures, expected at least {100 * LEAST_SHARE:.0f} %; light the screen "
-            "evenly, name its colour (capture.mattes: {method: chroma, colour: '#00b140'}), or use another method"
+            "evenly, name its colour (capture.mattes: {method: chroma, colour: '#00b140'}), or use another method",
         )
     return np.median(rgb[near], axis=0)
 
@@ -99,8 +100,9 @@ def parse_colour(text: str) -> Float[np.ndarray, "3"]:
     chroma = float(np.hypot(*_ycc(rgb.astype(np.float32)[None])[1][0]))
     if chroma < LEAST_CHROMA:
         raise InputError(
+            "key-colour-grey",
             f"{text} is nearly grey (chroma {chroma:.0f} of 255), expected a strong colour (at least "
-            f"{LEAST_CHROMA:.0f}): a grey screen cannot be told from shadow and cloth; use another method"
+            f"{LEAST_CHROMA:.0f}): a grey screen cannot be told from shadow and cloth; use another method",
         )
     return rgb
 

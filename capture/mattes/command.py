@@ -110,7 +110,7 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
             stderr=subprocess.STDOUT, text=True, errors="replace", start_new_session=True,
         )  # fmt: skip
     except OSError as error:
-        raise CaptureError(f"{_named(command)}: cannot be started ({error}); check capture.mattes") from None
+        raise CaptureError("command-unstartable", f"{_named(command)}: not started ({error})") from None
     running.add(process)
     late = False
     try:
@@ -127,23 +127,24 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
     last = "\n".join(said.strip().splitlines()[-LAST_LINES:]) or "it said nothing"
     if late:
         raise CaptureError(
+            "command-timed-out",
             f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s; what it said last:\n{last}\n"
-            "allow more (capture.mattes.timeout_s), or give it a smaller model"
+            "allow more (capture.mattes.timeout_s), or give it a smaller model",
         )
     if process.returncode != 0:
         raise CaptureError(
+            "command-failed",
             f"{_named(command)}: exit code {process.returncode} for {picture}; what it said last:\n{last}\n"
-            "run it by hand on this picture, then again; finished mattes are kept"
+            "run it by hand on this picture, then again; finished mattes are kept",
         )
     if not new.is_file():
-        raise CaptureError(
-            f"{_named(command)}: ended well but left no file at {MATTE} for {picture}; what it said last:\n{last}"
-        )
+        text = f"{_named(command)}: ended well but left no file at {MATTE} for {picture}; what it said last:\n{last}"
+        raise CaptureError("command-without-output", text)
     height, width = read_pixels(picture).shape[:2]
     try:
         read_given(new, width, height, inverted=False)
     except CaptureError as error:
-        raise CaptureError(f"{_named(command)}: no matte of {picture}: {error}") from None
+        raise CaptureError(error.code, f"{_named(command)}: no matte of {picture}: {error}") from None
     sync(new)  # or a power cut could leave an empty file under a name that counts
     new.replace(name)
 

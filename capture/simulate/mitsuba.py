@@ -20,9 +20,10 @@ def load_mitsuba() -> Any:
         import mitsuba
     except ImportError as error:
         raise InputError(
+            "package-missing",
             "simulate needs the renderer mitsuba, which is not installed; "
             "install it with: python -m pip install 'devrf[simulate]' (in a clone: python -m pip install "
-            "-c constraints.txt -e '.[simulate]')"
+            "-c constraints.txt -e '.[simulate]')",
         ) from error
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
