@@ -86,9 +86,8 @@ def session(out: Path, talk: Talk) -> Path:
         what = (
             "rendered by another version of the simulator" if same else "not the session that is rendered now"
         )
-        raise InputError(
-            f"{folder}: {what}, so its cases would not compare; give another --out, or delete that folder"
-        )
+        wrong = f"{folder}: {what}, so its cases would not compare; give another --out, or delete that folder"
+        raise InputError("session-outdated", wrong)
     with talk.progress("simulate") as progress:
         return rendered(folder, made, progress=progress)
 
