@@ -52,8 +52,8 @@ def report(
         try:
             report_so_far(job.config, job.run_dir, stale)
         except OSError as error:
-            wrong = f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
-            raise DevrfError("folder-unwritable", wrong) from None
+            text = f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
+            raise DevrfError("folder-unwritable", text) from None
     for line in run_command.said_of_stale(stale):
         talk.say(f"  note: {line}", style="yellow")
     job.fresh.append("report")

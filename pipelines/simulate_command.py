@@ -74,8 +74,8 @@ def simulate(
         InputError: With every mistake in the options.
     """
     if protocol not in PROTOCOLS:
-        wrong = f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}"
-        raise InputError("option-unknown-value", wrong)
+        text = f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}"
+        raise InputError("option-unknown-value", text)
     chosen = PROTOCOLS[protocol]
     size = size or chosen.size
     match = re.fullmatch(r"(\d+)x(\d+)", size.strip().lower())

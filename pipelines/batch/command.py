@@ -74,8 +74,8 @@ def batch(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        wrong = f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
-        raise InputError("folder-unwritable", wrong) from None
+        text = f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
+        raise InputError("folder-unwritable", text) from None
     there = None if store is None else Store(store)
     if there is not None:
         there.check()
@@ -119,8 +119,8 @@ def _seen_in(scene: BatchScene, out: Path, store: Store | None, talk: Talk) -> P
     try:
         mirror(store, config, scene.scene_dir, folder, talk.say)
     except OSError as error:
-        wrong = f"{folder}: cannot be written ({error.strerror or error}); make room there"
-        raise DevrfError("folder-unwritable", wrong) from None
+        text = f"{folder}: cannot be written ({error.strerror or error}); make room there"
+        raise DevrfError("folder-unwritable", text) from None
     return folder
 
 

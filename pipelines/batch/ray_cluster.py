@@ -128,8 +128,8 @@ def _connected(address: str | None) -> Any:
     try:
         import ray
     except ImportError:
-        wrong = "--engine ray: Ray is not installed; pip install 'devrf[ray]', or use --engine local"
-        raise InputError("extra-missing", wrong) from None
+        text = "--engine ray: Ray is not installed; pip install 'devrf[ray]', or use --engine local"
+        raise InputError("package-missing", text) from None
     import ray.exceptions
 
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}

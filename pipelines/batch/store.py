@@ -47,15 +47,15 @@ class Store:
         try:
             import fsspec.core
         except ImportError:
-            wrong = "--store: fsspec is not installed; pip install 'devrf[store]'"
-            raise InputError("extra-missing", wrong) from None
+            text = "--store: fsspec is not installed; pip install 'devrf[store]'"
+            raise InputError("package-missing", text) from None
         try:
             self._fs, self._root = fsspec.core.url_to_fs(url)
         except (ImportError, ValueError) as error:
             raise InputError("store-protocol-unknown", f"--store {url}: {error}") from None
         if not self._root.strip("/"):
-            wrong = f"--store {url}: names no bucket or folder; expected one, such as {url}NAME"
-            raise InputError("store-without-folder", wrong)
+            text = f"--store {url}: names no bucket or folder; expected one, such as {url}NAME"
+            raise InputError("store-without-folder", text)
         self.url = url
 
     def check(self) -> None:
@@ -96,8 +96,8 @@ class Store:
         try:
             self._get([(f"inputs/{digest}", path, (size, digest)) for (size, digest), path in files.items()])
         except DamagedError as error:  # the batch stores what is missing
-            wrong = f"{error}; remove it there, if it is there, and run the batch again"
-            raise DamagedError(error.code, wrong) from error
+            text = f"{error}; remove it there, if it is there, and run the batch again"
+            raise DamagedError(error.code, text) from error
 
     def stamps(self, scene: str, stages: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Stamps of those of a scene's stages that are finished, asked for side by side."""
@@ -197,8 +197,8 @@ class Store:
             try:
                 self._fs.get([self._path(name) for name, _, _ in files], [str(path) for _, path, _ in files])
             except FileNotFoundError as error:
-                wrong = f"{self.url}: a file is missing ({error})"
-                raise DamagedError("store-file-missing", wrong) from error
+                text = f"{self.url}: a file is missing ({error})"
+                raise DamagedError("store-file-missing", text) from error
         for name, path, (size, digest) in files:
             there = path.stat().st_size
             if there != size or file_digest(path) != digest:

@@ -145,6 +145,6 @@ def _put_inputs(store: Store, scene: BatchScene) -> Inputs:
         scene.digests.save()
         store.put_inputs(inputs.here)
     except OSError as error:  # one that has vanished since it was looked at
-        wrong = f"{scene.path}: a raw file cannot be read ({error}); check its disk, then run the batch again"
-        raise DevrfError("file-unreadable", wrong) from error
+        text = f"{scene.path}: a raw file cannot be read ({error}); check its disk, then run the batch again"
+        raise DevrfError("file-unreadable", text) from error
     return inputs

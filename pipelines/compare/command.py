@@ -50,8 +50,8 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            wrong = f"{option} {folder}: cannot be made ({error.strerror or error}); choose another folder"
-            raise InputError("folder-unwritable", wrong) from None
+            text = f"{option} {folder}: cannot be made ({error.strerror or error}); choose another folder"
+            raise InputError("folder-unwritable", text) from None
     table = measures_table(runs, found)
     _print(talk, runs, found, table)
     where = out / PAGE

@@ -79,8 +79,8 @@ def find_runs(named: Sequence[Path]) -> list[ComparedRun]:
         InputError: There are fewer than two, one is named twice, is no run, is not finished or cannot be read.
     """
     if len(named) < 2:
-        wrong = f"compare: {len(named)} run named, expected two or more run folders or scene.yaml"
-        raise InputError("compare-one-run", wrong)
+        text = f"compare: {len(named)} run named, expected two or more run folders or scene.yaml"
+        raise InputError("compare-one-run", text)
     folders = [_run_folder(path) for path in named]
     for n, folder in enumerate(folders):
         if folder in folders[:n]:
@@ -153,8 +153,8 @@ def _run_folder(path: Path) -> Path:
         config, scene_dir = configured(path, None, None, check_files=False)
         return config.run_dir(scene_dir).resolve()
     what = "holds neither stages of a run nor a scene.yaml" if path.is_dir() else "not found"
-    wrong = f"{path}: {what}; expected a run folder (output: in scene.yaml) or a scene.yaml"
-    raise InputError("run-missing", wrong)
+    text = f"{path}: {what}; expected a run folder (output: in scene.yaml) or a scene.yaml"
+    raise InputError("run-missing", text)
 
 
 def _read(name: str, path: Path) -> ComparedRun:

@@ -73,20 +73,20 @@ def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
     for option in options.given():
         if option not in chosen.options:
             takers = [n for n, other in FORMATS.items() if option in other.options]
-            wrong = f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
-            raise InputError("option-misplaced", wrong)
+            text = f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
+            raise InputError("option-misplaced", text)
     missing = [module for module in chosen.modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(
-            "extra-missing",
+            "package-missing",
             f"--format {name}: needs {', '.join(missing)}, which is not installed; install the extra `export` "
             f"({INSTALL})",
         )
     for stage in ("scene", "canonical") if chosen.stage == "canonical" else (chosen.stage,):
         if not (run_dir / stage / STAMP).is_file():
             what = "the model" if stage == "canonical" else f"the {stage}"
-            wrong = f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
-            raise InputError("stage-not-made", wrong)
+            text = f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
+            raise InputError("stage-not-made", text)
 
 
 def _unhealthy(run_dir: Path, last: str) -> list[str]:

@@ -22,8 +22,8 @@ def asked(request: Request) -> int:
     """
     count = COUNT if request.options.splats is None else request.options.splats
     if not FEWEST <= count <= MOST:
-        wrong = f"--splats {count}: expected {FEWEST} to {MOST}; {COUNT} if it is left out"
-        raise InputError("option-out-of-range", wrong)
+        text = f"--splats {count}: expected {FEWEST} to {MOST}; {COUNT} if it is left out"
+        raise InputError("option-out-of-range", text)
     return count
 
 

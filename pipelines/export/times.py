@@ -46,8 +46,8 @@ def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
         times = keys
     elif text.strip().isdecimal():
         if not 1 <= int(text) <= MOST:
-            wrong = f"--times {text}: expected a number of times from 1 to {MOST}"
-            raise InputError("option-out-of-range", wrong)
+            text = f"--times {text}: expected a number of times from 1 to {MOST}"
+            raise InputError("option-out-of-range", text)
         times = np.linspace(0.0, 1.0, int(text)).tolist()
     else:
         parts = [part.strip() for part in text.split(",")]

@@ -130,8 +130,8 @@ def _folder(job: Run, asked: Asked) -> Path:
         folder = asked.out.expanduser().resolve()
     check_folder(folder, "--out")
     if folder.is_dir() and any(folder.iterdir()) and finished_film(folder) is None:
-        wrong = f"--out {folder}: holds files that are no film; name another folder, or empty it"
-        raise InputError("folder-foreign", wrong)
+        text = f"--out {folder}: holds files that are no film; name another folder, or empty it"
+        raise InputError("folder-exists", text)
     check_folder(folder.parent, "--out")
     return folder
 
@@ -236,5 +236,5 @@ def _told(folder: Path) -> Iterator[None]:
     except Exception as error:
         if not is_no_memory(error):
             raise
-        wrong = f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
-        raise DevrfError("no-memory", wrong) from None
+        text = f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
+        raise DevrfError("no-memory", text) from None

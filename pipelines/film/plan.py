@@ -141,8 +141,8 @@ def _curve(asked: Asked, t0_s: float, t1_s: float) -> TimeCurve:
     begin = 0.0 if asked.begin is None else parse_time(asked.begin, "--from", t0_s, t1_s)
     end = 1.0 if asked.end is None else parse_time(asked.end, "--to", t0_s, t1_s)
     if begin >= end:
-        wrong = f"--from {asked.begin or 0} --to {asked.end or 1}: the second is not after the first"
-        raise InputError("times-reversed", wrong)
+        text = f"--from {asked.begin or 0} --to {asked.end or 1}: the second is not after the first"
+        raise InputError("times-reversed", text)
     texts = asked.slow_texts()
     slow = None
     if texts is not None:
@@ -182,8 +182,8 @@ def _still(scene: Scene, name: str, asked: Asked) -> Camera:
     """A camera that stands still, with its own lens, at the size that it is tested at or that was asked for."""
     known = {f.camera_name: f.camera for f in scene.dynamic}
     if name not in known:
-        wrong = f"--path still:{name}: no such camera; expected one of {', '.join(known) or 'none'}"
-        raise InputError("camera-unknown", wrong)
+        text = f"--path still:{name}: no such camera; expected one of {', '.join(known) or 'none'}"
+        raise InputError("camera-unknown", text)
     camera, size = known[name], asked.size_px()
     if size is None:
         return camera.scaled(scene.image_scale)
@@ -203,8 +203,8 @@ def _with_true(film: Film, name: str) -> Film:
     frames = sorted((f for f in film.scene.dynamic if f.camera_name == name), key=lambda f: f.time or 0.0)
     if not frames or any(time is None for time in film.times):
         names = sorted({f.camera_name for f in film.scene.dynamic})
-        wrong = f"--beside {name}: no such camera in motion; expected one of {', '.join(names) or 'none'}"
-        raise InputError("camera-unknown", wrong)
+        text = f"--beside {name}: no such camera in motion; expected one of {', '.join(names) or 'none'}"
+        raise InputError("camera-unknown", text)
     at = np.array([f.time for f in frames], dtype=np.float64)
     nearest = [int(np.abs(at - time).argmin()) for time in film.times if time is not None]
     beside = tuple(frames[n] for n in nearest)

@@ -36,8 +36,8 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
         raise InputError("folder-missing", f"{folder}: no such folder; name the folder with the raw files")
     path = folder / SCENE
     if path.exists() and not force:
-        wrong = f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
-        raise InputError("file-exists", wrong)
+        text = f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
+        raise InputError("file-exists", text)
     name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", folder.resolve().name).strip("-")[:100] or "scene"
     dataset = guess_format(folder)
     if dataset is not None:

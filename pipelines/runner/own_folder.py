@@ -32,7 +32,7 @@ def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:
         folder = run_dir / name
         if folder.is_dir() and not folder.is_symlink() and not _is_of_a_run(folder):
             raise InputError(
-                "folder-foreign",
+                "folder-exists",
                 f"output: {run_dir}: holds a folder {name} that no run has made, and a run would replace it; name "
                 "another folder (output: in scene.yaml), or move it away",
             )

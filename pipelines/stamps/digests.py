@@ -122,8 +122,8 @@ def file_digest(path: Path) -> str:
     except OSError as error:
         if error.errno != errno.EIO:
             raise
-        wrong = f"{path}: cannot be read to its end ({error.strerror}); copy it from another disk"
-        raise InputError("file-unreadable", wrong) from None
+        text = f"{path}: cannot be read to its end ({error.strerror}); copy it from another disk"
+        raise InputError("file-unreadable", text) from None
     return digest.hexdigest()
 
 

@@ -38,8 +38,8 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
     try:
         import viser  # noqa: F401 (whether it is there)
     except ModuleNotFoundError as error:
-        wrong = f"view needs the extra `viewer` ({error.name} is not installed): {INSTALL}"
-        raise InputError("extra-missing", wrong) from None
+        text = f"view needs the extra `viewer` ({error.name} is not installed): {INSTALL}"
+        raise InputError("package-missing", text) from None
     _check_free(host, port)
     working = is_held(job.run_dir)
     if working:
@@ -61,8 +61,8 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
         try:
             site = Site(job.config, job.run_dir, device, host, port)
         except OSError as error:
-            wrong = f"--port {port}: cannot be served ({error.strerror or error})"
-            raise DevrfError("port-unusable", wrong) from None
+            text = f"--port {port}: cannot be served ({error.strerror or error})"
+            raise DevrfError("port-unusable", text) from None
         try:
             shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
             talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
@@ -77,8 +77,8 @@ def _check_free(host: str, port: int) -> None:
     try:
         _free(host, port)
     except socket.gaierror as error:
-        wrong = f"--host {host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
-        raise InputError("host-unknown", wrong) from None
+        text = f"--host {host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
+        raise InputError("host-unknown", text) from None
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
             raise InputError(

@@ -173,7 +173,7 @@ def test_shares_follow_the_nodes_that_can_work(monkeypatch: pytest.MonkeyPatch) 
 
 def test_without_ray_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with refused("extra-missing", "pip install 'devrf[ray]'", kind=InputError):
+    with refused("package-missing", "pip install 'devrf[ray]'", kind=InputError):
         RayCluster(None, None, 1, "cpu")
 
 

@@ -208,7 +208,7 @@ def test_what_is_no_cache_is_left_alone(folder: Path, capsys: pytest.CaptureFixt
     precious.write_text("dear")
     os.utime(precious.parent, (1, 1))
     ran(folder)
-    for place, refusal in (("photos", "(holiday)"), ("run", "[folder-foreign]"), (".", "[folder-foreign]"),
+    for place, refusal in (("photos", "(holiday)"), ("run", "[folder-exists]"), (".", "[folder-exists]"),
                            ("scene.yaml", "[folder-is-file]"), ("run/kept", "[cache-inside-run]")):  # fmt: skip
         for choice in (Choice(), Choice(force=("all",))):
             assert execute(job(folder, small_stages(), f"cache.folder={place}", choice=choice)) == BAD_INPUT

@@ -76,8 +76,8 @@ def run_caliscope(work: Path, folder: Path, last: str, more: Mapping[str, Any], 
     config, scene_dir = configured(work, None, None)
     run = Run(config, scene_dir, STAGES, Choice(last=last), talk)
     if execute(run) != DONE:
-        wrong = f"{folder.name}: a stage up to {last} failed; see {run.run_dir}/devrf.log"
-        raise CalibrationError("stage-failed", wrong)
+        text = f"{folder.name}: a stage up to {last} failed; see {run.run_dir}/devrf.log"
+        raise CalibrationError("stage-failed", text)
     return run
 
 

@@ -86,8 +86,8 @@ def session(out: Path, talk: Talk) -> Path:
         what = (
             "rendered by another version of the simulator" if same else "not the session that is rendered now"
         )
-        wrong = f"{folder}: {what}, so its cases would not compare; give another --out, or delete that folder"
-        raise InputError("session-outdated", wrong)
+        text = f"{folder}: {what}, so its cases would not compare; give another --out, or delete that folder"
+        raise InputError("session-outdated", text)
     with talk.progress("simulate") as progress:
         return rendered(folder, made, progress=progress)
 

@@ -68,8 +68,8 @@ def run_stability(
         if result.stopped is not None:
             raise DevrfError("stage-failed", f"the undisturbed scene has no result: {result.stopped}")
         if result.psnr_moving is None:
-            wrong = f"{base.config.name}: nothing moves in its test views; {needs}"
-            raise InputError("scene-without-motion", wrong)
+            text = f"{base.config.name}: nothing moves in its test views; {needs}"
+            raise InputError("scene-without-motion", text)
         scenes[seed] = read_scene(run_dir / "scene")
         undisturbed.append(result)
     bar = bar_db(undisturbed)

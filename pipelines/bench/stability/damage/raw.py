@@ -28,8 +28,8 @@ def fewer_sweep_pictures(intact: Intact) -> Damage:
     if intact.capture is not None:
         return _part_of_the_sweep(intact, lambda number, count: number % every == 0)
     if intact.scene.points is not None:
-        wrong = "the sparse points of a data set name its pictures by their places"
-        raise DoesNotApply("sweep-points-placed", wrong)
+        text = "the sparse points of a data set name its pictures by their places"
+        raise DoesNotApply("sweep-points-placed", text)
 
     def thin(scene: Scene) -> Scene:
         train = [frame.path for frame in scene.static if frame.split == "train"]
@@ -165,8 +165,8 @@ def _with_clips(
     if capture is None:
         raise DoesNotApply("camera-clips-missing", "a data set brings no clips of its cameras")
     if capture.timestamps is not None:
-        wrong = "the times of the clips' pictures are in a file of their own"
-        raise DoesNotApply("timestamps-in-file", wrong)
+        text = "the times of the clips' pictures are in a file of their own"
+        raise DoesNotApply("timestamps-in-file", text)
     cameras = dict(capture.cameras)
     for name in names:
         source, target = intact.config.path(intact.scene_dir, cameras[name]), intact.folder / f"{name}.mp4"

@@ -71,8 +71,8 @@ def narrower(intact: Intact) -> Damage:
     of them and would move with them: other test views, which the undisturbed bar says nothing about.
     """
     if simulated(intact).cameras % 2:
-        wrong = "the witness of an odd number of simulated cameras would move with them"
-        raise DoesNotApply("witness-would-move", wrong)
+        text = "the witness of an odd number of simulated cameras would move with them"
+        raise DoesNotApply("witness-would-move", text)
     return _NARROWER(intact)
 
 
@@ -95,8 +95,8 @@ def simulated(intact: Intact) -> Simulated:
     truth = intact.config.truth_path(intact.scene_dir) if whole else None
     found = None if truth is None else Simulated.of(truth)
     if found is None:
-        wrong = "it is no simulated session with its sweep, whose truth says how to make it again"
-        raise DoesNotApply("session-not-simulated", wrong)
+        text = "it is no simulated session with its sweep, whose truth says how to make it again"
+        raise DoesNotApply("session-not-simulated", text)
     if found.code != session_code():
         raise DoesNotApply(
             "session-outdated",
