@@ -81,10 +81,10 @@ def _check_free(host: str, port: int) -> None:
         raise InputError("host-unknown", text) from None
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            raise InputError(
-                "host-unknown",
-                f"--host {host}: no address of this machine; expected one, such as 127.0.0.1, or 0.0.0.0 for all",
-            ) from None
+            text = (
+                f"--host {host}: no address of this machine; expected such as 127.0.0.1, or 0.0.0.0 for all"
+            )
+            raise InputError("host-elsewhere", text) from None
         what = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
         raise InputError("port-unusable", f"--port {port}: {what}; try --port {_free(host, 0)}") from None
 

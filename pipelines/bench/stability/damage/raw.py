@@ -131,7 +131,7 @@ def _with_sweep(intact: Intact, write: Callable[[Path, Path], None]) -> SceneCon
         raise DoesNotApply("sweep-clip-missing", "a data set brings no clip of its sweep")
     source = intact.config.path(intact.scene_dir, capture.static)
     if source.is_dir():
-        raise DoesNotApply("sweep-clip-missing", "the sweep is a folder of photos, expected a clip")
+        raise DoesNotApply("sweep-is-photos", "the sweep is a folder of photos, expected a clip")
     target = intact.folder / "static.mp4"
     _written(intact, source, target, write)
     return with_capture(intact.config, static=str(target))

@@ -57,7 +57,8 @@ def again(
             if not is_rendered(folder, made):
                 load_mitsuba()
         except (InputError, ValidationError) as error:
-            raise DoesNotApply("session-damage-impossible", str(error)) from error
+            code = error.code if isinstance(error, InputError) else "option-out-of-range"
+            raise DoesNotApply(code, str(error)) from error
         rendered(folder, made, kept)  # a folder that cannot be written says nothing about the damage
         return Damage(_filmed_in(intact, folder))
 
