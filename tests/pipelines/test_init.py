@@ -316,9 +316,9 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
     monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OSError) as full:
+    with pytest.raises(OSError) as caught:
         init(Talk("quiet"), tmp_path, None, True)
-    assert full.value.errno == errno.ENOSPC
+    assert caught.value.errno == errno.ENOSPC
     assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.yaml", "transforms_train.json"]
     assert (tmp_path / "scene.yaml").read_text() == "name: mine"
 

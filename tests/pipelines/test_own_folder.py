@@ -52,7 +52,8 @@ def test_names_that_differ_only_in_case(scene: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("output", "named"), [("/", "output"), ("~", "output"), ("photos", "capture.static"), ("a\0b", "output")]
+    ("output", "named"),
+    [("/", "output: "), ("~", "output: "), ("photos", "capture.static"), ("a\0b", "output: ")],
 )
 def test_outputs_that_are_something_else(scene: Path, output: str, named: str) -> None:
     (scene / "photos").mkdir()

@@ -187,7 +187,8 @@ def test_health_of_a_good_and_of_a_bad_capture():
         assert found[check][0] == verdict, (check, found)
     assert found["sound"][0] == "ok" and str(found["sound"][1]).endswith(" cam1")
     assert re.match(
-        r"4 of 12 .*frame 0 \(0.00 s\), frame 3 \(0.10 s\)", str(found["sharp share of the sweep"][1])
+        r"clip.mp4: 4 of 12 .*frame 0 \(0.00 s\), frame 3 \(0.10 s\)",
+        str(found["sharp share of the sweep"][1]),
     )
     assert "3 frames missing in 1 gaps, after 1.20 s" in str(
         found["share of frames dropped while filming, worst camera (cam0)"][1]

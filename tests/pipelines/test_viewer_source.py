@@ -112,7 +112,7 @@ def test_what_is_damaged_is_named(run: ViewerRun, ball: Ball, rest: RestModel) -
     with refused("file-damaged", "model.safetensors"):
         load(run.run_dir, look(run.run_dir), "cpu", Loaded())
     (run.run_dir / "scene/scene.json").write_text("{")
-    with refused("scene-unreadable", run.run_dir / "scene"):
+    with refused("file-damaged", run.run_dir / "scene" / "scene.json"):
         load(run.run_dir, look(run.run_dir), "cpu", Loaded())
 
 
