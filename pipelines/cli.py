@@ -60,7 +60,8 @@ def init(
             init_command.init(talk, folder, name, force)
         except OSError as error:
             raise DevrfError(
-                f"{folder}: cannot be written ({error.strerror or error}); make room, or copy it to another disk"
+                "folder-unwritable",
+                f"{folder}: cannot be written ({error.strerror or error}); make room, or copy it to another disk",
             ) from None
 
 

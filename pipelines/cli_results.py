@@ -45,15 +45,15 @@ def report(
     with errors_told(talk):
         if not done:
             raise InputError(
-                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
+                "run-missing",
+                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})",
             )
         check_run_folder(job.run_dir, ("report",))
         try:
             report_so_far(job.config, job.run_dir, stale)
         except OSError as error:
-            raise DevrfError(
-                f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
-            ) from None
+            text = f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
+            raise DevrfError("folder-unwritable", text) from None
     for line in run_command.said_of_stale(stale):
         talk.say(f"  note: {line}", style="yellow")
     job.fresh.append("report")
@@ -164,7 +164,7 @@ def render(
         try:
             command.film(talk, job, asked, device)
         except command.Stopped as stop:
-            talk.error(str(stop))
+            talk.error(str(stop), "stopped")
             raise typer.Exit(STOPPED) from None
 
 
@@ -214,7 +214,8 @@ def export(
                     lambda until: run_command.said_of_stale(run_command.stale(job, until)),
                 )  # fmt: skip
         except KeyboardInterrupt:
-            talk.error(
+            what = (
                 "stopped; nothing is left of this export, an earlier one stands; the same command begins anew"
             )
+            talk.error(what, "stopped")
             raise typer.Exit(STOPPED) from None

@@ -74,7 +74,8 @@ def simulate(
         InputError: With every mistake in the options.
     """
     if protocol not in PROTOCOLS:
-        raise InputError(f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}")
+        text = f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}"
+        raise InputError("option-unknown-value", text)
     chosen = PROTOCOLS[protocol]
     size = size or chosen.size
     match = re.fullmatch(r"(\d+)x(\d+)", size.strip().lower())
@@ -87,7 +88,7 @@ def simulate(
     except InputError as error:
         mistakes.append(str(error))
     if mistakes or match is None:
-        raise InputError("\n".join(mistakes))
+        raise InputError("option-malformed", "\n".join(mistakes))
     with talk.progress("simulate") as progress:
         made = chosen.render(
             out,
@@ -137,5 +138,5 @@ def options_from(model: type[Options], settings: Sequence[str]) -> Options:
             mistakes.append(f"--set {name}: {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}")
         options = None
     if mistakes or options is None:
-        raise InputError("\n".join(mistakes))
+        raise InputError("option-malformed", "\n".join(mistakes))
     return options

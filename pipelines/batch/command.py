@@ -64,19 +64,18 @@ def batch(
         InputError: The batch as a whole cannot be run.
     """
     if machines.engine not in ("local", "ray"):
-        raise InputError(f"--engine {machines.engine}: expected local or ray")
+        raise InputError("option-unknown-value", f"--engine {machines.engine}: expected local or ray")
     check_device(machines.device)
     if machines.engine == "local" and machines.device == "cuda":
         resolve_device("cuda")  # before the scenes are looked at, which can take minutes
     if machines.address is not None and machines.engine != "ray":
-        raise InputError("--address: is for --engine ray; add that, or leave it out")
+        raise InputError("option-misplaced", "--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
-        ) from None
+        text = f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
+        raise InputError("folder-unwritable", text) from None
     there = None if store is None else Store(store)
     if there is not None:
         there.check()
@@ -120,9 +119,8 @@ def _seen_in(scene: BatchScene, out: Path, store: Store | None, talk: Talk) -> P
     try:
         mirror(store, config, scene.scene_dir, folder, talk.say)
     except OSError as error:
-        raise DevrfError(
-            f"{folder}: cannot be written ({error.strerror or error}); make room there"
-        ) from None
+        text = f"{folder}: cannot be written ({error.strerror or error}); make room there"
+        raise DevrfError("folder-unwritable", text) from None
     return folder
 
 

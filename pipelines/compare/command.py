@@ -50,9 +50,8 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(
-                f"{option} {folder}: cannot be made ({error.strerror or error}); choose another folder"
-            ) from None
+            text = f"{option} {folder}: cannot be made ({error.strerror or error}); choose another folder"
+            raise InputError("folder-unwritable", text) from None
     table = measures_table(runs, found)
     _print(talk, runs, found, table)
     where = out / PAGE
@@ -64,8 +63,9 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
         write_json(rows, found)
     except OSError as error:
         raise DevrfError(
+            "folder-unwritable",
             f"{where}: cannot be written ({error.strerror or error}); free space, or name another place with --out "
-            "or --json"
+            "or --json",
         ) from None
     talk.say(f"  page: {out / PAGE}")
     talk.say(f"  rows: {rows}")

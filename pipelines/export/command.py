@@ -65,7 +65,7 @@ def _known(name: str) -> Format:
         return FORMATS[name]
     near = difflib.get_close_matches(name, FORMATS, n=1)
     hint = f", did you mean {near[0]}?" if near else ""
-    raise InputError(f"--format {name}: expected {', '.join(FORMATS)}{hint}")
+    raise InputError("option-unknown-value", f"--format {name}: expected {', '.join(FORMATS)}{hint}")
 
 
 def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
@@ -73,21 +73,20 @@ def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
     for option in options.given():
         if option not in chosen.options:
             takers = [n for n, other in FORMATS.items() if option in other.options]
-            raise InputError(
-                f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
-            )
+            text = f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
+            raise InputError("option-misplaced", text)
     missing = [module for module in chosen.modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(
+            "package-missing",
             f"--format {name}: needs {', '.join(missing)}, which is not installed; install the extra `export` "
-            f"({INSTALL})"
+            f"({INSTALL})",
         )
     for stage in ("scene", "canonical") if chosen.stage == "canonical" else (chosen.stage,):
         if not (run_dir / stage / STAMP).is_file():
             what = "the model" if stage == "canonical" else f"the {stage}"
-            raise InputError(
-                f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
-            )
+            text = f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
+            raise InputError("stage-not-made", text)
 
 
 def _unhealthy(run_dir: Path, last: str) -> list[str]:

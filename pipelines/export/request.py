@@ -70,8 +70,9 @@ class Request:
             yield
         except OSError as error:
             raise CaptureError(
+                "folder-unwritable",
                 f"{self.folder}: cannot be written ({error.strerror or error}); nothing is left there; free space "
-                "or name another folder with --out"
+                "or name another folder with --out",
             ) from None
 
 

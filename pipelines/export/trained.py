@@ -62,7 +62,8 @@ class Trained:
                 if self.scene.dynamic
                 else "nothing moves in it"
             )
-            raise InputError(f"--times {wish}: the scene has no times to choose from: {why}")
+            text = f"--times {wish}: the scene has no times to choose from: {why}"
+            raise InputError("option-misplaced", text)
         if not moved and self.scene.dynamic:
             request.notes.append("the motion is not trained yet: this is the scene at rest alone")
         self.model: DynamicModel = load_trained(

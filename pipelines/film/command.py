@@ -130,7 +130,8 @@ def _folder(job: Run, asked: Asked) -> Path:
         folder = asked.out.expanduser().resolve()
     check_folder(folder, "--out")
     if folder.is_dir() and any(folder.iterdir()) and finished_film(folder) is None:
-        raise InputError(f"--out {folder}: holds files that are no film; name another folder, or empty it")
+        text = f"--out {folder}: holds files that are no film; name another folder, or empty it"
+        raise InputError("folder-exists", text)
     check_folder(folder.parent, "--out")
     return folder
 
@@ -139,8 +140,9 @@ def _check_made(job: Run) -> None:
     missing = [name for name in READS[:2] if not (job.run_dir / name / STAMP).is_file()]
     if missing:
         raise InputError(
+            "stage-not-made",
             f"{job.run_dir}: {missing[0]} is not made yet, so there is nothing to film; run the scene first "
-            "(devrf-pipeline run)"
+            "(devrf-pipeline run)",
         )
 
 
@@ -165,8 +167,9 @@ def _check_memory(job: Run, plan: Film) -> None:
     if needed > allowed:
         camera = plan.cameras[0]
         raise InputError(
+            "film-needs-memory",
             f"pictures of {camera.width}x{camera.height} need about {size_text(needed)} of memory, and "
-            f"{size_text(allowed)} are allowed ({memory_bound(job.config, allowed)}); choose a smaller --size"
+            f"{size_text(allowed)} are allowed ({memory_bound(job.config, allowed)}); choose a smaller --size",
         )
 
 
@@ -183,9 +186,10 @@ def _leaving(plan: Film, model: "DynamicModel") -> list[str]:
     if found.unseen:
         first = found.unseen[0]
         raise InputError(
+            "film-path-blind",
             f"--path {plan.path}: {len(found.unseen)} of {count} pictures cannot be rendered, the first is {first} (at "
             f"{first / plan.fps:.2f} s): the camera is inside of something solid, or beyond where rays end "
-            f"({model.rest.far:.3g} box units from the scene's box); move the path nearer to where cameras stood"
+            f"({model.rest.far:.3g} box units from the scene's box); move the path nearer to where cameras stood",
         )
     notes = []
     if found.outside:
@@ -222,15 +226,15 @@ def _told(folder: Path) -> Iterator[None]:
     try:
         yield
     except CaptureError as error:
-        raise DevrfError(f"{error}; {GOES_ON}") from None
+        raise DevrfError(error.code, f"{error}; {GOES_ON}") from None
     except OSError as error:
         raise DevrfError(
+            "folder-unwritable",
             f"{folder}: cannot be written ({error.strerror or error}); make room, or name another folder with "
-            f"--out; {GOES_ON}"
+            f"--out; {GOES_ON}",
         ) from None
     except Exception as error:
         if not is_no_memory(error):
             raise
-        raise DevrfError(
-            f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
-        ) from None
+        text = f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
+        raise DevrfError("no-memory", text) from None

@@ -62,7 +62,7 @@ def refuse_damaged(frames: FrameSet) -> None:
         and camera.frames[-1].index + 1 < max(LEAST_LEFT, LEAST_LEFT_SHARE * (camera.announced_frames or 0))
     ]
     if damaged:
-        raise CaptureError("\n".join(damaged))
+        raise CaptureError("clip-too-damaged", "\n".join(damaged))
 
 
 def file_ranges(

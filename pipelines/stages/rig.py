@@ -93,20 +93,23 @@ class _Job:
         if method == "given" and (self.given is None or self.given.rig is None):
             what = "names no file" if self.given is None else "holds intrinsics only"
             raise InputError(
+                "rig-without-poses",
                 f"calibration.rig.method is given, but calibration.rig.given {what}; expected the poses of all "
-                "cameras; film a sweep or a board and set method to auto"
+                "cameras; film a sweep or a board and set method to auto",
             )
         if method == "sweep" and not self.has_sweep:
             raise InputError(
-                "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board"
+                "sweep-missing",
+                "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board",
             )
         if method == "board":
             missing = [name for name in self.moving if name not in joint]
             if self.spec is None or len(joint) < MIN_CAMERAS or missing:
                 raise InputError(
+                    "rig-without-source",
                     "the rig needs a sweep (capture.static), a board that the cameras see at once "
                     "(capture.board.joint_clips) or a calibration file (calibration.rig.given); "
-                    + (f"no joint clip of {', '.join(missing)}" if joint else "none of them is there")
+                    + (f"no joint clip of {', '.join(missing)}" if joint else "none of them is there"),
                 )
         return method
 
@@ -308,8 +311,9 @@ class _Job:
         found = self._register(model, self.given.intrinsics, self.context.progress).cameras
         if len(found) < 3:
             raise InputError(
+                "rig-given-untied",
                 "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "
-                "set calibration.rig.method to sweep"
+                "set calibration.rig.method to sweep",
             )
         names = list(found)
         sweep_from_given = similarity(

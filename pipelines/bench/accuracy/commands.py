@@ -59,9 +59,8 @@ def _add(group: typer.Typer, title: str, about: str, parts: Mapping[str, str]) -
         talk = talk_of(quiet)
         with errors_told(talk):
             if data is not None and not data.is_dir():
-                raise InputError(
-                    f"--data {data}: no such folder; name the folder that holds the captures' folders"
-                )
+                text = f"--data {data}: no such folder; name the folder that holds the captures' folders"
+                raise InputError("folder-missing", text)
             chosen = {name: parts[name] for name in names_of("--only", only or ",".join(parts), list(parts))}
             folder = out or Path(f"bench-{title}")
             check_places(folder, json)
