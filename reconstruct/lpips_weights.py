@@ -64,7 +64,7 @@ def load_weights(net: Net, source: Source) -> tuple[Weights, "list[Tensor]"]:
     if not found:
         layouts = f"{both.name}, or torchvision's {TRUNK_FILES[net]} with the package lpips (evaluate.lpips_weights)"
         text = f"{source}: no weights of {NETWORK[net]}; two layouts are read: {layouts}"
-        raise ReconstructError("lpips-weights-missing", text)
+        raise ReconstructError("weights-missing", text)
     return _trunk(_read(found[0]), net, str(found[0])), _heads_of_package(net)
 
 
@@ -83,7 +83,7 @@ def _heads_of_package(net: Net) -> "list[Tensor]":
         if path.is_file():
             return _heads(_read(path), "lin{}.model.1.weight", net, str(path))
     text = f"the heads of LPIPS on {NETWORK[net]} are missing; expected the package lpips (pip install lpips)"
-    raise ReconstructError("lpips-heads-missing", text)
+    raise ReconstructError("package-missing", text)
 
 
 def _trunk(state: Mapping[str, Any], net: Net, name: str) -> Weights:
@@ -105,7 +105,7 @@ def _tensor(state: Mapping[str, Any], key: str, shape: tuple[int, ...], net: Net
     found = list(value.shape) if isinstance(value, torch.Tensor) else "missing"
     if [n for n in found if n != 1] != [n for n in shape if n != 1]:  # our npz has them flat
         text = f"{name}: not LPIPS weights of {net}: {key} is {found}, {expected}"
-        raise ReconstructError("lpips-weights-wrong", text)
+        raise ReconstructError("weights-wrong", text)
     if not torch.isfinite(value).all():
         raise ReconstructError("values-not-finite", f"{name}: {key} is not finite; get the file again")
     return value.detach().reshape(shape).float()

@@ -44,7 +44,7 @@ def views_of(scene: Scene, names: Sequence[str] = ()) -> list[Camera]:
             raise InputError("camera-unknown", text)
         if len(set(names)) < 2:
             text = f"--path between:{','.join(names)}: one camera; expected two or more, or none for all"
-            raise InputError("path-one-camera", text)
+            raise InputError("cameras-too-few", text)
         return [known[name] for name in names]
     fixed = list(fixed_cameras(scene).values())
     if len(fixed) < 2:

@@ -96,9 +96,9 @@ def parse_time(text: str, option: str, t0_s: float, t1_s: float) -> float:
         value = np.nan
     if not np.isfinite(value):
         expected = "expected a share of the clip such as 0.5, or seconds such as 1.2s"
-        raise InputError("time-unreadable", f"{option} {text}: {expected}")
+        raise InputError("option-malformed", f"{option} {text}: {expected}")
     time = (value - t0_s) / (t1_s - t0_s) if in_seconds and t1_s > t0_s else value
     if not -1e-6 <= time <= 1 + 1e-6:
         expected = f"expected 0 to 1, or {t0_s:.3f}s to {t1_s:.3f}s on the first camera's clock"
-        raise InputError("time-outside-clip", f"{option} {text}: outside the clip; {expected}")
+        raise InputError("option-out-of-range", f"{option} {text}: outside the clip; {expected}")
     return float(min(max(time, 0.0), 1.0))

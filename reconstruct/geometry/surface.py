@@ -109,7 +109,7 @@ def apart(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"]) -> Float[np.
 
 def _nothing(level: float, why: str) -> ReconstructError:
     text = f"nothing solid found at level {level:g}: {why}; give another --level, or look at the model with render"
-    return ReconstructError("surface-not-found", text)
+    return ReconstructError("model-without-surface", text)
 
 
 def _box(field: Field, x: Float[Tensor, "n 3"]) -> Float[np.ndarray, "n 3"]:

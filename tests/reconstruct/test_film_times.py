@@ -59,8 +59,8 @@ def test_times_are_shares_or_seconds() -> None:
     assert parse_time("0.25", "--time", 1.0, 3.0) == 0.25
     assert parse_time(" 1.5s", "--time", 1.0, 3.0) == 0.25
     for text in ("-0.1", "0.5s", "3.1s", "1.01"):
-        with refused("time-outside-clip", f"--time {text}", "1.000s", "3.000s", kind=InputError):
+        with refused("option-out-of-range", f"--time {text}", "1.000s", "3.000s", kind=InputError):
             parse_time(text, "--time", 1.0, 3.0)
     for text in ("nan", "s", "soon"):
-        with refused("time-unreadable", f"--time {text}", kind=InputError):
+        with refused("option-malformed", f"--time {text}", kind=InputError):
             parse_time(text, "--time", 1.0, 3.0)

@@ -94,12 +94,10 @@ def test_torchvisions_trunk_and_the_packages_heads(net, data_dir, tmp_path, pack
 
 def test_missing_weights_are_named(tmp_path, no_package) -> None:
     torch.save(heads("vgg"), tmp_path / "vgg.pth")  # a layout that is not read
-    with refused(
-        "lpips-weights-missing", tmp_path, "lpips_vgg_v0.1.npz", "vgg16*.pth", kind=ReconstructError
-    ):
+    with refused("weights-missing", tmp_path, "lpips_vgg_v0.1.npz", "vgg16*.pth", kind=ReconstructError):
         load_weights("vgg", tmp_path)
     torch.save(trunk("vgg"), tmp_path / "vgg16-397923af.pth")
-    with refused("lpips-heads-missing", "VGG16", "pip install lpips", kind=ReconstructError):
+    with refused("package-missing", "VGG16", "pip install lpips", kind=ReconstructError):
         load_weights("vgg", tmp_path)
     nets = LpipsNets.load(tmp_path)
     assert not nets.nets and "AlexNet" in nets.why["alex"] and "pip install" in nets.why["vgg"]
@@ -116,21 +114,21 @@ def _without(state: dict[str, torch.Tensor], key: str) -> dict[str, torch.Tensor
     return {k: v for k, v in state.items() if k != key}
 
 
-NONE = "lpips-weights-wrong", ("features.0.weight is missing",)
+NONE = "weights-wrong", ("features.0.weight is missing",)
 WRONG: dict[str, tuple[Callable[[Path], object], str, tuple[str, ...]]] = {
     "another network": (
         lambda p: torch.save(trunk("vgg"), p),
-        "lpips-weights-wrong",
+        "weights-wrong",
         ("features.0.weight", "[64, 3, 3, 3]"),
     ),
     "narrower": (
         lambda p: torch.save(trunk("alex", 2), p),
-        "lpips-weights-wrong",
+        "weights-wrong",
         ("[32, 3, 11, 11]", "[64, 3, 11, 11]"),
     ),
     "missing keys": (
         lambda p: torch.save(_without(trunk("alex"), "features.6.bias"), p),
-        "lpips-weights-wrong",
+        "weights-wrong",
         ("features.6.bias is missing", "[384]"),
     ),
     "no tensors": (lambda p: torch.save({"features.0.weight": "x"}, p), *NONE),
@@ -161,11 +159,11 @@ def test_wrong_heads_are_refused(tmp_path, package) -> None:
     torch.save(trunk("alex"), tmp_path / "alexnet.pth")
     torch.save(heads("vgg"), package / "alex.pth")
     named = "alex.pth", "lin1.model.1.weight", "[1, 128, 1, 1]", "[1, 192, 1, 1]"
-    with refused("lpips-weights-wrong", *named, kind=ReconstructError):
+    with refused("weights-wrong", *named, kind=ReconstructError):
         load_weights("alex", tmp_path)
     ours: dict[str, Any] = {key: value.numpy() for key, value in trunk("alex").items()}
     np.savez(tmp_path / "lpips_alex_v0.1.npz", **ours)
-    with refused("lpips-weights-wrong", "alex", "lin0.weight is missing", kind=ReconstructError):
+    with refused("weights-wrong", "alex", "lin0.weight is missing", kind=ReconstructError):
         load_weights("alex", tmp_path)
 
 
@@ -199,5 +197,5 @@ def test_a_failed_download_gives_a_reason(package, tmp_path, monkeypatch) -> Non
 
 def test_a_package_of_the_name_without_weights_is_passed_over(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "lpips", ModuleType("lpips"))  # has no spec
-    with refused("lpips-heads-missing", "AlexNet", kind=ReconstructError):
+    with refused("package-missing", "AlexNet", kind=ReconstructError):
         load_weights("alex", "download")

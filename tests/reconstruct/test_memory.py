@@ -112,9 +112,11 @@ def test_motion_takes_fewer_rays_then_no_fine_tuning_then_coarser_levels() -> No
 
 @pytest.mark.parametrize("options", [preset("tiny").canonical, preset("tiny").motion])
 def test_what_cannot_fit_is_refused_with_the_key_and_the_remedy(options) -> None:
-    with refused("memory-too-small", "budget.memory_gb", "0.70 GB", "image_scale", kind=ReconstructError):
+    with refused(
+        "training-needs-memory", "budget.memory_gb", "0.70 GB", "image_scale", kind=ReconstructError
+    ):
         fitted(ROOM, options, Limits(int(0.7 * GB)))
-    with refused("memory-too-small", "budget.gpu_memory_gb", "0.10 GB", kind=ReconstructError):
+    with refused("training-needs-memory", "budget.gpu_memory_gb", "0.10 GB", kind=ReconstructError):
         fitted(ROOM, options, Limits(10**11, int(0.1 * GB)), "cuda")
 
 
@@ -123,14 +125,14 @@ def test_a_refusal_says_what_is_short_and_what_can_help() -> None:
     options, small = preset("tiny").canonical, SceneSize(still_pixels=10**5)
     least = surely(footprint(small, resized_whole(replace(options, parts=16), COARSER**14)).main_bytes)
     for limit in (int(0.57 * GB), int(0.99 * least), least - 1):
-        with refused("memory-too-small", kind=ReconstructError) as caught:
+        with refused("training-needs-memory", kind=ReconstructError) as caught:
             fitted(small, options, Limits(limit))
         said = str(caught.value)
         needed, allowed = (float(n) for n in re.findall(r"(\d\.\d\d) GB", said))
         assert allowed <= limit / GB < least / GB <= needed < least / GB + 0.01
         assert "image_scale" not in said
     large = replace(small, still_pixels=10**8)
-    with refused("memory-too-small", "image_scale", "0.4 GB", kind=ReconstructError):
+    with refused("training-needs-memory", "image_scale", "0.4 GB", kind=ReconstructError):
         fitted(large, options, Limits(int(0.8 * GB)))
 
 
@@ -150,7 +152,7 @@ def test_a_scene_at_rest_is_read_twice_over() -> None:
     at_rest = footprint(size, options).main["models"] / 2
     assert at_rest > 53 * 400**3
     limit = int(1.05 * (footprint(size, options).main_bytes - at_rest))  # enough for the rest of the training
-    with refused("memory-too-small", kind=ReconstructError):
+    with refused("training-needs-memory", kind=ReconstructError):
         fitted(size, options, Limits(limit))
 
 

@@ -136,7 +136,7 @@ def test_without_time_it_does_a_step_and_goes_on(ball, tmp_path: Path) -> None:
             resumed = train_canonical(ball.scene, options, checkpoint=state)
         except OutOfTime as error:
             stops += 1
-            assert error.code == "time-over" and f"step {stops} of 6" in str(error)
+            assert error.code == "out-of-time" and f"step {stops} of 6" in str(error)
             continue
         break
     assert stops == options.iterations - 1  # after the last one it is done

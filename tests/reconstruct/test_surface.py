@@ -64,7 +64,7 @@ def test_nothing_that_solid_is_said(model: DynamicModel) -> None:
     thin = field_at(model, None)
     canonical = thin.canonical.seen_with(0.5, 1e-3, 1e-3)
     canonical.density = canonical.density.clamp(max=-2.0 - canonical.shift)
-    with refused("surface-not-found", "level 0.5", "--level", kind=ReconstructError):
+    with refused("model-without-surface", "level 0.5", "--level", kind=ReconstructError):
         surface_of(Field(canonical), LEVEL, marching_cubes)
 
 

@@ -141,10 +141,10 @@ def test_surroundings_are_learned_without_mattes(ball) -> None:
 
 
 def test_scene_without_pictures_is_refused(ball, rest: RestModel) -> None:
-    with refused("training-pictures-missing", kind=ReconstructError):
+    with refused("pictures-none", kind=ReconstructError):
         train_motion(replace(ball.scene, dynamic=()), rest, {}, MOTION)
     held_out = tuple(replace(f, split="test") for f in ball.scene.static)
-    with refused("training-pictures-missing", kind=ReconstructError):
+    with refused("pictures-none", kind=ReconstructError):
         train_canonical(replace(ball.scene, static=held_out), REST)
 
 

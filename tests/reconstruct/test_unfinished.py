@@ -56,8 +56,8 @@ def test_what_is_seen_of_a_motion_is_what_is_being_trained(
 
 def test_what_is_no_checkpoint_is_named(tmp_path: Path) -> None:
     path = tmp_path / "state"
-    with refused("checkpoint-unreadable", path, kind=ReconstructError):
+    with refused("file-unreadable", path, kind=ReconstructError):
         rest_in_training(path)
     path.write_bytes(b"half written")
-    with refused("checkpoint-unreadable", path, kind=ReconstructError):
+    with refused("file-unreadable", path, kind=ReconstructError):
         motion_in_training(path)
