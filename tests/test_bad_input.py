@@ -3,6 +3,7 @@
 The inputs are made here: a corner of a room whose three walls are textured planes, drawn by homographies.
 """
 
+import json
 import os
 import re
 import shutil
@@ -231,7 +232,9 @@ def test_clips_without_sound_fall_back_to_motion(devrf: Callable, tmp_path: Path
     path = scene(tmp_path, material, cameras=silent)
     result = devrf("run", path, "--until", "sync", "--allow-unhealthy")
     assert result.code in (0, 3), result.said
-    assert "sound" in result.said
+    assert "(cam1)" in result.said and "calibration.sync.method" in result.said
+    sync = json.loads((tmp_path / "run" / "sync" / "sync.json").read_text())
+    assert sync["cameras"]["cam1"]["method"] != "audio"
 
 
 def test_clips_without_sound_that_are_to_be_heard(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -268,7 +271,7 @@ def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, mate
     path = scene(tmp_path, material, static=str(material / "blank.mp4"), cameras=None)
     result = devrf("run", path, "--until", "static_poses")
     assert result.code == 3, result.said
-    assert "static_poses" in result.err and "texture" in result.err
+    assert result.err.startswith("static_poses: ") and f"0 of {SWEEP_FRAMES} " in result.err
     assert (tmp_path / "run" / "ingest" / "stamp.json").exists()
 
 
@@ -283,7 +286,7 @@ def test_a_board_that_is_never_seen(devrf: Callable, tmp_path: Path, material: P
     path = scene(tmp_path, material, board=board)
     result = devrf("run", path, "--until", "rig")
     assert result.code == 3, result.said
-    assert "cam0" in result.err and "board" in result.err
+    assert "'cam0'" in result.err and "capture.board" in result.err and f"0 of {CLIP_FRAMES} " in result.err
 
 
 @pytest.mark.full
@@ -291,7 +294,7 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, cameras=cameras(material, "elsewhere.mp4"))
     result = devrf("run", path, "--until", "rig", "--set", "calibration.sync.method=none")
     assert result.code == 3, result.said
-    assert "cam1" in result.err and "sweep" in result.err
+    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 ", result.err)
     assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
 
 

@@ -187,7 +187,7 @@ def test_arrays_that_claim_a_terabyte(tmp_path: Path, monkeypatch: pytest.Monkey
     with monkeypatch.context() as patch, raises(ArrayError, path, "40 MB", "1 MB"):
         patch.setattr(arrays, "ARRAY_BYTES", 1_000_000)
         read_npz(path, ["bomb"])
-    with raises(ArrayError, path, "type object"):
+    with raises(ArrayError, path, "object"):
         read_npz(path, ["code"], text=True)
     assert npz_shapes(path, ["flow"]) == [(1 << 20, 1 << 18)]
     plain = tmp_path / "a.npy"
@@ -215,7 +215,7 @@ def test_arrays_of_something_else_than_numbers(values: np.ndarray, tmp_path: Pat
         lambda: read_npz(tmp_path / "a.npz"),
     ]
     for read in readers:
-        with raises(CaptureError, tmp_path / "a.np", f"type {values.dtype}"):
+        with raises(CaptureError, tmp_path / "a.np", values.dtype):
             read()
     np.savez(tmp_path / "text.npz", words=WORDS)
     assert read_npz(tmp_path / "text.npz", text=True)["words"].tolist() == WORDS.tolist()

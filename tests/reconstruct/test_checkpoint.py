@@ -122,7 +122,7 @@ def test_what_stops_it_while_it_writes_leaves_nothing_half_made(
 
     def half(tensors: object, path: str, **_: object) -> None:
         Path(path).write_bytes(b"half")
-        raise stopped
+        raise stopped("disk-full", "no room")
 
     monkeypatch.setattr(checkpoints, "save_file", half)
     with pytest.raises(stopped):
