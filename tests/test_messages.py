@@ -26,10 +26,9 @@ class _Said(ast.NodeVisitor):
         self.named = outer
 
     def visit_Assign(self, node: ast.Assign) -> None:
-        text = self.text(node.value) if isinstance(node.value, (ast.JoinedStr, ast.Constant)) else None
+        texts = [self.text(node.value)] if isinstance(node.value, (ast.JoinedStr, ast.Constant)) else []
         self.generic_visit(node)
-        if text is not None:
-            self.named[ast.unparse(node.targets[0])] = text
+        self.named |= {ast.unparse(node.targets[0]): text for text in texts}
 
     def visit_Name(self, node: ast.Name) -> None:
         if isinstance(node.ctx, ast.Store):
@@ -50,6 +49,7 @@ class _Said(ast.NodeVisitor):
         if isinstance(node, ast.Constant):
             return str(node.value)
         name = ast.unparse(node.value if isinstance(node, ast.FormattedValue) else node)
+        name = name.replace('"', "'")  # which of them is used depends on Python's version
         spec = getattr(node, "format_spec", None)
         return self.named.get(name, f"{{{name}:{self.text(spec)}}}" if spec else f"{{{name}}}")
 
@@ -61,10 +61,8 @@ def messages() -> tuple[dict[str, list[str]], list[str]]:
     for _ in range(4):  # a class may come before its base
         found = re.findall(r"^class (\w+)\((\w+)\)", "\n".join(files), re.M)
         kinds |= {name for name, base in found if base in kinds}
-    said = _Said(kinds - {"ConfigError"})
-    said.visit(
-        ast.parse("\n".join(f for f in files if re.search(rf"\b({'|'.join(kinds)}|talk\.error)\(", f)))
-    )
+    said, makes = _Said(kinds - {"ConfigError"}), re.compile(rf"\b({'|'.join(kinds)}|talk\.error)\(")
+    said.visit(ast.parse("\n".join(filter(makes.search, files))))
     for code, text in said.found:
         if code is None or isinstance(code, ast.Constant):  # one that is computed is another error's
             texts.setdefault(str(code.value) if code else "", set()).add(text)
