@@ -102,8 +102,8 @@ def _tensor(state: Mapping[str, Any], key: str, shape: tuple[int, ...], net: Net
     import torch
 
     value, expected = state.get(key), f"expected {list(shape)}; take the file of {NETWORK[net]}"
-    found = list(value.shape) if isinstance(value, torch.Tensor) else "missing"
-    if [n for n in found if n != 1] != [n for n in shape if n != 1]:  # our npz has them flat
+    if not isinstance(value, torch.Tensor) or list(value.squeeze().shape) != [n for n in shape if n > 1]:
+        found = list(value.shape) if isinstance(value, torch.Tensor) else "missing"
         text = f"{name}: not LPIPS weights of {net}: {key} is {found}, {expected}"
         raise ReconstructError("weights-wrong", text)
     if not torch.isfinite(value).all():
