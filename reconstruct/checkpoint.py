@@ -99,7 +99,7 @@ class Checkpoint:
             tensors, numbers = state()
             kept = self.write(Saved(done, tensors, numbers | {"log": log.state()}))
             but = "" if kept else ", which could not be kept (devrf.log says why)"
-            raise OutOfTime(f"its time is over after step {done} of {of}{but}")
+            raise OutOfTime("out-of-time", f"its time is over after step {done} of {of}{but}")
         gap_s = self._gap_s if self.every_s is None else self.every_s
         if time.monotonic() - self._written < gap_s:
             return
@@ -210,7 +210,7 @@ def look_at(path: Path, device: str, wanted: Callable[[str], bool]) -> Saved:
             numbers = json.loads(_proven_head(file.metadata() or {}))
             tensors = {n: file.get_tensor(n) for n in file.keys() if wanted(n)}  # noqa: SIM118 (not a dict)
     except (OSError, SafetensorError, ValueError) as error:
-        raise ReconstructError(f"{path}: no training to look at ({error})") from None
+        raise ReconstructError("file-unreadable", f"{path}: no training to look at ({error})") from None
     return Saved(numbers.pop("done"), tensors, numbers)
 
 

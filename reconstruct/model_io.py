@@ -211,9 +211,11 @@ def _damage_named(path: Path) -> Iterator[None]:
         AttributeError,
         OverflowError,
     ) as error:
-        raise ReconstructError(
-            f"{path}: its parts do not fit together ({error}); delete it and run its stage again"
-        ) from None
+        raise _damaged(path, f"its parts do not fit together ({error})") from None
+
+
+def _damaged(path: Path, why: str) -> ReconstructError:
+    return ReconstructError("file-damaged", f"{path}: {why}; delete it and run its stage again")
 
 
 def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -223,7 +225,7 @@ def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
 
 def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
     if not path.is_file():
-        raise ReconstructError(f"{path}: no model here; run the stage that makes it")
+        raise ReconstructError("file-missing", f"{path}: no model here; run the stage that makes it")
     try:
         with safe_open(str(path), framework="pt", device=device) as file:
             meta = json.loads((file.metadata() or {}).get("devrf", "{}"))
@@ -231,14 +233,10 @@ def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[s
             if not isinstance(meta, dict):
                 raise ValueError("its metadata are no names with values")
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
-        raise ReconstructError(
-            f"{path}: cannot be read ({error}); delete it and run its stage again"
-        ) from None
+        raise _damaged(path, f"cannot be read ({error})") from None
     if meta.get("format") != FORMAT or meta.get("kind") != kind:
-        raise ReconstructError(
-            f"{path}: holds {meta.get('kind', 'something else')}, format {meta.get('format')}; expected "
-            f"{kind}, format {FORMAT}"
-        )
+        found = f"{meta.get('kind', 'something else')}, format {meta.get('format')}"
+        raise ReconstructError("model-wrong-kind", f"{path}: holds {found}; expected {kind}, format {FORMAT}")
     if not all(torch.isfinite(t).all() for t in tensors.values() if t.is_floating_point()):
-        raise ReconstructError(f"{path}: holds values that are not finite; train again")
+        raise ReconstructError("values-not-finite", f"{path}: holds values that are not finite; train again")
     return tensors, meta

@@ -96,7 +96,7 @@ def train_motion(
     scene = scene.in_box_frame()
     frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
     if not frames:
-        raise ReconstructError("no training pictures of the scene in motion")
+        raise ReconstructError("pictures-none", "no training pictures of the scene in motion")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
     checked = check(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
