@@ -10,7 +10,7 @@ from pathlib import Path
 
 KEPT = Path(__file__).with_name("messages.json")
 ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines")
-FORM = re.compile(r"[a-z]+(-[a-z]+){1,3}|configuration")
+FORM = re.compile(r"[a-z]+(-[a-z]+){0,3}")
 
 
 class _Said(ast.NodeVisitor):

@@ -104,7 +104,7 @@ def test_the_files_of_a_fresh_scene_are_not_opened(whole: Path, monkeypatch: pyt
     """Its stamps tell all there is to know: a batch of which most is done begins at once."""
 
     def opened(*arguments: object) -> None:
-        raise InputError("looked at")
+        raise InputError("looked-at", "looked at")
 
     monkeypatch.setattr(scenes, "check_inputs", opened)
     monkeypatch.setattr(scenes, "check_folder", opened)
