@@ -168,11 +168,9 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
     p = camera.params
     two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
     if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
-        raise CaptureError(
-            "lens-unread",
-            f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)} (FULL_OPENCV with "
-            "k4 to k6 of 0); undistort the pictures with COLMAP first",
-        )
+        wrong = f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)}"
+        remedy = "(FULL_OPENCV with k4 to k6 of 0); undistort the pictures with COLMAP first"
+        raise CaptureError("lens-unread", f"{wrong} {remedy}")
     fx, fy, cx, cy, *lens = p if two_focal else (p[0], *p)
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]
