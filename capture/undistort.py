@@ -144,12 +144,7 @@ def _outline(camera: Camera) -> Float[np.ndarray, "4 side 2"]:
 def _inscribed(outline: Float[np.ndarray, "4 side 2"]) -> Float[np.ndarray, "2"]:
     """Half sides of a centred rectangle that lies inside an outline."""
     left, right, top, bottom = outline
-    return np.array(
-        [
-            min(-left[:, 0].max(), right[:, 0].min()),
-            min(-top[:, 1].max(), bottom[:, 1].min()),
-        ]
-    )
+    return np.array([min(-left[:, 0].max(), right[:, 0].min()), min(-top[:, 1].max(), bottom[:, 1].min())])
 
 
 def _linear_reach(camera: Camera) -> Float[np.ndarray, "2"]:

@@ -128,11 +128,7 @@ def _model(frames: tuple[PosedFrame, ...], base: Path, points: SparsePoints | No
         none, colours = np.zeros(0, np.int64), point_colours(points, frames).tolist()
         for n, (xyz, rgb) in enumerate(zip(points.xyz, colours, strict=True)):
             written[n + 1] = ModelPoint(xyz, UNKNOWN_ERROR_PX, none, tuple(rgb))
-    return Model(
-        {number: camera for (_, camera), number in cameras.items()},
-        images,
-        written,
-    )
+    return Model({number: camera for (_, camera), number in cameras.items()}, images, written)
 
 
 def _write(

@@ -262,10 +262,7 @@ def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Me
     paper = texture(
         rng, 120, 160, 0.004, options.texture_contrast, paint=WOOD, largest_m=0.2, smallest_m=0.03
     )
-    return [
-        picture_on_quad(front, board_picture(options.board_squares)),
-        picture_on_quad(back, paper),
-    ]
+    return [picture_on_quad(front, board_picture(options.board_squares)), picture_on_quad(back, paper)]
 
 
 def _away_from_board(sweep: list[Camera], options: SessionOptions) -> Camera:
