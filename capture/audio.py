@@ -78,11 +78,9 @@ def read_sound(path: Path) -> Sound | None:
         except FFmpegError as error:
             failure = f" ({error.strerror})"  # what decoded before the damage is used
     if not blocks:
-        raise CaptureError(
-            "sound-undecodable",
-            f"{path}: has a sound stream, but nothing of it decodes{failure}; remove the stream, "
-            "or set calibration.sync.method to motion",
-        )
+        wrong = f"{path}: has a sound stream, but nothing of it decodes{failure}"
+        remedy = "remove the stream, or set calibration.sync.method to motion"
+        raise CaptureError("sound-undecodable", f"{wrong}; {remedy}")
     samples, start_s = _place(blocks, native_hz)
     if native_hz != RATE_HZ:
         factor = gcd(native_hz, RATE_HZ)

@@ -177,11 +177,9 @@ def develop(path: Path, recipe: Recipe | None = None) -> Development:
     with _open(path) as file:
         header = _header(path, file)
         if recipe.white <= max(header.black):
-            raise CaptureError(
-                "raw-levels-differ",
-                f"{path}: black level {max(header.black)}, but the set's white level is {recipe.white}; "
-                "photos of one folder must come from one camera",
-            )
+            wrong = f"{path}: black level {max(header.black)}, but the set's white level is {recipe.white}"
+            remedy = "photos of one folder must come from one camera"
+            raise CaptureError("raw-levels-differ", f"{wrong}; {remedy}")
         try:
             sensor = _sensor_values(file, header)  # before LibRaw works on them in place
             linear = file.postprocess(

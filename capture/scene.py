@@ -185,11 +185,9 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
     image = read_matted(frame, background)
     height, width = image.shape[:2]
     if (width, height) != (frame.camera.width, frame.camera.height):
-        raise CaptureError(
-            "picture-size-wrong",
-            f"{frame.path}: picture is {width}x{height}, its calibration is for "
-            f"{frame.camera.width}x{frame.camera.height}; calibrate at the size of the pictures",
-        )
+        wrong = f"{frame.path}: picture is {width}x{height}, its calibration is for"
+        remedy = f"{frame.camera.width}x{frame.camera.height}; calibrate at the size of the pictures"
+        raise CaptureError("picture-size-wrong", f"{wrong} {remedy}")
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if image.shape[2] == 4:
         alpha = image[..., 3:].astype(np.float32) / 255

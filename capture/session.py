@@ -170,11 +170,9 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
         back = np.flatnonzero(np.diff(time_s) <= 0)
         if len(back):
             i = int(back[0])
-            raise InputError(
-                "times-not-rising",
-                f"{path}: camera {name}: time does not increase from frame {index[i]} ({time_s[i]:.6f} s) to "
-                f"frame {index[i + 1]} ({time_s[i + 1]:.6f} s); correct the table",
-            )
+            a, b = (f"frame {index[n]} ({time_s[n]:.6f} s)" for n in (i, i + 1))
+            text = f"{path}: camera {name}: time does not increase from {a} to {b}; correct the table"
+            raise InputError("times-not-rising", text)
         out[name] = FrameTimes(index, time_s)
     return out
 

@@ -59,11 +59,9 @@ def write_video(
                     size = (even.shape[1], even.shape[0])
                     stream.width, stream.height = size
                 elif (even.shape[1], even.shape[0]) != size:
-                    raise CaptureError(
-                        "picture-size-wrong",
-                        f"{path.name}: picture {count} is {even.shape[1]}x{even.shape[0]}, the first one "
-                        f"{size[0]}x{size[1]}; a film needs pictures of one size",
-                    )
+                    wrong = f"{path.name}: picture {count} is {even.shape[1]}x{even.shape[0]}"
+                    expected = f"the first one {size[0]}x{size[1]}; a film needs pictures of one size"
+                    raise CaptureError("picture-size-wrong", f"{wrong}, {expected}")
                 frame = av.VideoFrame.from_ndarray(even, format="rgb24")
                 frame = frame.reformat(
                     format="yuv420p", src_colorspace="itu709", dst_colorspace="itu709", dst_color_range="MPEG"

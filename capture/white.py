@@ -43,17 +43,13 @@ def mean_white(path: Path) -> Float[np.ndarray, "rows columns 3"]:
         raise CaptureError("pictures-none", f"{path}: no picture of the white sheet; film it again")
     mean, share = total / count, clipped / count
     if share > CLIPPED_SHARE:
-        raise CaptureError(
-            "white-sheet-clipped",
-            f"{path}: {100 * share:.0f} % of the white sheet is clipped, expected at most "
-            f"{100 * CLIPPED_SHARE:.0f} %; film it again at half the exposure",
-        )
+        wrong = f"{path}: {100 * share:.0f} % of the white sheet is clipped"
+        expected = f"expected at most {100 * CLIPPED_SHARE:.0f} %; film it again at half the exposure"
+        raise CaptureError("white-sheet-clipped", f"{wrong}, {expected}")
     if float(np.median(mean)) < DARKEST:
-        raise CaptureError(
-            "white-sheet-dark",
-            f"{path}: the white sheet has {100 * float(np.median(mean)):.1f} % of the full light, expected at "
-            f"least {100 * DARKEST:.0f} %; film it again with more light",
-        )
+        wrong = f"{path}: the white sheet has {100 * float(np.median(mean)):.1f} % of the full light"
+        expected = f"expected at least {100 * DARKEST:.0f} %; film it again with more light"
+        raise CaptureError("white-sheet-dark", f"{wrong}, {expected}")
     return mean
 
 

@@ -31,11 +31,9 @@ def gaps_of(camera: str, time: Sequence[float] | Float[np.ndarray, " n"]) -> Boo
     """
     steps = np.diff(np.asarray(time, dtype=np.float64))
     if len(steps) == 0 or not (steps > 0).all():
-        raise FlowError(
-            "times-not-rising",
-            f"camera {camera!r}: {len(time)} frames at times {[round(float(t), 4) for t in time][:5]}…, "
-            "expected at least two at rising times; check the clip and its timestamps",
-        )
+        wrong = f"camera {camera!r}: {len(time)} frames at times {[round(float(t), 4) for t in time][:5]}…"
+        expected = "expected at least two at rising times; check the clip and its timestamps"
+        raise FlowError("times-not-rising", f"{wrong}, {expected}")
     return steps > GAP * np.median(steps)
 
 

@@ -64,9 +64,7 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
         text = f"flow.method: {method}: {point.value} cannot be used ({type(error).__name__}: {error})"
         raise InputError("method-unusable", text) from error
     if not isinstance(estimator, FlowEstimator):
-        raise InputError(
-            "method-unusable",
-            f"flow.method: {method}: {point.value} gave {type(estimator).__name__}, expected an estimator with "
-            "name, parallel and estimate(image0, image1)",
-        )
+        wrong = f"flow.method: {method}: {point.value} gave {type(estimator).__name__}"
+        expected = "an estimator with name, parallel and estimate(image0, image1)"
+        raise InputError("method-unusable", f"{wrong}, expected {expected}")
     return estimator

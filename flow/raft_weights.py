@@ -44,12 +44,10 @@ def load_raft(path: Path) -> Raft:
     stem = named.get("fnet.conv1.weight")
     sizes = SIZES.get(stem.shape[0]) if stem is not None and stem.dim() else None
     if sizes is None:
-        raise InputError(
-            "weights-wrong",
-            f"flow.weights: {path}: no RAFT: fnet.conv1.weight is "
-            f"{'absent' if stem is None else list(stem.shape)}, expected {SMALL.stem} (small) or {LARGE.stem} "
-            f"(large) filters; the file has {_listed(named)}",
-        )
+        there = "absent" if stem is None else list(stem.shape)
+        expected = f"{SMALL.stem} (small) or {LARGE.stem} (large) filters; the file has {_listed(named)}"
+        wrong = f"flow.weights: {path}: no RAFT: fnet.conv1.weight is {there}"
+        raise InputError("weights-wrong", f"{wrong}, expected {expected}")
     network = Raft(sizes)
     _check(path, named, network.state_dict(), sizes.name)
     network.load_state_dict(named, strict=True)
@@ -66,9 +64,9 @@ def _read(path: Path) -> dict[str, Tensor]:
     except OSError as error:
         raise InputError("file-unreadable", f"flow.weights: {path}: {error.strerror or error}") from error
     except Exception as error:  # what torch's reader raises of other files depends on their first bytes
+        wrong = f"flow.weights: {path}: not a file of plain weights"
         raise InputError(
-            "file-damaged",
-            f"flow.weights: {path}: not a file of plain weights; expected a state dict of RAFT (.pth), get it again",
+            "file-damaged", f"{wrong}; expected a state dict of RAFT (.pth), get it again"
         ) from error
     if not isinstance(found, dict) or not all(
         isinstance(name, str) and isinstance(value, Tensor) for name, value in found.items()

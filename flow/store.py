@@ -75,9 +75,7 @@ def write_pair(
     new.replace(path)
 
 
-def read_pair(
-    path: Path,
-) -> tuple[Float16[np.ndarray, "height width 2"], UInt8[np.ndarray, "height width"]]:
+def read_pair(path: Path) -> tuple[Float16[np.ndarray, "height width 2"], UInt8[np.ndarray, "height width"]]:
     """Vectors (0 where they cannot be trusted) and confidence of one pair.
 
     Raises:

@@ -16,11 +16,7 @@ ENOUGH_VIEWS = 20  # of a chessboard; up to here pictures in which it was not fo
 
 
 def find_board(
-    name: str,
-    files: Sequence[Path],
-    spec: BoardSpec,
-    progress: Progress = no_progress,
-    required: bool = True,
+    name: str, files: Sequence[Path], spec: BoardSpec, progress: Progress = no_progress, required: bool = True
 ) -> tuple[list[BoardView], BoardSpec]:
     """Search pictures for the board.
 

@@ -124,11 +124,9 @@ def synchronise(
     if method in ("auto", "audio"):
         silent = [n for n in names if n not in sounds]
         if method == "audio" and silent:
-            raise CalibrationError(
-                "sound-missing",
-                f"camera {', '.join(silent)}: no sound to synchronise by; set calibration.sync.method to auto, "
-                "flash or motion, or give capture.timestamps",
-            )
+            wrong = f"camera {', '.join(silent)}: no sound to synchronise by"
+            remedy = "set calibration.sync.method to auto, flash or motion, or give capture.timestamps"
+            raise CalibrationError("sound-missing", f"{wrong}; {remedy}")
         if silent:
             evidence.notes.append(f"camera {', '.join(silent)}: no sound")
         hear(names, sounds, evidence, progress)

@@ -85,11 +85,9 @@ def find_single_files(files: Mapping[str, Path]) -> Found:
     for name, path in files.items():
         data = storage(text_of(path))
         if data is None or not is_single(data):
-            raise InputError(
-                "entry-missing",
-                f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}'); a file with all "
-                "cameras is named without the camera's name",
-            )
+            wrong = f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}')"
+            remedy = "a file with all cameras is named without the camera's name"
+            raise InputError("entry-missing", f"{wrong}; {remedy}")
         out[name] = (path, data)
     return read_singles(out)
 
@@ -107,9 +105,7 @@ def _from_folder(folder: Path) -> Found:
         if data is not None and is_single(data):
             singles[path.stem] = (path, data)
     if not singles:
-        raise InputError(
-            "calibration-unread",
-            f"{folder}: no calibration in this folder; expected a COLMAP model, intri.yml and extri.yml, "
-            "intrinsics.yml and extrinsics.yml, or OpenCV files, one a camera; else name the file itself",
-        )
+        expected = "a COLMAP model, intri.yml with extri.yml, intrinsics.yml with extrinsics.yml, or a file per camera"
+        text = f"{folder}: no calibration in this folder; expected {expected}; else name the file itself"
+        raise InputError("calibration-unread", text)
     return read_singles(singles)

@@ -73,8 +73,6 @@ def _check_fixed(place: Path, seen: Mapping[str, list[FoundCamera]]) -> None:
         turn = float(np.abs(T[:, :, :3] - T[0, :, :3]).max())
         step = float(np.linalg.norm(centres[name] - centres[name][0], axis=1).max())
         if turn > SAME_ROTATION or step > SAME_POSITION * extent:
-            raise InputError(
-                "camera-not-fixed",
-                f"{place}: the {len(T)} images of '{name}' stand at different places (up to {step:.3g} units apart); "
-                "expected one pose of a fixed camera; keep one image of it in the model",
-            )
+            wrong = f"{place}: the {len(T)} images of '{name}' stand at different places (up to {step:.3g} units apart)"
+            remedy = "expected one pose of a fixed camera; keep one image of it in the model"
+            raise InputError("camera-not-fixed", f"{wrong}; {remedy}")

@@ -153,19 +153,15 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
         raise InputError("entry-wrong", text) from None
     lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
-        raise InputError(
-            "entry-wrong",
-            f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())}); expected "
-            f"{' or '.join(map(str, lengths))} finite numbers{' of the fisheye model' if fisheye else ''}",
-        )
+        expected = f"{' or '.join(map(str, lengths))} finite numbers{' of a fisheye lens' if fisheye else ''}"
+        wrong = f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())})"
+        raise InputError("entry-wrong", f"{wrong}; expected {expected}")
     beyond = {COEFFICIENTS[n]: flat[n] for n in range(HELD, flat.size) if flat[n] != 0}
     if beyond:
         words = ", ".join(f"{name} = {number:g}" for name, number in beyond.items())
-        raise InputError(
-            "lens-unread",
-            f"{where}: {words} cannot be held; expected the lens model k1, k2, p1, p2, k3; calibrate again without "
-            "the rational, thin-prism and tilted models",
-        )
+        wrong = f"{where}: {words} cannot be held; expected the lens model k1, k2, p1, p2, k3"
+        remedy = "calibrate again without the rational, thin-prism and tilted models"
+        raise InputError("lens-unread", f"{wrong}; {remedy}")
     out = np.zeros(HELD)
     out[: flat[:HELD].size] = flat[:HELD]
     return out
@@ -188,12 +184,9 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
         R = array
         off = float(np.abs(R @ R.T - np.eye(3)).max())
         if off > RIGID_TOLERANCE or np.linalg.det(R) < 0:
-            raise InputError(
-                "pose-not-rigid",
-                f"{where}: rotation is no rotation (R R^T differs from 1 by {off:.2g}, determinant "
-                f"{np.linalg.det(R):.3g}); expected an orthonormal matrix with determinant 1; is the file cut or "
-                "are its axes mirrored?",
-            )
+            wrong = f"{where}: no rotation (R R^T differs from 1 by {off:.2g}, determinant {np.linalg.det(R):.3g})"
+            remedy = "expected an orthonormal matrix with determinant 1; is it cut, or are its axes mirrored?"
+            raise InputError("pose-not-rigid", f"{wrong}; {remedy}")
     return np.column_stack([R, t])
 
 

@@ -100,11 +100,9 @@ def write_kalibr(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> N
     for n, (name, camera) in enumerate(cameras.items()):
         fisheye = camera.model == "OPENCV_FISHEYE"
         if camera.distortion[4] != 0:
-            raise InputError(
-                "lens-unwritable",
-                f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only; "
-                "export to a format that holds k3, such as rig-anipose",
-            )
+            wrong = f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only"
+            remedy = "export to a format that holds k3, such as rig-anipose"
+            raise InputError("lens-unwritable", f"{wrong}; {remedy}")
         K, cam_from_world = camera.K - HALF_PIXEL, np.vstack([camera.cam_from_world, [0, 0, 0, 1.0]])
         chain = {} if n == 0 else {"T_cn_cnm1": (cam_from_world @ np.linalg.inv(before)).tolist()}
         out[f"cam{n}"] = chain | {

@@ -299,12 +299,10 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
     angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
     late = result["skipped_pictures"] or any(attempt["out_of_time"] for attempt in result["attempts"])
     code, cause = _cause(pairs, bool(late))
-    raise HealthError(
-        code,
-        f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: "
-        f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
-        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {cause}",
-    )
+    best = f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees"
+    found = f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: {best}"
+    seen = f"between views (50 and 4 were tried too); {median:.0f} features per picture in the median"
+    raise HealthError(code, f"{found} {seen}. {cause}")
 
 
 def _cause(pairs: dict[str, Any], late: bool) -> tuple[str, str]:

@@ -181,8 +181,6 @@ def _check_one_size(meta: dict[str, Any], entries: list[dict[str, Any]], headers
     shared = [header for header, entry in zip(headers, entries, strict=True) if "fl_x" not in entry]
     for header in shared:
         if (header.width, header.height) != (shared[0].width, shared[0].height):
-            raise CaptureError(
-                "picture-size-wrong",
-                f"{header.path}: picture is {header.size}, {shared[0].path.name} is {shared[0].size}, and both "
-                "share one camera_angle_x; expected one size, or fl_x, fl_y, cx, cy per entry",
-            )
+            wrong = f"{header.path}: picture is {header.size}, {shared[0].path.name} is {shared[0].size}"
+            remedy = "for one camera_angle_x expected one size, else fl_x, fl_y, cx, cy per entry"
+            raise CaptureError("picture-size-wrong", f"{wrong}; {remedy}")

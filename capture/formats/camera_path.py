@@ -64,11 +64,9 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         every_picture = bool(meta.get("camera_path"))
         entries = meta.get("camera_path") or meta.get("keyframes")
         if not isinstance(entries, list) or not 0 < len(entries) <= MOST_PICTURES:
-            raise InputError(
-                "pictures-none",
-                f"{path}: neither camera_path nor keyframes lists any picture; export a camera path from nerfstudio's "
-                "viewer, or see docs/film.md for what such a file holds",
-            )
+            wrong = f"{path}: neither camera_path nor keyframes lists any picture"
+            remedy = "export a camera path from nerfstudio's viewer, or see docs/film.md for what such a file holds"
+            raise InputError("pictures-none", f"{wrong}; {remedy}")
         width, height = size or _size(meta, path) or usual
         cameras, times = [], []
         for n, entry in enumerate(entries):

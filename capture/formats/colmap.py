@@ -128,11 +128,7 @@ def _model(frames: tuple[PosedFrame, ...], base: Path, points: SparsePoints | No
         none, colours = np.zeros(0, np.int64), point_colours(points, frames).tolist()
         for n, (xyz, rgb) in enumerate(zip(points.xyz, colours, strict=True)):
             written[n + 1] = ModelPoint(xyz, UNKNOWN_ERROR_PX, none, tuple(rgb))
-    return Model(
-        {number: camera for (_, camera), number in cameras.items()},
-        images,
-        written,
-    )
+    return Model({number: camera for (_, camera), number in cameras.items()}, images, written)
 
 
 def _write(
@@ -168,11 +164,9 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
     p = camera.params
     two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
     if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
-        raise CaptureError(
-            "lens-unread",
-            f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)} (FULL_OPENCV with "
-            "k4 to k6 of 0); undistort the pictures with COLMAP first",
-        )
+        wrong = f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)}"
+        remedy = "(FULL_OPENCV with k4 to k6 of 0); undistort the pictures with COLMAP first"
+        raise CaptureError("lens-unread", f"{wrong} {remedy}")
     fx, fy, cx, cy, *lens = p if two_focal else (p[0], *p)
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]

@@ -78,11 +78,9 @@ def with_flow_files(
             out.append(frame)
             continue
         if not path.is_file():
-            raise CaptureError(
-                "file-missing",
-                f"{path}: flow of {frame.path.name} not found, while the folder is there; copy it again, or remove "
-                "the whole folder so that flow is computed",
-            )
+            wrong = f"{path}: flow of {frame.path.name} not found, while the folder is there"
+            remedy = "copy it again, or remove the whole folder so that flow is computed"
+            raise CaptureError("file-missing", f"{wrong}; {remedy}")
         width, height = size or (frame.camera.width, frame.camera.height)
         try:
             found = tuple(npz_shapes(path, ("flow", "mask")))
@@ -90,10 +88,10 @@ def with_flow_files(
             raise _damaged(error.code, error) from None
         if found != ((height, width, 2), (height, width)):
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
+            wrong = f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}"
+            expected = f"expected [{height}, {width}, 2] and [{height}, {width}], the size of {of}"
             raise CaptureError(
-                "flow-size-wrong",
-                f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}; expected [{height}, {width}, 2] "
-                f"and [{height}, {width}], the size of {of}; compute the flow on the pictures of the data set",
+                "flow-size-wrong", f"{wrong}; {expected}; compute it on the data set's pictures"
             )
         out.append(replace(frame, flow=path.resolve()))
     return tuple(out)

@@ -114,11 +114,9 @@ def pinhole(
     if (
         abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3
     ):  # copies have rounded sizes
-        raise CaptureError(
-            "picture-size-wrong",
-            f"{header.path}: picture is {header.size}, {where} says {width:g}x{height:g}; expected the same "
-            "shape; use the pictures that were calibrated",
-        )
+        wrong = f"{header.path}: picture is {header.size}, {where} says {width:g}x{height:g}"
+        remedy = "expected the same shape; use the pictures that were calibrated"
+        raise CaptureError("picture-size-wrong", f"{wrong}; {remedy}")
     K = np.array([[focal * ratio_x, 0, header.width / 2], [0, focal * ratio_y, header.height / 2], [0, 0, 1]])
     return Camera(header.width, header.height, K, cam_from_opengl(opengl, where))
 
@@ -167,11 +165,8 @@ def largest_pictures(folder: Path, count: int | None) -> list[Path]:
         if files:
             seen.append(f"images{factor} {len(files)}")
     expected = f"{count} pictures" if count is not None else "pictures"
-    raise CaptureError(
-        "count-mismatch",
-        f"{folder}: expected {expected} in images, images_2, images_4 or images_8, found "
-        f"{', '.join(seen) or 'none'}; each row of the poses is one picture",
-    )
+    wrong = f"{folder}: expected {expected} in images, images_2, images_4 or images_8"
+    raise CaptureError("count-mismatch", f"{wrong}, found {', '.join(seen) or 'none'}; a row is a picture")
 
 
 def pictures_in(folder: Path) -> list[Path]:

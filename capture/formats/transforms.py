@@ -123,11 +123,9 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
             None if flat is None else (base / flat).resolve(),
         )
     except (TypeError, ValueError) as error:
-        raise CaptureError(
-            "entry-wrong",
-            f"{where}: its look cannot be used ({error}); expected colour_matrix with 3 rows of 3 numbers and "
-            "colour_gains with 3 numbers above 0, or no such keys",
-        ) from None
+        wrong = f"{where}: its look cannot be used ({error})"
+        remedy = "expected colour_matrix with 3 rows of 3 numbers, colour_gains with 3 above 0, or none"
+        raise CaptureError("entry-wrong", f"{wrong}; {remedy}") from None
 
 
 def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:

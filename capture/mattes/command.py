@@ -125,21 +125,18 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
             f"{picture}: {'ended after its time' if late else f'exit code {process.returncode}'}\n{said}"
         )
     last = "\n".join(said.strip().splitlines()[-LAST_LINES:]) or "it said nothing"
+    last = f"what it said last:\n{last}"
     if late:
-        raise CaptureError(
-            "command-timed-out",
-            f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s; what it said last:\n{last}\n"
-            "allow more (capture.mattes.timeout_s), or give it a smaller model",
-        )
+        wrong = f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s"
+        remedy = "allow more (capture.mattes.timeout_s), or give it a smaller model"
+        raise CaptureError("command-timed-out", f"{wrong}; {last}\n{remedy}")
     if process.returncode != 0:
-        raise CaptureError(
-            "command-failed",
-            f"{_named(command)}: exit code {process.returncode} for {picture}; what it said last:\n{last}\n"
-            "run it by hand on this picture, then again; finished mattes are kept",
-        )
+        wrong = f"{_named(command)}: exit code {process.returncode} for {picture}"
+        remedy = "run it by hand on this picture, then again; finished mattes are kept"
+        raise CaptureError("command-failed", f"{wrong}; {last}\n{remedy}")
     if not new.is_file():
-        text = f"{_named(command)}: ended well but left no file at {MATTE} for {picture}; what it said last:\n{last}"
-        raise CaptureError("command-without-output", text)
+        wrong = f"{_named(command)}: ended well but left no file at {MATTE} for {picture}"
+        raise CaptureError("command-without-output", f"{wrong}; {last}")
     height, width = read_pixels(picture).shape[:2]
     try:
         read_given(new, width, height, inverted=False)

@@ -43,11 +43,9 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
         called = " or ".join(wanted[:LISTED])
         raise InputError("folder-missing", f"{folder}: no folder called {called} in it{hint}; one per camera")
     if SWEEP in found and without:
-        raise InputError(
-            "matte-missing",
-            f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}; before a plain background every "
-            "picture needs one: add them, or take static away",
-        )
+        wrong = f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}"
+        remedy = "before a plain background every picture needs one: add them, or take static away"
+        raise InputError("matte-missing", f"{wrong}; {remedy}")
     return found
 
 

@@ -140,10 +140,8 @@ def check_arguments(
         InputError: Unknown scene, a picture too small or too large, too few or too many cameras.
     """
     if scene not in MODELS:
-        raise InputError(
-            "scene-unknown",
-            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(MODELS)} (--protocol {protocol})",
-        )
+        text = f"simulate --scene {scene}: expected one of {', '.join(MODELS)} (--protocol {protocol})"
+        raise InputError("scene-unknown", text)
     if not 1 <= cameras <= most_cameras:
         text = f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})"
         raise InputError("option-wrong", text)

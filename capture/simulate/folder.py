@@ -106,9 +106,7 @@ class OutputFolder:
         changed = sorted(k for k in {*found, *self._made_by} if found.get(k) != self._made_by.get(k))
         if changed:
             key = changed[0]
-            raise InputError(
-                "folder-exists",
-                f"simulate {path}: holds another data set ({key} {found.get(key)}, asked for "
-                f"{self._made_by.get(key)}); give a new folder or empty it",
-            )
+            wrong = f"simulate {path}: holds another data set ({key} {found.get(key)}, asked for"
+            remedy = f"{self._made_by.get(key)}); give a new folder or empty it"
+            raise InputError("folder-exists", f"{wrong} {remedy}")
         return complete

@@ -140,11 +140,8 @@ def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: Se
     if any(n < 16 or n % 2 for n in size):
         raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected even, at least 16")
     if options.duration_s <= 2 * options.offset_range_s:
-        raise InputError(
-            "options-contradict",
-            f"simulate: duration_s {options.duration_s} is not more than twice offset_range_s "
-            f"{options.offset_range_s}; the clips would not overlap, raise duration_s",
-        )
+        wrong = f"duration_s {options.duration_s} is not over twice offset_range_s {options.offset_range_s}"
+        raise InputError("options-contradict", f"simulate: {wrong}; the clips would not overlap, raise it")
     if options.strip_m and scene != "sheet":
         raise InputError("options-contradict", f"simulate: strip_m {options.strip_m} needs --scene sheet")
 
@@ -265,10 +262,7 @@ def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Me
     paper = texture(
         rng, 120, 160, 0.004, options.texture_contrast, paint=WOOD, largest_m=0.2, smallest_m=0.03
     )
-    return [
-        picture_on_quad(front, board_picture(options.board_squares)),
-        picture_on_quad(back, paper),
-    ]
+    return [picture_on_quad(front, board_picture(options.board_squares)), picture_on_quad(back, paper)]
 
 
 def _away_from_board(sweep: list[Camera], options: SessionOptions) -> Camera:
