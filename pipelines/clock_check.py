@@ -46,13 +46,19 @@ def timed_pictures(
 
     Cameras with too few pictures in that span are left out.
     """
-    times = {n: clocks[n].true_time(_times(c)) for n, c in frames.items() if len(c.used) >= MIN_FRAMES}
+    shown = {
+        n: [f for f in c.used if f.file is not None and f.time_s is not None]
+        for n, c in frames.items()
+        if len(c.used) >= MIN_FRAMES
+    }
+    times = {n: clocks[n].true_time(np.array([f.time_s for f in of])) for n, of in shown.items()}
     if len(times) < 2:
         return {}
-    from_s, to_s = _busiest(times, {n: _on_clock(motion[n], clocks[n]) for n in times if n in motion})
+    moved = {n: (clocks[n].true_time(motion[n][:, 0]), motion[n][:, 1]) for n in times if n in motion}
+    from_s, to_s = _busiest(times, {n: np.column_stack(course) for n, course in moved.items()})
     views = {}
     for name, time_s in times.items():
-        files = [folder / f.file for f in frames[name].used if f.file is not None and f.time_s is not None]
+        files = [folder / str(f.file) for f in shown[name]]
         inside = np.flatnonzero((time_s >= from_s) & (time_s <= to_s))
         if len(inside) >= MIN_FRAMES:
             grey = np.stack([_small(files[i]) for i in inside])
@@ -211,14 +217,6 @@ def _busiest(
         moved += (total[last] - total[first]) / max(total[-1], 1e-9)
     best_s = float(starts[np.argmax(moved)])
     return best_s, best_s + length_s
-
-
-def _times(camera: CameraFrames) -> Float[np.ndarray, " n"]:
-    return np.array([f.time_s for f in camera.used if f.file is not None and f.time_s is not None])
-
-
-def _on_clock(motion: Float[np.ndarray, "n 2"], clock: Clock) -> Float[np.ndarray, "n 2"]:
-    return np.column_stack([clock.true_time(motion[:, 0]), motion[:, 1]])
 
 
 def _small(path: Path) -> UInt8[np.ndarray, "h w"]:
