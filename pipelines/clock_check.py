@@ -109,9 +109,8 @@ def check_rows(
                 f"standard deviation of clocks by geometry, worst camera ({vague})",
                 1e3 * used[vague].std_s,
                 "ms",
-                warn=UNSURE_FRAMES * step_ms,
-                fail=UNKNOWN_FRAMES * step_ms,
-                low_is_bad=False,
+                warn_above=UNSURE_FRAMES * step_ms,
+                fail_above=UNKNOWN_FRAMES * step_ms,
                 remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
             )
         )
@@ -125,8 +124,7 @@ def check_rows(
                 f"clock against geometry, worst camera ({worst})",
                 1e3 * abs(found.offset_s),
                 "ms",
-                warn=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
-                low_is_bad=False,
+                warn_above=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
                 remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
                 f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
             )

@@ -43,4 +43,4 @@ def _row(name: str, path: Path, spec: BoardSpec, joint: bool) -> HealthRow:
         except HealthError as error:
             # Several cameras may see it for a moment only, between the pictures that are looked at.
             return note(check, "never", verdict="warn" if joint else "fail", remedy=f"{error}.")
-    return row(check, len(views) / len(greys), "", warn=None if joint else SEEN_WARN, remedy=REMEDY)
+    return row(check, len(views) / len(greys), warn=None if joint else SEEN_WARN, remedy=REMEDY)

@@ -39,4 +39,4 @@ def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
 
 
 def _share(check: str, share: float, most: float, remedy: str) -> HealthRow:
-    return row(check, 100 * share, "%", warn=100 * most, low_is_bad=False, remedy=remedy)
+    return row(check, 100 * share, "%", warn_above=100 * most, remedy=remedy)

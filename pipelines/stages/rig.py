@@ -334,9 +334,8 @@ class _Job:
                 * miss
                 / max(float(np.median([c.details["median_distance"] for c in found.values()])) / unit, 1e-9),
                 "% of distance",
-                warn=1.0,
-                fail=5.0,
-                low_is_bad=False,
+                warn_above=1.0,
+                fail_above=5.0,
                 remedy="The given calibration does not fit what the cameras see: a camera was moved since.",
             )
         )
