@@ -69,9 +69,7 @@ def _print_row(name: str, board: BoardCalibration) -> HealthRow:
     remedy = (
         f"The board is not as described; write {wrong} in capture.board. What the pictures show was used."
     )
-    return note(
-        f"board before {name}", found.words, verdict="warn" if wrong else "ok", remedy=remedy if wrong else ""
-    )
+    return note(f"board before {name}", found.words, remedy=remedy if wrong else "")
 
 
 def _coverage_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
@@ -94,7 +92,6 @@ def _coverage_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
             note(
                 f"never seen with the board, {name}",
                 unseen,
-                verdict="warn" if remedy else "ok",
                 remedy=remedy,
             )
         )
@@ -118,7 +115,7 @@ def _view_row(name: str, board: BoardCalibration) -> HealthRow:
     elif len(board.dropped) > all_views / 4:
         remedy = "Many views do not fit: lock focus and zoom, hold the board still and flat."
     words = "; ".join(said) or "none"
-    return note(f"board views of {name} left out", words, verdict="warn" if remedy else "ok", remedy=remedy)
+    return note(f"board views of {name} left out", words, remedy=remedy)
 
 
 def _lens_words(board: BoardCalibration) -> str:

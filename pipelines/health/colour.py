@@ -57,7 +57,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
             )
         text = "not compared: neither a chart nor enough surface points shared with cameras of known look"
         remedy = f"Film a colour chart with {name} and {target} (calibration.colour.chart), or let views overlap more."
-        return note(f"colours of {name}", text, verdict="warn", remedy=remedy)
+        return note(f"colours of {name}", text, remedy=remedy)
     side = "brighter" if camera.stops > 0 else "darker"
     found = f"{name} {abs(camera.stops):.2f} EV {side} than {target}"
     if camera.source == "none":

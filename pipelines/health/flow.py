@@ -34,7 +34,6 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
             note(
                 "gaps in the clips",
                 f"{text} (of {total} pairs); no flow across them",
-                verdict="warn",
                 remedy="Frames were dropped while filming: use faster cards, or a lower resolution.",
             )
         )

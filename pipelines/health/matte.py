@@ -92,7 +92,6 @@ def _inverted(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
         note(
             "mattes' black and white",
             f"swapped: {', '.join(swapped)}",
-            verdict="warn",
             remedy="They are white around and darker inside and were inverted: save the subject white, or say so "
             "(capture.mattes.inverted: true, or false if that is wrong).",
         )

@@ -202,7 +202,6 @@ def graph_rows(graph: tuple[Link, ...], rig: Rig) -> list[HealthRow]:
                 note(
                     f"links of {name}",
                     f"{name} hangs on one link, to {other}",
-                    verdict="warn",
                     remedy=f"Hold the board where {name} and a camera other than {other} both see it.",
                 )
             )
@@ -214,7 +213,6 @@ def graph_rows(graph: tuple[Link, ...], rig: Rig) -> list[HealthRow]:
                 note(
                     f"{link.a} and {link.b}",
                     "face each other: no side of a board is seen by both",
-                    verdict="warn" if alone else "ok",
                     remedy="Use a board printed on both sides, or the sweep." if alone else "",
                 )
             )
@@ -300,4 +298,4 @@ def scale_rows(found: list[Scale], used: Scale, unmeasured_board: bool = False) 
         f"Lengths are not metres: {board}, or give calibration.rig.known_distance_m, or calibration.rig.given_unit of "
         "a given calibration."
     )
-    return [*rows, note("scale", ARBITRARY.source, verdict="warn", remedy=remedy)]
+    return [*rows, note("scale", ARBITRARY.source, remedy=remedy)]

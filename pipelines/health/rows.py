@@ -57,9 +57,9 @@ def row(
     return HealthRow(check, float(value), unit, warn, fail, verdict, "" if verdict == "ok" else remedy)
 
 
-def note(check: str, value: str, *, verdict: Verdict = "ok", remedy: str = "") -> HealthRow:
-    """A row that states something in words (for example which cue gave the clocks)."""
-    return HealthRow(check, value, "", None, None, verdict, remedy)
+def note(check: str, value: str, *, verdict: Verdict | None = None, remedy: str = "") -> HealthRow:
+    """A row that states something in words (which cue gave the clocks); a warning where there is a remedy."""
+    return HealthRow(check, value, "", None, None, verdict or ("warn" if remedy else "ok"), remedy)
 
 
 def worst(verdicts: Iterable[Verdict | None]) -> Verdict | None:

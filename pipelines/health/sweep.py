@@ -60,7 +60,7 @@ def mask_rows(without: Sequence[str]) -> list[HealthRow]:
     if not without:
         return []
     text = f"{len(without)} pictures have none: {_some(without)}"
-    return [note("masks", text, verdict="warn", remedy="What moves in them is matched: add their masks.")]
+    return [note("masks", text, remedy="What moves in them is matched: add their masks.")]
 
 
 def board_bend_rows(model: SweepModel, board: Intrinsics) -> list[HealthRow]:
@@ -77,7 +77,6 @@ def board_bend_rows(model: SweepModel, board: Intrinsics) -> list[HealthRow]:
         note(
             "lens correction in the camera",
             f"the sweep's pictures bend by {of_sweep:+.1f} %, the board's by {of_board:+.1f} %",
-            verdict="warn",
             remedy="The camera corrects its lens in one mode only: switch the correction off, or film the board in the "
             "mode of the sweep (capture.board.clips.static).",
         )
@@ -157,7 +156,6 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
             note(
                 "one model",
                 f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures",
-                verdict="warn",
                 remedy=f"The largest is used; apart from it stand {joined}. Film pictures that join them.",
             )
         )
@@ -167,7 +165,6 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
             note(
                 "bundle adjustment",
                 "not converged: it stopped while the error still fell",
-                verdict="warn",
                 remedy="Something leaves the model loose (focal and distance, a flat scene): film a board "
                 "(capture.board.clips.static), or from more sides.",
             )
@@ -258,7 +255,7 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
     middle += "(capture.board.clips.static)."
     if r["adjustment"] is not None and r["adjustment"]["principal_point_put_back"]:
         text = "left the middle by more than 5 % of the width and was put back"
-        rows.append(note("principal point", text, verdict="warn", remedy=f"The sweep does not fix {middle}"))
+        rows.append(note("principal point", text, remedy=f"The sweep does not fix {middle}"))
     rows += [
         row(
             "principal point off the middle",
@@ -316,7 +313,6 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
             note(
                 "one focal length for all pictures",
                 f"two groups, {100 * (zooms.ratio - 1):.0f} % apart",
-                verdict="warn",
                 remedy=f"{_some(zooms.short)} want a shorter focal length than {_some(zooms.long)}: two zooms or two "
                 "devices. Keep one zoom, or save photos with their EXIF data, which tell them apart.",
             )
@@ -364,9 +360,9 @@ def _gps(r: dict[str, Any]) -> list[HealthRow]:
     if gps is None or not gps["places"]:
         return []
     if gps["why"] is not None:
-        disagrees = "std_m" in gps
-        remedy = "GPS contradicts the pictures: wait for a fix before the first photo." if disagrees else ""
-        return [note("GPS", f"not used: {gps['why']}", verdict="warn" if disagrees else "ok", remedy=remedy)]
+        contradicts = "GPS contradicts the pictures: wait for a fix before the first photo."
+        remedy = contradicts if "std_m" in gps else ""
+        return [note("GPS", f"not used: {gps['why']}", remedy=remedy)]
     off = sorted(gps["off_m"].values())
     median = off[len(off) // 2]
     far = [n for n, metres in gps["off_m"].items() if metres > 3 * gps["std_m"]]
@@ -404,7 +400,7 @@ def _time(r: dict[str, Any]) -> list[HealthRow]:
     if not said:
         return []
     remedy = "Give more time (calibration.static_poses.time_minutes), or use fewer or smaller pictures."
-    return [note("time for the sweep", "; ".join(said), verdict="warn", remedy=remedy)]
+    return [note("time for the sweep", "; ".join(said), remedy=remedy)]
 
 
 def _some(names: Sequence[Any]) -> str:

@@ -106,12 +106,11 @@ def health(frames: FrameSet) -> list[HealthRow]:
                 f"{camera.source} is damaged: what is there is used, and the scene ends with it; copy the file from "
                 "the camera again to have all of it."
             )
-            rows.append(note(f"end of {name}", camera.ended_early, verdict="warn", remedy=remedy))
+            rows.append(note(f"end of {name}", camera.ended_early, remedy=remedy))
         rows += [
             note(
                 f"{fault.check}, {name}",
                 fault.found,
-                verdict="warn",
                 remedy=f"{camera.source}: {fault.remedy}",
             )
             for fault in camera.faults
@@ -144,7 +143,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
     ]
     if sizes:
         remedy = f"{sweep.source}: keep one camera in one mode (size and orientation) for the whole sweep."
-        rows.append(note("sizes in the sweep", sizes[0], verdict="warn", remedy=remedy))
+        rows.append(note("sizes in the sweep", sizes[0], remedy=remedy))
     return rows
 
 

@@ -130,7 +130,7 @@ class _Job:
         sizes = {name: (c.width, c.height) for name, c in self.moving.items()}
         found = given_calibration(self.context.config, self.context.scene_dir, sizes)
         for n in () if found is None else found.notes:
-            self.rows.append(note(n.check, n.text, verdict="warn" if n.remedy else "ok", remedy=n.remedy))
+            self.rows.append(note(n.check, n.text, remedy=n.remedy))
         return found
 
     def from_sweep(self) -> Rig:
@@ -189,7 +189,7 @@ class _Job:
             seen, board = self._board_rig(names, progress)
         except HealthError as error:
             remedy = "Hold the board where several cameras see it; the sweep alone was used."
-            self.rows.append(note("rig from the board", str(error), verdict="warn", remedy=remedy))
+            self.rows.append(note("rig from the board", str(error), remedy=remedy))
             return None
         ours = {n: c.camera for n, c in cameras.items()}
         joint = adjust_together(swept.solution, swept.index, ours, board)
@@ -199,7 +199,7 @@ class _Job:
         if not same:
             remedy = "Film the joint clips again, with the cameras where they are now."
             text = "the sweep's; the board's does not fit it"
-            self.rows.append(note("rig", text, verdict="warn", remedy=remedy))
+            self.rows.append(note("rig", text, remedy=remedy))
             return None
         self.rows.append(note("rig", "sweep and board adjusted together"))
         source = f"board seen at once by {', '.join(names)}"

@@ -138,7 +138,6 @@ def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
                 note(
                     "what moves",
                     "not found in two cameras at once",
-                    verdict="warn",
                     remedy="The box is a guess from the view axes: check that something moves in all views.",
                 )
             )

@@ -121,7 +121,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
         return [note("cue", "the table of times")]
     if all(clock.basis.startswith("the clips' own") for clock in others.values()):
         remedy = "Check that the cameras are synchronised by hardware, else clap and use method auto."
-        return [note("cue", "none; the clips' own times", verdict="warn", remedy=remedy)]
+        return [note("cue", "none; the clips' own times", remedy=remedy)]
     worst = min(others, key=lambda name: others[name].confidence)
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
@@ -184,7 +184,7 @@ def _cues(result: SyncResult) -> list[HealthRow]:
             "on one side of it, or give true times in capture.timestamps."
         )
         value = f"step of {1e3 * jump.step_s:+.0f} ms at {jump.at_s:.1f} s"
-        rows.append(note(f"jump of the clock, {names}", value, verdict="warn", remedy=remedy))
+        rows.append(note(f"jump of the clock, {names}", value, remedy=remedy))
     return rows
 
 
@@ -202,7 +202,6 @@ def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
             note(
                 "drift",
                 value,
-                verdict="warn" if wrong_base else "ok",
                 remedy=f"{worst}'s file declares a wrong rate (29.97 declared as 30 is 1000 ppm): its times are "
                 "stretched to fit; copy the original file from the camera, without conversion."
                 if wrong_base
