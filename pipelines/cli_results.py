@@ -60,8 +60,7 @@ def report(
 
 def compare(
     runs: Annotated[
-        list[Path],
-        typer.Argument(help="Run folders, or scene.yaml; the others are held against the first"),
+        list[Path], typer.Argument(help="Run folders, or scene.yaml; the others are held against the first")
     ],
     out: Annotated[Path, typer.Option(help="Folder for compare.html")] = Path("compare"),
     as_json: Annotated[

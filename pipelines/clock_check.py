@@ -11,13 +11,7 @@ from jaxtyping import Float, UInt8
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.geometry import (
-    SHIFT_FRAMES,
-    SHIFT_SIGMAS,
-    GeometryCheck,
-    check_clocks,
-    refined,
-)
+from devrf.calibration.clocks.geometry import SHIFT_FRAMES, SHIFT_SIGMAS, GeometryCheck, check_clocks, refined
 from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames

@@ -88,13 +88,7 @@ def _coverage_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
     if unseen and rows[0].verdict == "ok":
         corners = sum("corner" in place for place in evidence.unseen)
         remedy = remedy + never if corners > 2 else ""
-        rows.append(
-            note(
-                f"never seen with the board, {name}",
-                unseen,
-                remedy=remedy,
-            )
-        )
+        rows.append(note(f"never seen with the board, {name}", unseen, remedy=remedy))
     return rows
 
 

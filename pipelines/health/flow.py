@@ -145,9 +145,7 @@ def _of_cameras(checks: dict[str, FlowChecks]) -> list[HealthRow]:
 
 
 def _worst(
-    checks: dict[str, FlowChecks],
-    value: Callable[[FlowChecks], float | None],
-    choose: Callable,
+    checks: dict[str, FlowChecks], value: Callable[[FlowChecks], float | None], choose: Callable
 ) -> tuple[str, float | None]:
     """The camera with the worst value, and the value."""
     camera = choose(checks, key=lambda name: value(checks[name]) or 0.0)

@@ -108,11 +108,7 @@ def health(frames: FrameSet) -> list[HealthRow]:
             )
             rows.append(note(f"end of {name}", camera.ended_early, remedy=remedy))
         rows += [
-            note(
-                f"{fault.check}, {name}",
-                fault.found,
-                remedy=f"{camera.source}: {fault.remedy}",
-            )
+            note(f"{fault.check}, {name}", fault.found, remedy=f"{camera.source}: {fault.remedy}")
             for fault in camera.faults
         ]
         if camera.notes:

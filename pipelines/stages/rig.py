@@ -29,14 +29,7 @@ from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import registered_at_once
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health.board import board_rows
-from devrf.pipelines.health.rig import (
-    bump_row,
-    graph_rows,
-    joint_rows,
-    route_rows,
-    scale_rows,
-    sweep_rows,
-)
+from devrf.pipelines.health.rig import bump_row, graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
 from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.stage import StageContext
@@ -178,11 +171,7 @@ class _Job:
         return rig
 
     def _together(
-        self,
-        swept: SweepRig,
-        cameras: dict[str, RigCamera],
-        names: list[str],
-        progress: Progress,
+        self, swept: SweepRig, cameras: dict[str, RigCamera], names: list[str], progress: Progress
     ) -> tuple[dict[str, RigCamera], tuple[Link, ...]] | None:
         """Both routes compared, then one adjustment of both; None where the joint clips cannot be used."""
         try:
@@ -345,10 +334,7 @@ class _Job:
 def _clock(board: BoardRig, name: str) -> dict[str, float]:
     """What has to be added to a camera's times to have the first camera's clock, for rig.json."""
     n = board.views.names.index(name)
-    return {
-        "delay_ms": 1e3 * board.delay_s[name],
-        "delay_std_ms": 1e3 * float(board.solution.delay_std_s[n]),
-    }
+    return {"delay_ms": 1e3 * board.delay_s[name], "delay_std_ms": 1e3 * float(board.solution.delay_std_s[n])}
 
 
 def _scaled(c: RigCamera, factor: float) -> RigCamera:
