@@ -21,6 +21,7 @@ from devrf.pipelines.batch.work import Work
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import check_device, resolve_device
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY, code_of
 from devrf.pipelines.runner.supervise import tell
 
@@ -71,11 +72,8 @@ def batch(
     if machines.address is not None and machines.engine != "ray":
         raise InputError("option-misplaced", "--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
-    try:
+    with disk_told(f"--out {out}", "choose another folder", InputError):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        text = f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
-        raise InputError("folder-unwritable", text) from None
     there = None if store is None else Store(store)
     if there is not None:
         there.check()
@@ -116,11 +114,8 @@ def _seen_in(scene: BatchScene, out: Path, store: Store | None, talk: Talk) -> P
     if store is None:
         return run_dir
     folder = (out / "scenes" / config.folder_name).resolve()
-    try:
+    with disk_told(folder, "make room there"):
         mirror(store, config, scene.scene_dir, folder, talk.say)
-    except OSError as error:
-        text = f"{folder}: cannot be written ({error.strerror or error}); make room there"
-        raise DevrfError("folder-unwritable", text) from None
     return folder
 
 

@@ -1,12 +1,12 @@
 """`devrf-pipeline export`: what has to be right before anything is written, and what is said in the end."""
 
-import difflib
 import importlib.util
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats.export import check_target
+from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.formats import FORMATS
 from devrf.pipelines.export.request import Format, Options, Request
@@ -42,7 +42,10 @@ def export(
             to export yet, or a link in the run folder.
         DevrfError: The format cannot hold this scene, a picture is missing, or nothing can be written.
     """
-    chosen, options = _known(name), options or Options()
+    if name not in FORMATS:
+        text = f"--format {name}: expected {', '.join(FORMATS)}{suggestion(name, FORMATS)}"
+        raise InputError("option-unknown-value", text)
+    chosen, options = FORMATS[name], options or Options()
     if out is None:
         check_run_folder(run_dir, ())
     folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
@@ -58,14 +61,6 @@ def export(
         talk.say(f"  note: {text}")
     talk.say(f"  {chosen.what} ({name}): {folder}")
     return folder
-
-
-def _known(name: str) -> Format:
-    if name in FORMATS:
-        return FORMATS[name]
-    near = difflib.get_close_matches(name, FORMATS, n=1)
-    hint = f", did you mean {near[0]}?" if near else ""
-    raise InputError("option-unknown-value", f"--format {name}: expected {', '.join(FORMATS)}{hint}")
 
 
 def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:

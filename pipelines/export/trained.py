@@ -108,13 +108,7 @@ class Trained:
         return directions @ (self.world_from_box[:3, :3] / self.scale).T
 
     def describe(
-        self,
-        folder: Path,
-        *,
-        files: str,
-        axes: str,
-        facts: dict[str, Any],
-        lengths: str | None = None,
+        self, folder: Path, *, files: str, axes: str, facts: dict[str, Any], lengths: str | None = None
     ) -> None:
         """Write README.txt and export.json.
 

@@ -17,6 +17,7 @@ from devrf.capture.writable import check_folder
 from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.device import resolve_device
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.film.about import FILM, READS, film_json, finished_film, made_from_of
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.plan import Film, planned
@@ -94,7 +95,8 @@ def _make(
     world_per_box = 1 / float(np.cbrt(np.linalg.det(world.box_from_world[:3, :3])))
     depth = DepthScale.of(plan.cameras, world.aabb, model.rest.near, world_per_box, world.metric)
     kept = Kept.beside(folder)
-    lock = Lock(_existing(kept.folder), talk.say)
+    kept.folder.mkdir(parents=True, exist_ok=True)
+    lock = Lock(kept.folder, talk.say)
     lock.take()
     try:
         if kept.begin(made_from):
@@ -215,24 +217,14 @@ def _confidence(talk: Talk, job: Run, world: Scene, model: "DynamicModel") -> An
     return Confidence(as_trained(world, json.loads(metrics.read_text()) if metrics.is_file() else {}), model)
 
 
-def _existing(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
 @contextmanager
 def _told(folder: Path) -> Iterator[None]:
     """A disk that is full, in words."""
     try:
-        yield
+        with disk_told(folder, f"make room, or name another folder with --out; {GOES_ON}"):
+            yield
     except CaptureError as error:
         raise DevrfError(error.code, f"{error}; {GOES_ON}") from None
-    except OSError as error:
-        raise DevrfError(
-            "folder-unwritable",
-            f"{folder}: cannot be written ({error.strerror or error}); make room, or name another folder with "
-            f"--out; {GOES_ON}",
-        ) from None
     except Exception as error:
         if not is_no_memory(error):
             raise

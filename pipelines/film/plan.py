@@ -1,6 +1,5 @@
 """From what was asked to a film: a camera and a time for every picture."""
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.camera_path import CameraPath, read_camera_path
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.film.asked import USUAL_FPS, USUAL_SLOW, Asked, option
 from devrf.reconstruct.film.between import between, through, views_of
 from devrf.reconstruct.film.paths import PATHS
@@ -224,6 +224,6 @@ def _checked(count: int) -> int:
 
 def _unknown(spoken: str) -> InputError:
     known: Sequence[str] = (*PATHS, "between", "between:CAMERA,CAMERA", "still:CAMERA", "FILE.json")
-    near = difflib.get_close_matches(spoken, known, n=1)
-    hint = f", did you mean {near[0]}?" if near else ""
-    return InputError("option-unknown-value", f"--path {spoken}: expected {', '.join(known)}{hint}")
+    return InputError(
+        "option-unknown-value", f"--path {spoken}: expected {', '.join(known)}{suggestion(spoken, known)}"
+    )

@@ -17,11 +17,7 @@ ACCURACY: dict[str, tuple[str, dict[str, str]]] = {
     ),
     "sync": (
         "Clocks from sound, light and motion against known offsets, on real captures and simulated ones.",
-        {
-            "flash": "accuracy.sync_flash",
-            "motion": "accuracy.sync_motion",
-            "sound": "accuracy.sync_sound",
-        },
+        {"flash": "accuracy.sync_flash", "motion": "accuracy.sync_motion", "sound": "accuracy.sync_sound"},
     ),
     "flow": (
         "Every method's error on pairs with truth, seconds per pair, and bytes per pixel on disk.",

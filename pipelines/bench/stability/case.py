@@ -246,7 +246,5 @@ def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: floa
         done.behind(context)
 
     return replace(
-        stage,
-        run=run,
-        inputs=lambda config, scene_dir: {**stage.inputs(config, scene_dir), "damage": file},
+        stage, run=run, inputs=lambda config, scene_dir: {**stage.inputs(config, scene_dir), "damage": file}
     )

@@ -146,12 +146,7 @@ def run_stability(
 
 
 def _forecast(
-    talk: Talk,
-    out: Path,
-    names: Sequence[str],
-    severities: int | None,
-    seeds: Sequence[int],
-    case_s: float,
+    talk: Talk, out: Path, names: Sequence[str], severities: int | None, seeds: Sequence[int], case_s: float
 ) -> None:
     """Say how long the suite will take: every case that is not there yet as long as the undisturbed one.
 

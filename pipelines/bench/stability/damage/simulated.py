@@ -15,13 +15,7 @@ from devrf.capture.errors import InputError
 from devrf.capture.simulate.mitsuba import load_mitsuba
 from devrf.capture.simulate.session import check_arguments
 from devrf.capture.simulate.session_options import SessionOptions
-from devrf.pipelines.bench.stability.damage.intact import (
-    Damage,
-    Damaging,
-    DoesNotApply,
-    Intact,
-    with_capture,
-)
+from devrf.pipelines.bench.stability.damage.intact import Damage, Damaging, DoesNotApply, Intact, with_capture
 from devrf.pipelines.bench.stability.session import TRUTH, Simulated, is_rendered, rendered
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.simulate_command import session_code
