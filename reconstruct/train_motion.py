@@ -239,13 +239,7 @@ class _Recipe:
         names = ("level", "left_box", "seen", "errors", "gains", "keys_left")
         numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
         numbers["guard"] = self.guard.state()
-        motion = self.motion
-        numbers["motion"] = {  # to look at it
-            "aabb": motion.aabb.tolist(),
-            "t_first": motion.t_first,
-            "t_last": motion.t_last,
-            "rest_key": motion.rest_key,
-        }
+        numbers["motion"] = self.motion.numbers() | {"aabb": self.motion.aabb.tolist()}  # to look at it
         return tensors, numbers
 
     def take_up(self, saved: Saved) -> int:
