@@ -56,7 +56,7 @@ def load_raft(path: Path) -> Raft:
 
 def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
-        raise InputError("file-missing", f"flow.weights: {path}: no such file; expected RAFT's (.pth)")
+        raise InputError("file-missing", f"flow.weights: {path}: no such file; expected RAFT's weights")
     try:
         found = read_weights(path)
     except DevrfError as error:
