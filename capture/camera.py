@@ -41,9 +41,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.model not in get_args(LensModel):
-            raise ValueError(
-                f"camera.model is {self.model}, expected one of {', '.join(get_args(LensModel))}"
-            )
+            raise ValueError(f"camera.model is {self.model}, expected {', '.join(get_args(LensModel))}")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"camera size is {self.width}x{self.height}, expected at least 1x1")
         for name, shape in (("K", (3, 3)), ("cam_from_world", (3, 4)), ("distortion", (5,))):
@@ -53,10 +51,8 @@ class Camera:
             if not np.isfinite(value).all():
                 raise ValueError(f"camera.{name} is not finite: {value.tolist()}")
             object.__setattr__(self, name, value)
-        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
-            raise ValueError(
-                f"camera.K has focal lengths {self.K[0, 0]:g}, {self.K[1, 1]:g}, expected more than 0"
-            )
+        if not (f := np.diag(self.K)[:2]).min() > 0:
+            raise ValueError(f"camera.K has focal lengths {f[0]:g}, {f[1]:g}, expected more than 0")
         R = self.cam_from_world[:, :3]
         if np.abs(R @ R.T - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(R) < 0:
             raise ValueError(f"camera.cam_from_world is not rigid: R = {R.tolist()}")

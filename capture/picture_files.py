@@ -49,9 +49,10 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
     except FileNotFoundError:
         raise CaptureError("picture-missing", f"{path}: no such file") from None
     except UnidentifiedImageError:
-        raise CaptureError("picture-unreadable", f"{path}: not a JPEG or PNG; remove it") from None
+        raise CaptureError("picture-unreadable", f"{path}: not a picture; save it as PNG") from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes
-        raise CaptureError("picture-unreadable", f"{path}: {error}; make it again or remove it") from error
+        text = f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
+        raise CaptureError("picture-unreadable", text) from error
 
 
 def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:

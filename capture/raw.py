@@ -210,7 +210,8 @@ def _open(path: Path) -> "RawPy":
     try:
         file = rawpy.imread(str(path))
     except rawpy.LibRawError as error:
-        raise InputError("file-not-raw", f"{path}: no RAW file ({_reason(error)}); convert it") from None
+        text = f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
+        raise InputError("file-not-raw", text) from None
     try:
         check_pixels(path, file.sizes.raw_width, file.sizes.raw_height)
     except CaptureError:

@@ -36,7 +36,8 @@ def picture_times(path: Path) -> Float[np.ndarray, " n"]:
     with open_media(path) as container:
         time_base, offset_s = video_stream(container, path).time_base, origin_s(container)
     if pts is None or len(pts) == 0 or time_base is None:
-        raise CaptureError("times-missing", f"{path}: no picture has a time; put the stream into an mp4")
+        text = f"{path}: no picture has a time; put the stream into an mp4 with its true frame rate"
+        raise CaptureError("times-missing", text)
     return pts * float(time_base) - offset_s
 
 

@@ -56,7 +56,7 @@ def load_raft(path: Path) -> Raft:
 
 def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
-        raise InputError("file-missing", f"flow.weights: {path}: no such file; expected RAFT's (.pth)")
+        raise InputError("file-missing", f"flow.weights: {path}: no such file; expected RAFT's weights")
     try:
         found = read_weights(path)
     except DevrfError as error:
@@ -66,7 +66,7 @@ def _read(path: Path) -> dict[str, Tensor]:
     except Exception as error:  # what torch's reader raises of other files depends on their first bytes
         wrong = f"flow.weights: {path}: not a file of plain weights"
         raise InputError(
-            "file-damaged", f"{wrong}; expected a state dict of RAFT (.pth), get it again"
+            "file-damaged", f"{wrong}; expected RAFT's state dict (.pth), get it again"
         ) from error
     if not isinstance(found, dict) or not all(
         isinstance(name, str) and isinstance(value, Tensor) for name, value in found.items()

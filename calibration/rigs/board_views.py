@@ -126,11 +126,10 @@ def spanning_tree(seen: Views) -> list[tuple[int, int]]:
         best, known, new = max((int(links[a, b]), a, b) for a in reached for b in lost)
         if best < MIN_SHARED_POINTS:
             apart, rest = (", ".join(names[c] for c in some) for some in (lost, sorted(reached)))
-            wrong = f"{apart} share{'s' if len(lost) == 1 else ''} no view of the board with {rest}: {best} corners"
+            wrong = f"{apart} share{'s' if len(lost) == 1 else ''} no view of the board with {rest}"
+            need = f"{best} corners seen at once, need {MIN_SHARED_POINTS} (200 are good)"
             remedy = "hold the board where both see it, put a camera between them, or use the sweep"
-            raise HealthError(
-                "rig-unlinked-camera", f"{wrong} at once, need {MIN_SHARED_POINTS} (200 are good); {remedy}"
-            )
+            raise HealthError("rig-unlinked-camera", f"{wrong}: {need}; {remedy}")
         tree.append((known, new))
         reached.add(new)
     return tree

@@ -60,7 +60,7 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         undo = _undone(path.with_name(DATAPARSER))
         kind = str(meta.get("camera_type", "perspective")).lower()
         if kind != "perspective":
-            raise InputError("lens-unread", f"{path}: camera_type is {kind}; only perspective cameras film")
+            raise InputError("lens-unread", f"{path}: camera_type is {kind}; only perspective ones film")
         every_picture = bool(meta.get("camera_path"))
         entries = meta.get("camera_path") or meta.get("keyframes")
         if not isinstance(entries, list) or not 0 < len(entries) <= MOST_PICTURES:

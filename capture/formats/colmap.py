@@ -178,7 +178,7 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:
     if (header.width, header.height) != (camera.width, camera.height):
-        text = f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use its own"
+        text = f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the model's"
         raise CaptureError("picture-size-wrong", text)
     K, distortion, model = intrinsics(camera, where)
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)

@@ -39,9 +39,8 @@ def read_flow_file(path: Path) -> Flow:
         raise _damaged(error.code, error) from None
     flow, mask = data["flow"].astype(np.float32), np.asarray(data["mask"] > 0)
     if flow.shape != (*mask.shape, 2):
-        raise _damaged(
-            "flow-size-wrong", f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}"
-        )
+        wrong = f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}"
+        raise _damaged("flow-size-wrong", wrong)
     finite = np.asarray(np.isfinite(flow).all(axis=-1))
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
 
@@ -90,9 +89,7 @@ def with_flow_files(
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
             wrong = f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}"
             expected = f"expected [{height}, {width}, 2] and [{height}, {width}], the size of {of}"
-            raise CaptureError(
-                "flow-size-wrong", f"{wrong}; {expected}; compute it on the data set's pictures"
-            )
+            raise CaptureError("flow-size-wrong", f"{wrong}; {expected}; compute it on these pictures")
         out.append(replace(frame, flow=path.resolve()))
     return tuple(out)
 

@@ -19,7 +19,7 @@ def load_mitsuba() -> Any:
     try:
         import mitsuba
     except ImportError as error:
-        remedy = "python -m pip install 'devrf[simulate]' (in a clone: -c constraints.txt -e '.[simulate]')"
+        remedy = "install it: python -m pip install 'devrf[simulate]' (in a clone: -c constraints.txt -e '.[simulate]')"
         raise InputError("package-missing", f"simulate needs the renderer mitsuba; {remedy}") from error
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)

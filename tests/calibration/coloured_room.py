@@ -4,6 +4,7 @@ from functools import cache
 
 import cv2
 import numpy as np
+from tests.calibration.conftest import DOWN, look_at
 
 from devrf.calibration.colour.surface import View
 from devrf.calibration.sweep.static_poses import SweepModel
@@ -29,13 +30,9 @@ PATCHES = (
 def camera(angle: float, height: float = -1.5, size: tuple[int, int] = SIZE) -> Camera:
     """On an arc before the corner; angles from 0.15 to 1.4 see both walls."""
     centre, target = np.array([4.2 * np.cos(angle), 4.2 * np.sin(angle), height]), np.array([0.5, 0.5, -1.5])
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross([0.0, 0.0, 1.0], forward)
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
     f = FOCAL * size[0] / SIZE[0]
     K = np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1]])
-    return Camera(*size, K, np.column_stack([R, -R @ centre]))
+    return Camera(*size, K, look_at(centre, target, DOWN))
 
 
 def show(

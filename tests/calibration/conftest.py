@@ -21,9 +21,21 @@ from devrf.capture.exif import Exif, Place
 SIZE = (320, 240)
 FOCAL = 300.0
 VIEWS = 9
+DOWN = (0.0, 0.0, -1.0)  # what is up where z points down
 
 Path3 = Callable[[float], tuple[np.ndarray, np.ndarray]]
 Draw = Callable[[np.ndarray, int], np.ndarray]
+
+
+def look_at(
+    centre: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+) -> np.ndarray:
+    """cam_from_world [3, 4] of a level camera."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    return np.column_stack([R, -R @ centre])
 
 
 def around(angle: float) -> tuple[np.ndarray, np.ndarray]:
@@ -94,11 +106,7 @@ def draw_corner(
         f = focal_px(n)
         k = from_vector(*SIZE, np.array([f, f, SIZE[0] / 2, SIZE[1] / 2, 0, 0, 0, 0, 0]))
         centre, target = path(float(angle))
-        forward = (target - centre) / np.linalg.norm(target - centre)
-        right = np.cross([0.0, 0.0, 1.0], forward)  # z points down
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward])
-        camera = k.at(np.column_stack([R, -R @ centre]))
+        camera = k.at(look_at(centre, target, DOWN))
         picture = np.full(SIZE[::-1], 90, dtype=np.uint8)
         for wall, corner in list(zip(textures, corners, strict=True))[:walls]:
             source = np.array([[0, 0], [899, 0], [899, 899], [0, 899]], dtype=np.float32)

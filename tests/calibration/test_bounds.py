@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.calibration.conftest import look_at
 
 from devrf.calibration.bounds import MotionMask, focus_point, motion_mask, scene_bounds, visual_hull
 from devrf.calibration.intrinsics import guess
@@ -11,19 +12,14 @@ BALL = np.array([0.4, -0.3, 0.2])
 RADIUS = 0.3
 
 
-def look_at(centre: np.ndarray, target: np.ndarray) -> Camera:
-    """A level camera, world z up."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
-    return guess(200, 150).at(np.column_stack([R, -R @ centre]))
+def camera_at(centre: np.ndarray, target: np.ndarray) -> Camera:
+    return guess(200, 150).at(look_at(centre, target))
 
 
 def ring(count: int, arc: float, radius: float = 2.5) -> list[Camera]:
     """Cameras on an arc, all looking at the origin."""
     angles = np.linspace(-arc / 2, arc / 2, count)
-    return [look_at(np.array([radius * np.sin(a), -radius * np.cos(a), 0.6]), np.zeros(3)) for a in angles]
+    return [camera_at(np.array([radius * np.sin(a), -radius * np.cos(a), 0.6]), np.zeros(3)) for a in angles]
 
 
 def ball_mask(camera: Camera, centre: np.ndarray = BALL, radius: float = RADIUS) -> MotionMask:
@@ -94,14 +90,16 @@ def test_a_sweep_alone_gets_the_points_around_its_focus():
 
 
 def test_forward_facing_cameras_are_told_apart():
-    cameras = [look_at(np.array([x, -3.0, 0.2]), np.array([x, 0.0, 0.0])) for x in np.linspace(-0.5, 0.5, 6)]
+    cameras = [
+        camera_at(np.array([x, -3.0, 0.2]), np.array([x, 0.0, 0.0])) for x in np.linspace(-0.5, 0.5, 6)
+    ]
     assert scene_bounds(cameras, [], np.zeros((0, 3)), np.zeros(0)).kind == "forward"
     with pytest.raises(ValueError, match="without cameras"):
         scene_bounds([], [], np.zeros((0, 3)), np.zeros(0))
 
 
 def test_focus_ignores_a_camera_that_looks_away():
-    cameras = [*ring(8, 3.0), look_at(np.array([2.0, 2.0, 0.5]), np.array([9.0, 2.0, 0.5]))]
+    cameras = [*ring(8, 3.0), camera_at(np.array([2.0, 2.0, 0.5]), np.array([9.0, 2.0, 0.5]))]
     assert np.linalg.norm(focus_point(cameras)) < 0.15
 
 

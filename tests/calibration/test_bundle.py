@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.calibration.conftest import look_at
 
 from devrf.calibration.bundle.adjust import adjust
 from devrf.calibration.bundle.model import jacobians, reprojection
@@ -21,11 +22,7 @@ def ring_problem(cameras: int = 8, points: int = 120, noise_px: float = 0.0, see
     poses = []
     for angle in np.linspace(0, 1.5 * np.pi, cameras):
         centre = np.array([4 * np.cos(angle), 0.6 * np.sin(3 * angle), 4 * np.sin(angle)])
-        forward = -centre / np.linalg.norm(centre)
-        right = np.cross([0.0, -1.0, 0.0], forward)
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward])
-        poses.append(np.column_stack([R, -R @ centre]))
+        poses.append(look_at(centre, np.zeros(3), (0.0, 1.0, 0.0)))
     obs_camera = np.repeat(np.arange(cameras), points)
     obs_point = np.tile(np.arange(points), cameras)
     problem = Problem(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.calibration.conftest import look_at
 from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
@@ -35,15 +36,6 @@ from devrf.pipelines.stages import rig as rig_stage
 SIZE = (640, 480)
 VECTOR = np.array([520.0, 520.0, 324.0, 236.0, -0.06, 0.0, 0.0, 0.0, 0.0])
 SPEC = BoardSpec("charuco", (7, 5), 0.05, 0.0375)
-
-
-def look_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """cam_from_world [3, 4] of a level camera (world z up)."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
-    return np.column_stack([R, -R @ centre])
 
 
 def ring(count: int, radius: float = 3.0, height: float = 0.5, turn: float = 0.0) -> list[Camera]:

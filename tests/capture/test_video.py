@@ -50,10 +50,13 @@ def test_unlabelled_small_pictures_are_bt601(make_clip):
     assert np.abs(read(make_clip("c.mp4", [colour] * 3))[1][1].astype(int) - colour).max() <= 6
 
 
+def noisy() -> np.ndarray:
+    """Forty pictures that leave much data each."""
+    return np.random.default_rng(2).integers(0, 255, (40, 48, 64, 3)).astype(np.uint8)
+
+
 def test_truncated_file_gives_what_is_there_and_says_so(make_clip, pictures):
-    rng = np.random.default_rng(2)
-    noisy = [rng.integers(0, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
-    path = make_clip("cut.mp4", noisy, faststart=True)
+    path = make_clip("cut.mp4", noisy(), faststart=True)
     data = path.read_bytes()
     path.write_bytes(data[: int(0.6 * len(data))])
     times, _, early = read(path)
@@ -62,9 +65,7 @@ def test_truncated_file_gives_what_is_there_and_says_so(make_clip, pictures):
 
 
 def test_damage_in_the_middle_ends_the_clip_with_a_note(make_clip):
-    rng = np.random.default_rng(2)
-    noisy = [rng.integers(0, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
-    path = make_clip("hole.mp4", noisy, faststart=True)
+    path = make_clip("hole.mp4", noisy(), faststart=True)
     data = bytearray(path.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 6000] = bytes(6000)
     path.write_bytes(data)

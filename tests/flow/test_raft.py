@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-from tests.flow.test_estimator import UNKNOWN, read_flo, textured
+from tests.flow.test_estimator import middlebury_error, textured
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
@@ -32,11 +31,7 @@ def small(data_dir) -> RaftFlow:
 @pytest.mark.full
 @pytest.mark.parametrize(("pair", "most"), [("RubberWhale", 0.33), ("Venus", 0.38)])
 def test_middlebury_endpoint_error(data_dir, small, pair, most):
-    folder = data_dir / "middlebury_flow" / pair
-    first, second = (np.array(Image.open(folder / f"frame{n}.png").convert("RGB")) for n in (10, 11))
-    truth = read_flo(folder / "flow10.flo")
-    known = (np.abs(truth) < UNKNOWN).all(-1)
-    assert endpoint_error(small.estimate(first, second)[known], truth[known]).mean() <= most
+    assert middlebury_error(small, data_dir / "middlebury_flow" / pair) <= most
 
 
 def test_any_size_and_a_batch(small):
