@@ -1,6 +1,6 @@
 """Clocks against geometry, once cameras are known: reads pictures, calls the check, makes rows of it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress
 from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health.clock import REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
 MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower
@@ -83,45 +83,41 @@ def clock_check(
     return used, rows, _content(check, used)
 
 
+@listed
 def check_rows(
     check: GeometryCheck,
     clocks: Mapping[str, Clock],
     used: Mapping[str, Clock],
     frames: Mapping[str, CameraFrames],
-) -> list[HealthRow]:
+) -> Iterator[HealthRow]:
     """What geometry says of the clocks that are used."""
-    rows = []
     replaced = [n for n in used if used[n].method == "geometry"]
     if replaced:
         text = ", ".join(f"{n} {1e3 * check.corrections[n].offset_s:+.1f} ms" for n in replaced)
         before = ", ".join(sorted({WORDS.get(clocks[n].method, clocks[n].method) for n in replaced}))
-        rows.append(note(f"clocks by geometry instead of {before}", text))
+        yield note(f"clocks by geometry instead of {before}", text)
         vague = max(replaced, key=lambda n: used[n].std_s)
         step_ms = frame_ms(frames[vague])
-        rows.append(
-            row(
-                f"standard deviation of clocks by geometry, worst camera ({vague})",
-                1e3 * used[vague].std_s,
-                "ms",
-                warn_above=UNSURE_FRAMES * step_ms,
-                fail_above=UNKNOWN_FRAMES * step_ms,
-                remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
-            )
+        yield row(
+            f"standard deviation of clocks by geometry, worst camera ({vague})",
+            1e3 * used[vague].std_s,
+            "ms",
+            warn_above=UNSURE_FRAMES * step_ms,
+            fail_above=UNKNOWN_FRAMES * step_ms,
+            remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
         )
     kept = {n: c for n, c in check.corrections.items() if n not in replaced and c.sharp}
     if kept:
         worst = max(kept, key=lambda n: abs(kept[n].offset_s))
         found = kept[worst]
         cue = clocks[worst].method
-        rows.append(
-            row(
-                f"clock against geometry, worst camera ({worst})",
-                1e3 * abs(found.offset_s),
-                "ms",
-                warn_above=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
-                remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
-                f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
-            )
+        yield row(
+            f"clock against geometry, worst camera ({worst})",
+            1e3 * abs(found.offset_s),
+            "ms",
+            warn_above=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
+            remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
+            f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
         )
     unchecked = [
         n
@@ -132,8 +128,7 @@ def check_rows(
         text = (
             f"{', '.join(unchecked)}: {'; '.join(check.notes) or 'no pair of cameras shows the same motion'}"
         )
-        rows.append(note("clocks that geometry cannot check", text))
-    return rows
+        yield note("clocks that geometry cannot check", text)
 
 
 def _mend(name: str, cue: str, offset_s: float) -> str:

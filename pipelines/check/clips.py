@@ -17,7 +17,7 @@ from devrf.capture.sampled import read_runs
 from devrf.capture.session import Rest
 from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import Look, Picture, pictures_at, small
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 SWEEP_PICTURES = 40  # whose neighbours are compared
 SHARP_OF = 3  # successive pictures, of which the sharpest counts, as ingest takes the sharpest of a window
@@ -121,42 +121,37 @@ def see_sweep(look: Look, progress: Progress) -> SweepSeen:
     return SweepSeen(frames, found, rows)
 
 
-def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) -> list[HealthRow]:
+@listed
+def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) -> Iterator[HealthRow]:
     """Look at a fixed camera's clip, and for its view in the sweep; `sweep` is empty without one."""
     if look.black:
-        return [_black(name)]
+        yield _black(name)
+        return
     steady = steadiness(look.greys)
-    rows = [
-        _stands(name, steady),
-        row(
-            f"share of {name}'s picture in which something moves",
-            float(moving_mask([smooth_grey(picture) for picture in look.pictures]).mean()),
-            warn=SUBJECT_WARN,
-            remedy=f"{name} does not see the subject: point it there, go nearer.",
-        ),
-    ]
+    yield _stands(name, steady)
+    yield row(
+        f"share of {name}'s picture in which something moves",
+        float(moving_mask([smooth_grey(picture) for picture in look.pictures]).mean()),
+        warn=SUBJECT_WARN,
+        remedy=f"{name} does not see the subject: point it there, go nearer.",
+    )
     at_rest = list(look.pictures[:1]) if rest == "none" else pictures_at(look, rest)
     if sweep and rest != "none" and steady.stands is not False:
-        rows.append(
-            row(
-                f"share of {name}'s picture that moves at the {rest}",
-                moving_share([smooth_grey(picture) for picture in at_rest]),
-                warn_above=AT_REST,
-                remedy=f"The scene is not at rest at the {rest} of {name}'s clip: start the cameras before the action, "
-                "or set capture.rest to when it is.",
-            )
+        yield row(
+            f"share of {name}'s picture that moves at the {rest}",
+            moving_share([smooth_grey(picture) for picture in at_rest]),
+            warn_above=AT_REST,
+            remedy=f"The scene is not at rest at the {rest} of {name}'s clip: start the cameras before the action, "
+            "or set capture.rest to when it is.",
         )
     if sweep:
-        rows.append(
-            row(
-                f"features that {name} shares with the sweep",
-                float(shared_features(features((at_rest or look.pictures)[0]), sweep)),
-                warn=SHARED_WARN,
-                fail=SHARED_FAIL,
-                remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
-            )
+        yield row(
+            f"features that {name} shares with the sweep",
+            float(shared_features(features((at_rest or look.pictures)[0]), sweep)),
+            warn=SHARED_WARN,
+            fail=SHARED_FAIL,
+            remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
         )
-    return rows
 
 
 def _sweep_pictures(look: Look) -> np.ndarray:

@@ -1,7 +1,9 @@
 """Health rows about one camera's board calibration, for the stages that make one."""
 
+from collections.abc import Iterator
+
 from devrf.calibration.boards.calibrate import BoardCalibration
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 LISTED = 6  # frames in a message
 MISREAD = 10.0  # times the median error: such a view was not a bad one, but misread
@@ -9,58 +11,55 @@ BOW_SHARE = 0.003  # of the board's longer side: 1 mm of 33 cm, which moves the 
 HELD_OUT_GAIN = 1.5  # held-out views may be that much worse; their poses alone were fitted
 
 
-def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
+@listed
+def board_rows(name: str, board: BoardCalibration) -> Iterator[HealthRow]:
     """Rows about one camera's board calibration."""
-    rows = [
-        _print_row(name, board),
-        row(
-            f"board error of {name}",
-            board.rms_px,
-            "px",
-            warn_above=1.0,
-            fail_above=3.0,
-            remedy="The board does not fit: check squares, use a flat print, avoid motion blur."
-            + _list(" Dropped views", board.dropped),
-        ),
-        row(
-            f"board views of {name}",
-            float(board.views),
-            warn=10.0,
-            remedy=f"Few views leave the principal point unsure ({_centre_doubt(board)}): film the board longer."
-            + _list(" Dropped views", board.dropped),
-        ),
-        row(
-            f"directions in which the board was tilted before {name}",
-            float(board.evidence.tilt_sectors),
-            "of 8",
-            warn=4.0,
-            remedy="Frontal views leave the focal length unsure: tilt the board by 20 to 45 degrees, "
-            "left and right, up and down.",
-        ),
-        *_coverage_rows(name, board),
-        row(
-            f"focal length of {name} by the board, standard deviation",
-            _focal_std(board),
-            "%",
-            warn_above=0.5,
-            remedy="The views leave the focal length unsure: film more of them, the board large in the "
-            "picture and tilted by 20 to 45 degrees.",
-        ),
-        _view_row(name, board),
-        note(f"lens of {name} by the board", _lens_words(board)),
-    ]
+    yield _print_row(name, board)
+    yield row(
+        f"board error of {name}",
+        board.rms_px,
+        "px",
+        warn_above=1.0,
+        fail_above=3.0,
+        remedy="The board does not fit: check squares, use a flat print, avoid motion blur."
+        + _list(" Dropped views", board.dropped),
+    )
+    yield row(
+        f"board views of {name}",
+        float(board.views),
+        warn=10.0,
+        remedy=f"Few views leave the principal point unsure ({_centre_doubt(board)}): film the board longer."
+        + _list(" Dropped views", board.dropped),
+    )
+    yield row(
+        f"directions in which the board was tilted before {name}",
+        float(board.evidence.tilt_sectors),
+        "of 8",
+        warn=4.0,
+        remedy="Frontal views leave the focal length unsure: tilt the board by 20 to 45 degrees, "
+        "left and right, up and down.",
+    )
+    yield from _coverage_rows(name, board)
+    yield row(
+        f"focal length of {name} by the board, standard deviation",
+        _focal_std(board),
+        "%",
+        warn_above=0.5,
+        remedy="The views leave the focal length unsure: film more of them, the board large in the "
+        "picture and tilted by 20 to 45 degrees.",
+    )
+    yield _view_row(name, board)
+    yield note(f"lens of {name} by the board", _lens_words(board))
     if board.held_out_rms_px is not None:
-        rows.append(
-            row(
-                f"board error of {name} on views held out",
-                board.held_out_rms_px,
-                "px",
-                warn_above=max(1.0, HELD_OUT_GAIN * board.rms_px),
-                remedy="Views that were not fitted agree less: the lens is unsure where they lie. Film the "
-                "board more evenly over the picture, with focus and zoom locked.",
-            )
+        yield row(
+            f"board error of {name} on views held out",
+            board.held_out_rms_px,
+            "px",
+            warn_above=max(1.0, HELD_OUT_GAIN * board.rms_px),
+            remedy="Views that were not fitted agree less: the lens is unsure where they lie. Film the "
+            "board more evenly over the picture, with focus and zoom locked.",
         )
-    return rows + _bow_rows(name, board)
+    yield from _bow_rows(name, board)
 
 
 def _print_row(name: str, board: BoardCalibration) -> HealthRow:
@@ -122,23 +121,21 @@ def _lens_words(board: BoardCalibration) -> str:
     return words
 
 
-def _bow_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
+def _bow_rows(name: str, board: BoardCalibration) -> Iterator[HealthRow]:
     along = max(range(2), key=lambda axis: abs(board.bow_mm[axis]))
     bow = board.bow_mm[along]
     if bow == 0.0:
-        return []
+        return
     corners = board.board.corners
     side_mm = 1e3 * float((corners.max(0) - corners.min(0)).max())
-    return [
-        row(
-            f"bow of the board before {name}",
-            abs(bow),
-            "mm",
-            warn_above=BOW_SHARE * side_mm,
-            remedy=f"The board bows by {abs(bow):.1f} +- {board.bow_std_mm[along]:.1f} mm; it was corrected for here, "
-            "but glue the print onto a rigid, flat plate.",
-        )
-    ]
+    yield row(
+        f"bow of the board before {name}",
+        abs(bow),
+        "mm",
+        warn_above=BOW_SHARE * side_mm,
+        remedy=f"The board bows by {abs(bow):.1f} +- {board.bow_std_mm[along]:.1f} mm; it was corrected for here, "
+        "but glue the print onto a rigid, flat plate.",
+    )
 
 
 def _focal_std(board: BoardCalibration) -> float | None:

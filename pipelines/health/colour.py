@@ -1,8 +1,10 @@
 """Health rows about colours: how far each camera is from the reference's look, before and after."""
 
+from collections.abc import Iterator
+
 from devrf.calibration.colour.result import CameraColour, Colours
 from devrf.capture.frames import SWEEP
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 WORDS = {"gain": "one gain", "diagonal": "three gains", "matrix": "a 3x3 matrix"}
 UNIT = "of 1, rms of sRGB"
@@ -13,40 +15,36 @@ CHART_STOPS = (
 VAGUE_STOPS = 0.1  # standard deviation of a camera's brightness: more than many cameras differ
 
 
-def colour_rows(colours: Colours, test_cameras: set[str]) -> list[HealthRow]:
+@listed
+def colour_rows(colours: Colours, test_cameras: set[str]) -> Iterator[HealthRow]:
     """Rows about all fixed cameras."""
     if colours.reference is None:
-        return [note("colours", "as filmed (calibration.colour.method: none)")]
+        yield note("colours", "as filmed (calibration.colour.method: none)")
+        return
     target = "the sweep" if colours.reference == SWEEP else colours.reference
-    rows = []
     for name, camera in colours.cameras.items():
         if name in (colours.reference, SWEEP):
             continue
-        rows.append(_camera(name, camera, target, name in test_cameras))
+        yield _camera(name, camera, target, name in test_cameras)
         if camera.stops is not None and camera.stops_by_points is not None:
-            rows.append(
-                row(
-                    f"brightness of {name} by its chart against that by surface points",
-                    abs(camera.stops - camera.stops_by_points),
-                    "EV",
-                    warn_above=CHART_STOPS,
-                    remedy=f"The chart of {name} or of {target} was filmed in other light or with other settings than "
-                    "the scene: film it with both in one place, or leave it out.",
-                )
+            yield row(
+                f"brightness of {name} by its chart against that by surface points",
+                abs(camera.stops - camera.stops_by_points),
+                "EV",
+                warn_above=CHART_STOPS,
+                remedy=f"The chart of {name} or of {target} was filmed in other light or with other settings than "
+                "the scene: film it with both in one place, or leave it out.",
             )
         if camera.stops_std is not None and camera.stops_std > VAGUE_STOPS:
-            rows.append(
-                row(
-                    f"brightness of {name} against {target}, standard deviation",
-                    camera.stops_std,
-                    "EV",
-                    warn_above=VAGUE_STOPS,
-                    remedy=f"{camera.fitted} points say little: film a colour chart (calibration.colour.chart).",
-                )
+            yield row(
+                f"brightness of {name} against {target}, standard deviation",
+                camera.stops_std,
+                "EV",
+                warn_above=VAGUE_STOPS,
+                remedy=f"{camera.fitted} points say little: film a colour chart (calibration.colour.chart).",
             )
-    if not rows:
-        rows.append(note("colours", f"only {target}: nothing to compare with"))
-    return rows
+    if not set(colours.cameras) - {colours.reference, SWEEP}:
+        yield note("colours", f"only {target}: nothing to compare with")
 
 
 def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthRow:

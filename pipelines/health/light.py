@@ -1,6 +1,6 @@
 """Health rows about light: exposure, white balance and lamps in clips; settings of photos; levels of RAW."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from devrf.calibration.flicker import EXPOSURE_STOPS, LightFound, judge_light
 from devrf.capture.frames import FrameSet, places
 from devrf.capture.light import CLIPPED_SHARE, LightCourse
 from devrf.capture.raw_set import read_raw_sidecar
-from devrf.pipelines.health.rows import HealthRow, note
+from devrf.pipelines.health.rows import HealthRow, listed, note
 
 BELOW_BLACK_SHARE = 0.05  # of the sensor's values
 FLOOR_SHARE = 0.02  # of the range, where a file says that black is 0: sensors put black at 1.6 % and more
@@ -68,7 +68,8 @@ def _scene_row(found: list[LightFound]) -> HealthRow:
     )
 
 
-def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) -> list[HealthRow]:
+@listed
+def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) -> Iterator[HealthRow]:
     """Rows about one clip; none where its light is steady.
 
     Args:
@@ -77,40 +78,32 @@ def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) ->
         light: What changes in it.
         trains: Whether gains are to make up for it; pictures of test cameras are compared as they were filmed.
     """
-    rows = []
     left = light.left if trains else None
     if light.known < 0.5:
-        rows.append(note(f"light of {name}", "not measured: what moves fills most of the picture"))
+        yield note(f"light of {name}", "not measured: what moves fills most of the picture")
     if light.exposure is not None:
-        rows.append(
-            _light_row(
-                f"exposure of {name}",
-                f"{light.exposure.stops:+.2f} EV {_when(light.exposure.from_s, light.exposure.to_s)}",
-                left,
-                f"{source}: exposure is automatic; set shutter, gain and aperture by hand and lock them.",
-            )
+        yield _light_row(
+            f"exposure of {name}",
+            f"{light.exposure.stops:+.2f} EV {_when(light.exposure.from_s, light.exposure.to_s)}",
+            left,
+            f"{source}: exposure is automatic; set shutter, gain and aperture by hand and lock them.",
         )
     if light.colour is not None:
         share = 100 * (2**light.colour.stops - 1)
-        rows.append(
-            _light_row(
-                f"white balance of {name}",
-                f"red or blue against green {share:+.0f} % {_when(light.colour.from_s, light.colour.to_s)}",
-                left,
-                f"{source}: white balance is automatic; set it by hand and lock it.",
-            )
+        yield _light_row(
+            f"white balance of {name}",
+            f"red or blue against green {share:+.0f} % {_when(light.colour.from_s, light.colour.to_s)}",
+            left,
+            f"{source}: white balance is automatic; set it by hand and lock it.",
         )
     if light.flicker is not None:
         lamp_hz = round(light.flicker.lamp_hz)
-        rows.append(
-            note(
-                f"lamps seen by {name}",
-                f"flicker by {100 * light.flicker.depth:.0f} % on mains of {lamp_hz // 2} Hz, "
-                f"seen {light.flicker.seen_hz:.2f} times a second",
-                remedy=f"{source}: set the shutter to 1/{lamp_hz // 2} or 1/{lamp_hz} s, or light without mains lamps.",
-            )
+        yield note(
+            f"lamps seen by {name}",
+            f"flicker by {100 * light.flicker.depth:.0f} % on mains of {lamp_hz // 2} Hz, "
+            f"seen {light.flicker.seen_hz:.2f} times a second",
+            remedy=f"{source}: set the shutter to 1/{lamp_hz // 2} or 1/{lamp_hz} s, or light without mains lamps.",
         )
-    return rows
 
 
 def _light_row(check: str, change: str, left: float | None, remedy: str) -> HealthRow:

@@ -1,13 +1,13 @@
 """What mattes say of themselves, as rows: the worst camera each."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.mattes.make import CameraMattes
 from devrf.capture.mattes.measure import LEAST_SUBJECT
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, listed, note, row
 from devrf.pipelines.scene_mattes import SceneMattes
 
 MOST_EMPTY = 0.5  # of a camera's pictures; a subject may walk in and out
@@ -20,7 +20,8 @@ MOST_SPILL = (
 MOST_HIDDEN = 0.5  # of what the subject covers
 
 
-def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
+@listed
+def matte_health(mattes: SceneMattes, method: str) -> Iterator[HealthRow]:
     """Rows about the mattes of a scene."""
     made = mattes.cameras
     acts = (
@@ -28,97 +29,81 @@ def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
         if mattes.everywhere
         else "of the moving cameras: they tell where the subject is; the surroundings are modelled as without"
     )
-    rows = [note("mattes", f"{method}, {acts} ({', '.join(made)})")]
-    rows += _inverted(made) + _screens(made)
+    yield note("mattes", f"{method}, {acts} ({', '.join(made)})")
+    yield from _inverted(made)
+    yield from _screens(made)
     name, empty = _worst(made, lambda m: float(np.mean([f.area < LEAST_SUBJECT for f in m.facts])))
-    rows.append(
-        row(
-            f"pictures without a subject ({name})", empty, "of the camera's", warn_above=MOST_EMPTY,
-            remedy=f"The mattes of {name} are nearly all empty: look at scene/mattes/{name}, and check the method.",
-        )
+    yield row(
+        f"pictures without a subject ({name})", empty, "of the camera's", warn_above=MOST_EMPTY,
+        remedy=f"The mattes of {name} are nearly all empty: look at scene/mattes/{name}, and check the method.",
     )  # fmt: skip
     name, area = _worst(made, lambda m: float(np.median([f.area for f in m.facts])))
-    rows.append(
-        row(
-            f"subject's share of the picture ({name})", area, "", warn_above=MOST_AREA,
-            remedy=f"The mattes of {name} are nearly all subject: look at scene/mattes/{name}; white is the subject.",
-        )
+    yield row(
+        f"subject's share of the picture ({name})", area, "", warn_above=MOST_AREA,
+        remedy=f"The mattes of {name} are nearly all subject: look at scene/mattes/{name}; white is the subject.",
     )  # fmt: skip
     name, holes = _worst(made, lambda m: float(np.median([f.holes for f in m.facts])))
-    rows.append(
-        row(
-            f"holes in mattes ({name})", 100 * holes, "% of the subject", warn_above=100 * MOST_HOLES,
-            remedy=f"The subject has holes in scene/mattes/{name}, and the model will: close them, or use another "
-            "method (the subject may have the background's or the screen's colour).",
-        )
+    yield row(
+        f"holes in mattes ({name})", 100 * holes, "% of the subject", warn_above=100 * MOST_HOLES,
+        remedy=f"The subject has holes in scene/mattes/{name}, and the model will: close them, or use another "
+        "method (the subject may have the background's or the screen's colour).",
     )  # fmt: skip
     name, rim = _worst(made, lambda m: _median([f.rim for f in m.facts]))
     if not np.isnan(rim):
-        rows.append(
-            row(
-                f"rim of the background's colour ({name})", 100 * rim, "% of the edge", warn_above=100 * MOST_RIM,
-                remedy=f"The mattes of {name} reach beyond the subject and the model gets a rim: shrink them by a "
-                "pixel or two.",
-            )
+        yield row(
+            f"rim of the background's colour ({name})", 100 * rim, "% of the edge", warn_above=100 * MOST_RIM,
+            remedy=f"The mattes of {name} reach beyond the subject and the model gets a rim: shrink them by a "
+            "pixel or two.",
         )  # fmt: skip
     name, spill = _worst(made, lambda m: np.nan if m.spill is None else m.spill)
     if not np.isnan(spill):
-        rows.append(
-            row(
-                f"screen's colour on the subject ({name})", 100 * spill, "%", warn_above=100 * MOST_SPILL,
-                remedy="The screen shines on the subject, or they share a colour: move the subject away from the "
-                "screen, light it from behind, or use a screen of another colour.",
-            )
+        yield row(
+            f"screen's colour on the subject ({name})", 100 * spill, "%", warn_above=100 * MOST_SPILL,
+            remedy="The screen shines on the subject, or they share a colour: move the subject away from the "
+            "screen, light it from behind, or use a screen of another colour.",
         )  # fmt: skip
     name, hidden = _worst(made, lambda m: np.nan if m.hidden is None else m.hidden)
     if not np.isnan(hidden):
-        rows.append(
-            row(
-                f"subject's places without a lasting background ({name})", 100 * hidden, "% of what it covers",
-                warn_above=100 * MOST_HIDDEN,
-                remedy="The subject hides its background for most of the clip, so the clean plate may show it and its "
-                "mattes have holes: let the clips run on over the empty scene, or use a program (capture.mattes: "
-                "{method: command, ...}).",
-            )
+        yield row(
+            f"subject's places without a lasting background ({name})", 100 * hidden, "% of what it covers",
+            warn_above=100 * MOST_HIDDEN,
+            remedy="The subject hides its background for most of the clip, so the clean plate may show it and its "
+            "mattes have holes: let the clips run on over the empty scene, or use a program (capture.mattes: "
+            "{method: command, ...}).",
         )  # fmt: skip
-    return rows
 
 
-def _inverted(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
+def _inverted(made: Mapping[str, CameraMattes]) -> Iterator[HealthRow]:
     swapped = [name for name, mattes in made.items() if mattes.inverted]
     if not swapped:
-        return []
-    return [
-        note(
-            "mattes' black and white",
-            f"swapped: {', '.join(swapped)}",
-            remedy="They are white around and darker inside and were inverted: save the subject white, or say so "
-            "(capture.mattes.inverted: true, or false if that is wrong).",
-        )
-    ]
+        return
+    yield note(
+        "mattes' black and white",
+        f"swapped: {', '.join(swapped)}",
+        remedy="They are white around and darker inside and were inverted: save the subject white, or say so "
+        "(capture.mattes.inverted: true, or false if that is wrong).",
+    )
 
 
-def _screens(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
+def _screens(made: Mapping[str, CameraMattes]) -> Iterator[HealthRow]:
     """Which colour each camera's screen has; a colour that was found and can be no screen's fails."""
     keys = {name: mattes.key_rgb for name, mattes in made.items() if mattes.key_rgb is not None}
     if not keys:
-        return []
+        return
     colours = {
         name: f"{name} #{''.join(f'{round(value):02x}' for value in key)}" for name, key in keys.items()
     }
     doubtful = [colours[name] for name in keys if made[name].doubtful_key]
-    return [
-        note(
-            "the screen's colour",
-            ", ".join(colours.values()),
-            verdict="fail" if doubtful else "ok",
-            remedy=f"The commonest strong colour is neither a green nor a blue screen's ({', '.join(doubtful)}) and "
-            "may be the subject: film before a green or blue screen, name the screen's colour (capture.mattes: "
-            "{method: chroma, colour: '#00b140'}), or use another method."
-            if doubtful
-            else "",
-        )
-    ]
+    yield note(
+        "the screen's colour",
+        ", ".join(colours.values()),
+        verdict="fail" if doubtful else "ok",
+        remedy=f"The commonest strong colour is neither a green nor a blue screen's ({', '.join(doubtful)}) and "
+        "may be the subject: film before a green or blue screen, name the screen's colour (capture.mattes: "
+        "{method: chroma, colour: '#00b140'}), or use another method."
+        if doubtful
+        else "",
+    )
 
 
 def _worst(made: Mapping[str, CameraMattes], value: Callable[[CameraMattes], float]) -> tuple[str, float]:

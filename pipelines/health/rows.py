@@ -1,10 +1,12 @@
 """Health rows: what a stage measured of its own result, and what to do where it falls short."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Literal
+from functools import wraps
+from typing import Literal, ParamSpec
 
 Verdict = Literal["ok", "warn", "fail"]
+Of = ParamSpec("Of")
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,16 @@ def row(
 def note(check: str, value: str, *, verdict: Verdict | None = None, remedy: str = "") -> HealthRow:
     """A row that states something in words (which cue gave the clocks); a warning where there is a remedy."""
     return HealthRow(check, value, "", None, None, verdict or ("warn" if remedy else "ok"), remedy)
+
+
+def listed(told: Callable[Of, Iterator[HealthRow]]) -> Callable[Of, list[HealthRow]]:
+    """A function that yields rows, as one that returns them."""
+
+    @wraps(told)
+    def rows(*args: Of.args, **named: Of.kwargs) -> list[HealthRow]:
+        return list(told(*args, **named))
+
+    return rows
 
 
 def worst(verdicts: Iterable[Verdict | None]) -> Verdict | None:

@@ -3,7 +3,7 @@
 The measures come from `calibration`; here is how much is too much, and what a crew can do about it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -102,74 +102,67 @@ def board_focal_row(model: SweepModel, board: Intrinsics) -> HealthRow:
     )
 
 
-def _registered(r: dict[str, Any]) -> list[HealthRow]:
+def _registered(r: dict[str, Any]) -> Iterator[HealthRow]:
     counts: dict[str, int] = r["points_per_image"]
-    rows = [
-        row(
-            "registered share of the sweep",
-            r["registered"] / r["given"],
-            warn=0.8,
-            fail=0.4,
-            remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(r['unregistered'])}. A small "
-            "model can look perfect: film with 70 % overlap between pictures, walk sideways, and show texture.",
-        ),
-        row(
-            "mean reprojection error",
-            r["mean_reprojection_px"],
-            "px",
-            warn_above=1.0,
-            fail_above=2.0,
-            remedy="Something moved during the sweep, or the lens changed: keep the scene at "
-            "rest, lock focus and zoom.",
-        ),
-        row(
-            "mean track length",
-            r["mean_track_length"],
-            "pictures",
-            warn=3.0,
-            remedy="Points are seen in too few pictures: more overlap between neighbouring pictures.",
-        ),
-        row(
-            "points of the poorest picture",
-            float(min(counts.values(), default=0)),
-            warn=100.0,
-            fail=30.0,
-            remedy=f"Weak texture in {_some([n for n, p in counts.items() if p < 100])}: "
-            "keep textured things in view, or add some for the sweep.",
-        ),
-        row(
-            "median triangulation angle",
-            r["median_triangulation_angle_deg"],
-            "deg",
-            warn=3.0,
-            fail=1.5,
-            remedy="The camera turned more than it moved (one homography explains "
-            f"{100 * r['verified_pairs']['homography_share']:.0f} % of the pairs): walk sideways around the scene.",
-        ),
-        _texture(r),
-    ]
+    yield row(
+        "registered share of the sweep",
+        r["registered"] / r["given"],
+        warn=0.8,
+        fail=0.4,
+        remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(r['unregistered'])}. A small "
+        "model can look perfect: film with 70 % overlap between pictures, walk sideways, and show texture.",
+    )
+    yield row(
+        "mean reprojection error",
+        r["mean_reprojection_px"],
+        "px",
+        warn_above=1.0,
+        fail_above=2.0,
+        remedy="Something moved during the sweep, or the lens changed: keep the scene at "
+        "rest, lock focus and zoom.",
+    )
+    yield row(
+        "mean track length",
+        r["mean_track_length"],
+        "pictures",
+        warn=3.0,
+        remedy="Points are seen in too few pictures: more overlap between neighbouring pictures.",
+    )
+    yield row(
+        "points of the poorest picture",
+        float(min(counts.values(), default=0)),
+        warn=100.0,
+        fail=30.0,
+        remedy=f"Weak texture in {_some([n for n, p in counts.items() if p < 100])}: "
+        "keep textured things in view, or add some for the sweep.",
+    )
+    yield row(
+        "median triangulation angle",
+        r["median_triangulation_angle_deg"],
+        "deg",
+        warn=3.0,
+        fail=1.5,
+        remedy="The camera turned more than it moved (one homography explains "
+        f"{100 * r['verified_pairs']['homography_share']:.0f} % of the pairs): walk sideways around the scene.",
+    )
+    yield _texture(r)
     lost = set(r["unregistered"])  # pictures that the largest model has too are missed by nobody
     apart = [m for m in r["other_models"] if lost.intersection(m)]
     if apart:
         joined = "; ".join(f"{len(m)}: {_some(m)}" for m in apart)
-        rows.append(
-            note(
-                "one model",
-                f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures",
-                remedy=f"The largest is used; apart from it stand {joined}. Film pictures that join them.",
-            )
+        yield note(
+            "one model",
+            f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures",
+            remedy=f"The largest is used; apart from it stand {joined}. Film pictures that join them.",
         )
     adjustment = r["adjustment"]
     if adjustment is not None and not adjustment["converged"]:
-        rows.append(
-            note(
-                "bundle adjustment",
-                "not converged: it stopped while the error still fell",
-                remedy="Something leaves the model loose (focal and distance, a flat scene): film a board "
-                "(capture.board.clips.static), or from more sides.",
-            )
+        yield note(
+            "bundle adjustment",
+            "not converged: it stopped while the error still fell",
+            remedy="Something leaves the model loose (focal and distance, a flat scene): film a board "
+            "(capture.board.clips.static), or from more sides.",
         )
-    return rows
 
 
 def _texture(r: dict[str, Any]) -> HealthRow:
@@ -186,138 +179,121 @@ def _texture(r: dict[str, Any]) -> HealthRow:
     )
 
 
-def _pairs(r: dict[str, Any]) -> list[HealthRow]:
+def _pairs(r: dict[str, Any]) -> Iterator[HealthRow]:
     pairs = r["verified_pairs"]
     moving = sorted(n for n, share in pairs["moving"].items() if share > MOVING_SHARE)
     wrong = pairs["contradicting"]
     listed = _some([" - ".join(pair["names"]) for pair in wrong])
-    return [
-        row(
-            "strong pairs that contradict the model",
-            100 * len(wrong) / max(1, pairs["strong_pairs"]),
-            "%",
-            warn_above=5.0,
-            remedy=f"Views of different sides are matched as one: {listed}. Repeated things (tiles, equal "
-            "chairs, both sides of a sign) do that: add things that are unique (posters, coded targets).",
-        ),
-        row(
-            "pictures in which something moves",
-            len(moving) / max(1, r["registered"]),
-            warn_above=0.1,
-            remedy=f"Matches that stay together do not fit the camera's motion in {_some(moving)}: empty the scene "
-            "for the sweep, or mask what moves (calibration.static_poses.masks).",
-        ),
-        row(
-            "pairs matched on a static overlay",
-            100 * pairs["watermark_share"],
-            "%",
-            warn_above=5.0,
-            remedy="A logo, a time stamp or dirt on the lens is the same in every picture: switch it off, crop it, or "
-            "mask it (calibration.static_poses.masks).",
-        ),
-    ]
+    yield row(
+        "strong pairs that contradict the model",
+        100 * len(wrong) / max(1, pairs["strong_pairs"]),
+        "%",
+        warn_above=5.0,
+        remedy=f"Views of different sides are matched as one: {listed}. Repeated things (tiles, equal "
+        "chairs, both sides of a sign) do that: add things that are unique (posters, coded targets).",
+    )
+    yield row(
+        "pictures in which something moves",
+        len(moving) / max(1, r["registered"]),
+        warn_above=0.1,
+        remedy=f"Matches that stay together do not fit the camera's motion in {_some(moving)}: empty the scene "
+        "for the sweep, or mask what moves (calibration.static_poses.masks).",
+    )
+    yield row(
+        "pairs matched on a static overlay",
+        100 * pairs["watermark_share"],
+        "%",
+        warn_above=5.0,
+        remedy="A logo, a time stamp or dirt on the lens is the same in every picture: switch it off, crop it, or "
+        "mask it (calibration.static_poses.masks).",
+    )
 
 
-def _lenses(model: SweepModel) -> list[HealthRow]:
+def _lenses(model: SweepModel) -> Iterator[HealthRow]:
     r = model.report
     cameras = list({camera.lens: camera for camera in model.cameras}.values())
-    rows: list[HealthRow] = []
     found = {k: c["K"][0][0] for k, c in r["cameras"].items()}
     priors = [s for s in r["start"] if s["source"] == "EXIF" and s["camera_id"] is not None]
     for start in priors:
         focal = found[str(start["camera_id"])]
         percent = 100 * abs(focal / start["focal_px"] - 1)
         which = "" if len(priors) == 1 else f" of {start['label']}"
-        rows.append(
-            row(
-                f"focal length against EXIF{which}",
-                percent,
-                "%",
-                warn_above=EXIF_WARN,
-                remedy=f"EXIF says {start['focal_px']:.0f} px, the pictures say {focal:.0f} px"
-                f"{CROP if percent > EXIF_BAD else '. '}{FOCAL_REMEDY}",
-            )
+        yield row(
+            f"focal length against EXIF{which}",
+            percent,
+            "%",
+            warn_above=EXIF_WARN,
+            remedy=f"EXIF says {start['focal_px']:.0f} px, the pictures say {focal:.0f} px"
+            f"{CROP if percent > EXIF_BAD else '. '}{FOCAL_REMEDY}",
         )
     many = [found[str(s["camera_id"])] / s["focal_px"] for s in priors if s["registered"] >= 2]
     if len(many) > 1:
         middle = sorted(many)[len(many) // 2]
-        rows.append(
-            row(
-                "scatter of focal lengths between cameras",
-                100 * max(abs(ratio / middle - 1) for ratio in many),
-                "%",
-                warn_above=5.0,
-                remedy="Intrinsics of several cameras or zooms are unstable, too few pictures fix each: keep one "
-                "camera at one zoom for the sweep.",
-            )
+        yield row(
+            "scatter of focal lengths between cameras",
+            100 * max(abs(ratio / middle - 1) for ratio in many),
+            "%",
+            warn_above=5.0,
+            remedy="Intrinsics of several cameras or zooms are unstable, too few pictures fix each: keep one "
+            "camera at one zoom for the sweep.",
         )
     middle = "the principal point, which can be put anywhere then: use whole pictures, or film a board "
     middle += "(capture.board.clips.static)."
     if r["adjustment"] is not None and r["adjustment"]["principal_point_put_back"]:
         text = "left the middle by more than 5 % of the width and was put back"
-        rows.append(note("principal point", text, remedy=f"The sweep does not fix {middle}"))
-    rows += [
-        row(
-            "principal point off the middle",
-            max((100 * principal_point_off(c) for c in cameras), default=0.0),
-            "% of the width",
-            warn_above=5.0,
-            remedy=f"The pictures were cropped, or the sweep does not fix {middle}",
-        ),
-        row(
-            "field of view",
-            max((field_of_view_deg(c) for c in cameras if c.model == "OPENCV"), default=0.0),
-            "deg",
-            warn_above=110.0,
-            remedy="So wide a lens needs a fisheye model: film a board with it (capture.board.clips.static), or use "
-            "the camera's linear mode.",
-        ),
-    ]
+        yield note("principal point", text, remedy=f"The sweep does not fix {middle}")
+    yield row(
+        "principal point off the middle",
+        max((100 * principal_point_off(c) for c in cameras), default=0.0),
+        "% of the width",
+        warn_above=5.0,
+        remedy=f"The pictures were cropped, or the sweep does not fix {middle}",
+    )
+    yield row(
+        "field of view",
+        max((field_of_view_deg(c) for c in cameras if c.model == "OPENCV"), default=0.0),
+        "deg",
+        warn_above=110.0,
+        remedy="So wide a lens needs a fisheye model: film a board with it (capture.board.clips.static), or use "
+        "the camera's linear mode.",
+    )
     folds = [fold(c) for c in cameras]
     if min(folds) < float("inf"):
-        rows.append(
-            row(
-                "picture radius within which the lens model is one-to-one",
-                min(folds),
-                "of the corner's",
-                warn=1.0,
-                remedy="The distortion folds inside the picture, so its corners are wrong: film things near the "
-                "corners, or a board (capture.board.clips.static).",
-            )
+        yield row(
+            "picture radius within which the lens model is one-to-one",
+            min(folds),
+            "of the corner's",
+            warn=1.0,
+            remedy="The distortion folds inside the picture, so its corners are wrong: film things near the "
+            "corners, or a board (capture.board.clips.static).",
         )
-    return rows
 
 
-def _residuals(model: SweepModel) -> list[HealthRow]:
+def _residuals(model: SweepModel) -> Iterator[HealthRow]:
     fits = picture_fits(model)
     zooms = two_zooms(model, fits, ZOOMS_APART)
-    rows = [
-        row(
-            "share of points on one plane",
-            plane_share(model),
-            warn_above=0.9,
-            remedy="The scene is flat, which leaves the focal length poorly fixed: film a board with the same "
-            "settings (capture.board.clips.static), or bring depth into view.",
-        ),
-        row(
-            "residuals by row of the picture",
-            fits.rows_px,
-            "px",
-            warn_above=0.3,
-            remedy="Errors depend on the row: a rolling shutter in motion. Move slowly, use a short shutter and a mode "
-            "with fast readout, or take still photos.",
-        ),
-    ]
+    yield row(
+        "share of points on one plane",
+        plane_share(model),
+        warn_above=0.9,
+        remedy="The scene is flat, which leaves the focal length poorly fixed: film a board with the same "
+        "settings (capture.board.clips.static), or bring depth into view.",
+    )
+    yield row(
+        "residuals by row of the picture",
+        fits.rows_px,
+        "px",
+        warn_above=0.3,
+        remedy="Errors depend on the row: a rolling shutter in motion. Move slowly, use a short shutter and a mode "
+        "with fast readout, or take still photos.",
+    )
     if zooms is not None:
-        rows.append(
-            note(
-                "one focal length for all pictures",
-                f"two groups, {100 * (zooms.ratio - 1):.0f} % apart",
-                remedy=f"{_some(zooms.short)} want a shorter focal length than {_some(zooms.long)}: two zooms or two "
-                "devices. Keep one zoom, or save photos with their EXIF data, which tell them apart.",
-            )
+        yield note(
+            "one focal length for all pictures",
+            f"two groups, {100 * (zooms.ratio - 1):.0f} % apart",
+            remedy=f"{_some(zooms.short)} want a shorter focal length than {_some(zooms.long)}: two zooms or two "
+            "devices. Keep one zoom, or save photos with their EXIF data, which tell them apart.",
         )
-    return rows
 
 
 def loop_rows(model: SweepModel) -> list[HealthRow]:
@@ -337,50 +313,45 @@ def loop_rows(model: SweepModel) -> list[HealthRow]:
     ]
 
 
-def _agreement(r: dict[str, Any]) -> list[HealthRow]:
-    rows = []
+def _agreement(r: dict[str, Any]) -> Iterator[HealthRow]:
     for compared in r["compared"]:
         apart: dict[str, float] = compared["apart_deg"]
         beyond = [n for n, deg in apart.items() if deg > APART_DEG]
-        rows.append(
-            row(
-                "largest turn between two mappers",
-                max(apart.values(), default=None),
-                "deg",
-                warn_above=APART_DEG,
-                remedy=f"{compared['against']} and {compared['name']} disagree by more than {APART_DEG} degrees on "
-                f"{len(beyond)} pictures: {_some(beyond)}. Few or wrong matches there: film more overlap and texture.",
-            )
+        yield row(
+            "largest turn between two mappers",
+            max(apart.values(), default=None),
+            "deg",
+            warn_above=APART_DEG,
+            remedy=f"{compared['against']} and {compared['name']} disagree by more than {APART_DEG} degrees on "
+            f"{len(beyond)} pictures: {_some(beyond)}. Few or wrong matches there: film more overlap and texture.",
         )
-    return rows
 
 
-def _gps(r: dict[str, Any]) -> list[HealthRow]:
+def _gps(r: dict[str, Any]) -> Iterator[HealthRow]:
     gps = r["gps"]
     if gps is None or not gps["places"]:
-        return []
+        return
     if gps["why"] is not None:
         contradicts = "GPS contradicts the pictures: wait for a fix before the first photo."
         remedy = contradicts if "std_m" in gps else ""
-        return [note("GPS", f"not used: {gps['why']}", remedy=remedy)]
+        yield note("GPS", f"not used: {gps['why']}", remedy=remedy)
+        return
     off = sorted(gps["off_m"].values())
     median = off[len(off) // 2]
     far = [n for n, metres in gps["off_m"].items() if metres > 3 * gps["std_m"]]
-    return [
-        row(
-            "distance of GPS places from the model",
-            median,
-            "m",
-            warn_above=3 * gps["std_m"],
-            remedy=f"GPS off by {median:.0f} m: wait for a fix under open sky; scale from GPS is then a guess.",
-        ),
-        row(
-            "share of GPS places that agree",
-            gps["agreeing"] / gps["places"],
-            warn=0.8,
-            remedy=f"GPS is off by up to {off[-1]:.0f} m at {_some(far)}; these were left out of the scale.",
-        ),
-    ]
+    yield row(
+        "distance of GPS places from the model",
+        median,
+        "m",
+        warn_above=3 * gps["std_m"],
+        remedy=f"GPS off by {median:.0f} m: wait for a fix under open sky; scale from GPS is then a guess.",
+    )
+    yield row(
+        "share of GPS places that agree",
+        gps["agreeing"] / gps["places"],
+        warn=0.8,
+        remedy=f"GPS is off by up to {off[-1]:.0f} m at {_some(far)}; these were left out of the scale.",
+    )
 
 
 def _time(r: dict[str, Any]) -> list[HealthRow]:

@@ -1,10 +1,10 @@
 """Health rows of both trainings: whether steps were too large, and whether the flow fits the pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from devrf.flow.agreement import MOSTLY_CONTRADICTED
-from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.rows import HealthRow, listed, row
 
 RESTARTED = "times that training ran away and went back"
 CONTRADICTED = "share of what moves whose flow the pictures contradict"
@@ -13,31 +13,26 @@ MENDED = (RESTARTED, CONTRADICTED, LATE)
 """First words of the rows which say that training mended something: the cause is real, the loss may not be."""
 
 
-def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
+@listed
+def restart_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
     """Whether training ran away and was restarted; and what of the motion had to be left as it was."""
-    rows = []
     if metrics["rate"] < 1:
-        rows.append(
-            row(
-                RESTARTED,
-                float(metrics["restarts"]),
-                warn_above=0.0,
-                remedy="Steps were too large and were made smaller (down to "
-                f"{metrics['rate']:.2g} times); the result may stand. Lower reconstruct.learning_rate as much, and "
-                "look at poses and clocks in the report if it happens again.",
-            )
+        yield row(
+            RESTARTED,
+            float(metrics["restarts"]),
+            warn_above=0.0,
+            remedy="Steps were too large and were made smaller (down to "
+            f"{metrics['rate']:.2g} times); the result may stand. Lower reconstruct.learning_rate as much, and "
+            "look at poses and clocks in the report if it happens again.",
         )
     if metrics.get("keys_left"):
-        rows.append(
-            row(
-                "key times at which training the motion made it worse",
-                float(metrics["keys_left"]),
-                warn_above=0.0,
-                remedy="Their motion was left as it was before: cameras contradict one another there. Look at poses "
-                "and clocks in the report, and at what comes into view or leaves it at these times.",
-            )
+        yield row(
+            "key times at which training the motion made it worse",
+            float(metrics["keys_left"]),
+            warn_above=0.0,
+            remedy="Their motion was left as it was before: cameras contradict one another there. Look at poses "
+            "and clocks in the report, and at what comes into view or leaves it at these times.",
         )
-    return rows
 
 
 def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:

@@ -2,6 +2,7 @@
 
 import json
 import platform
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
-from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.rows import HealthRow, listed, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.reconstruct.as_trained import as_trained
@@ -115,56 +116,47 @@ def versions() -> dict[str, str]:
     return found
 
 
-def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
+@listed
+def health(metrics: dict[str, Any], scene: Scene) -> Iterator[HealthRow]:
     """Is the result any good, and does motion earn its keep?"""
-    rows = []
     if any(frame.split == "test" for frame in scene.static):
-        rows.append(
-            row(
-                "PSNR of held-out sweep pictures",
-                metrics["test_static"]["psnr"],
-                "dB",
-                warn=18.0,
-                fail=8.0,
-                remedy="The scene at rest is not recovered: take more, sharper sweep pictures with more "
-                "overlap, and lock exposure and white balance.",
-            )
+        yield row(
+            "PSNR of held-out sweep pictures",
+            metrics["test_static"]["psnr"],
+            "dB",
+            warn=18.0,
+            fail=8.0,
+            remedy="The scene at rest is not recovered: take more, sharper sweep pictures with more "
+            "overlap, and lock exposure and white balance.",
         )
     if any(frame.split == "test" for frame in scene.dynamic):
         moving, still = metrics["test_moving"]["psnr"], metrics["static_baseline"]["test_moving"]["psnr"]
-        rows.append(
-            row(
-                TEST_VIEWS,
-                metrics["test"]["psnr"],
-                "dB",
-                warn=18.0,
-                remedy="Test views are far from the truth: compare the look and the exposure of the cameras "
-                "with the sweep's, and check the rig.",
-            )
+        yield row(
+            TEST_VIEWS,
+            metrics["test"]["psnr"],
+            "dB",
+            warn=18.0,
+            remedy="Test views are far from the truth: compare the look and the exposure of the cameras "
+            "with the sweep's, and check the rig.",
         )
-        rows.append(
-            row(
-                GAIN,
-                None if moving is None or still is None else moving - still,
-                "dB",
-                warn=LEAST_GAIN_DB,
-                remedy="The motion field explains little: check that the clips begin as the sweep shows the "
-                "scene (capture.rest), the clocks, and that cameras stand around the subject.",
-            )
+        yield row(
+            GAIN,
+            None if moving is None or still is None else moving - still,
+            "dB",
+            warn=LEAST_GAIN_DB,
+            remedy="The motion field explains little: check that the clips begin as the sweep shows the "
+            "scene (capture.rest), the clocks, and that cameras stand around the subject.",
         )
     limits = (("rig_rotation_deg", "°", 0.15), ("rig_position_percent", "%", 0.4), ("sync_ms", "ms", 1.0))
     for name, unit, limit in limits if "truth" in metrics else ():
         if metrics["truth"][name] is not None:
-            rows.append(
-                row(
-                    f"{AGAINST_TRUTH}, {name}",
-                    metrics["truth"][name],
-                    unit,
-                    warn_above=limit,
-                    remedy="The calibration of this simulated session is worse than usual.",
-                )
+            yield row(
+                f"{AGAINST_TRUTH}, {name}",
+                metrics["truth"][name],
+                unit,
+                warn_above=limit,
+                remedy="The calibration of this simulated session is worse than usual.",
             )
-    return rows
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Stage `ingest`: raw files to frames with their times, sound and motion energies."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -116,62 +117,56 @@ def health(frames: FrameSet) -> list[HealthRow]:
     return rows
 
 
-def _sweep(sweep: CameraFrames) -> list[HealthRow]:
+def _sweep(sweep: CameraFrames) -> Iterator[HealthRow]:
     is_sharp = sharp([frame.sharpness for frame in sweep.used])
     blurred = [frame.place for frame, ok in zip(sweep.used, is_sharp, strict=True) if not ok]
     sizes = [text for text in sweep.notes if text.startswith("mixed sizes")]
-    rows = [
-        row(
-            "pictures of the sweep",
-            float(len(sweep.used)),
-            warn=20.0,
-            fail=float(FEWEST_SWEEP_PICTURES),
-            remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
-        ),
-        row(
-            "sharp share of the sweep",
-            float(is_sharp.mean()),
-            warn=0.8,
-            fail=0.3,
-            remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred ({places(blurred)}). Walk "
-            "more slowly, or use a shorter shutter and more light.",
-        ),
-    ]
+    yield row(
+        "pictures of the sweep",
+        float(len(sweep.used)),
+        warn=20.0,
+        fail=float(FEWEST_SWEEP_PICTURES),
+        remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
+    )
+    yield row(
+        "sharp share of the sweep",
+        float(is_sharp.mean()),
+        warn=0.8,
+        fail=0.3,
+        remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred ({places(blurred)}). Walk "
+        "more slowly, or use a shorter shutter and more light.",
+    )
     if sizes:
         remedy = f"{sweep.source}: keep one camera in one mode (size and orientation) for the whole sweep."
-        rows.append(note("sizes in the sweep", sizes[0], remedy=remedy))
-    return rows
+        yield note("sizes in the sweep", sizes[0], remedy=remedy)
 
 
-def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
+def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
     fewest = min(cameras, key=lambda name: len(cameras[name].used))
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
     silent = [name for name, c in cameras.items() if not c.has_audio]
-    rows = [
-        row(
-            f"frames of a moving camera, fewest ({fewest})",
-            float(len(cameras[fewest].used)),
-            warn=10.0,
-            fail=2.0,
-            remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
-        ),
-        row(
-            f"share of frames dropped while filming, worst camera ({worst})",
-            gaps[worst],
-            warn_above=0.02,
-            fail_above=0.5,
-            remedy=f"{cameras[worst].source}: {_gaps(cameras[worst])}. Use a faster card, or a lower resolution or bit "
-            "rate.",
-        ),
-        _exposure(cameras),
-        note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera"),
-    ]
+    yield row(
+        f"frames of a moving camera, fewest ({fewest})",
+        float(len(cameras[fewest].used)),
+        warn=10.0,
+        fail=2.0,
+        remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
+    )
+    yield row(
+        f"share of frames dropped while filming, worst camera ({worst})",
+        gaps[worst],
+        warn_above=0.02,
+        fail_above=0.5,
+        remedy=f"{cameras[worst].source}: {_gaps(cameras[worst])}. Use a faster card, or a lower resolution or bit "
+        "rate.",
+    )
+    yield _exposure(cameras)
+    yield note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera")
     sizes = {(c.width, c.height) for c in cameras.values()}
     if len(sizes) > 1:
         text = ", ".join(f"{name}: {c.width}x{c.height}" for name, c in cameras.items())
-        rows.append(note("sizes of the moving cameras", f"{text}; each keeps its own"))
-    return rows
+        yield note("sizes of the moving cameras", f"{text}; each keeps its own")
 
 
 def _gaps(camera: CameraFrames) -> str:

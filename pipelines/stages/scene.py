@@ -1,5 +1,6 @@
 """Stage `scene`: pictures, cameras, exact times and the box, in one place for everything that follows."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ from devrf.capture.scene import PosedFrame, Scene, image_scale_for
 from devrf.capture.view_axes import behind
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.configured_dataset import configured_dataset
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, listed, note, row
 from devrf.pipelines.stage import StageContext
 
 if TYPE_CHECKING:
@@ -82,66 +83,56 @@ def _from_dataset(context: StageContext) -> Scene:
     )
 
 
-def _views(scene: Scene) -> list[HealthRow]:
+def _views(scene: Scene) -> Iterator[HealthRow]:
     """Whether the cameras of a data set look at what they show: others write axes down in many ways.
 
     The axes of forward-facing sets run side by side and meet anywhere.
     """
     if scene.points is None and (scene.kind == "forward" or len(scene.static) < 2):
-        return []
+        return
     if scene.points is None:
         check, most = "cameras that look away from where their view axes meet", MOST_AWAY
     else:
         check, most = "sightings of sparse points behind their cameras", MOST_BEHIND
-    return [
-        row(
-            check,
-            100 * behind([frame.camera for frame in scene.static], scene.points),
-            "%",
-            warn_above=100 * most,
-            remedy="The y and z axes of the poses seem to be turned round: OpenCV and COLMAP have y down and z "
-            "forward, nerfstudio, Blender and LLFF y up and z backward; convert the poses.",
-        )
-    ]
+    yield row(
+        check,
+        100 * behind([frame.camera for frame in scene.static], scene.points),
+        "%",
+        warn_above=100 * most,
+        remedy="The y and z axes of the poses seem to be turned round: OpenCV and COLMAP have y down and z "
+        "forward, nerfstudio, Blender and LLFF y up and z backward; convert the poses.",
+    )
 
 
-def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
+@listed
+def health(bounds: "Bounds", scene: Scene) -> Iterator[HealthRow]:
     """Rows about the box and about the time that is modelled."""
     unit = "m" if scene.metric else "units of arbitrary scale"
     size = " x ".join(f"{side:.3g}" for side in bounds.size)
-    rows = [
-        note("box", f"{size} {unit}, from {bounds.basis}"),
-        note("cameras", f"{bounds.kind} ({_spread(bounds)})"),
-    ]
+    yield note("box", f"{size} {unit}, from {bounds.basis}")
+    yield note("cameras", f"{bounds.kind} ({_spread(bounds)})")
     if bounds.points_outside is not None:
-        rows.append(
-            note(
-                "sweep's points outside the box",
-                f"{100 * bounds.points_outside:.0f} % (they belong to the surroundings)",
-            )
+        yield note(
+            "sweep's points outside the box",
+            f"{100 * bounds.points_outside:.0f} % (they belong to the surroundings)",
         )
     if scene.dynamic:
         moving = {f.camera_name for f in scene.dynamic if f.split == "train"}
         counts = {name: sum(f.camera_name == name for f in scene.dynamic) for name in sorted(moving)}
-        rows.append(note("modelled time", f"{scene.t1_s - scene.t0_s:.3f} s, frames {counts}"))
-        rows.append(
-            row(
-                "frames of the shortest training camera",
-                float(min(counts.values(), default=0)),
-                warn=5.0,
-                fail=2.0,
-                remedy="The clips hardly overlap: film longer, or widen capture.range_s.",
-            )
+        yield note("modelled time", f"{scene.t1_s - scene.t0_s:.3f} s, frames {counts}")
+        yield row(
+            "frames of the shortest training camera",
+            float(min(counts.values(), default=0)),
+            warn=5.0,
+            fail=2.0,
+            remedy="The clips hardly overlap: film longer, or widen capture.range_s.",
         )
         if "hull" not in bounds.basis:
-            rows.append(
-                note(
-                    "what moves",
-                    "not found in two cameras at once",
-                    remedy="The box is a guess from the view axes: check that something moves in all views.",
-                )
+            yield note(
+                "what moves",
+                "not found in two cameras at once",
+                remedy="The box is a guess from the view axes: check that something moves in all views.",
             )
-    return rows
 
 
 def _spread(bounds: "Bounds") -> str:

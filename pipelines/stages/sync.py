@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -112,44 +113,42 @@ def health(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
     return rows
 
 
-def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthRow]:
+def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[HealthRow]:
     others = dict(list(result.cameras.items())[1:])
     if not others:
-        return []
+        return
     cues = sorted({clock.method for clock in others.values()})
     if cues == ["timestamps"]:
-        return [note("cue", "the table of times")]
+        yield note("cue", "the table of times")
+        return
     if all(clock.basis.startswith("the clips' own") for clock in others.values()):
         remedy = "Check that the cameras are synchronised by hardware, else clap and use method auto."
-        return [note("cue", "none; the clips' own times", remedy=remedy)]
+        yield note("cue", "none; the clips' own times", remedy=remedy)
+        return
     worst = min(others, key=lambda name: others[name].confidence)
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
-    rows = [note("cue", ", ".join(cues)), confidence_row(worst, others[worst], why, final=not moves)]
+    yield note("cue", ", ".join(cues))
+    yield confidence_row(worst, others[worst], why, final=not moves)
     vague = max(others, key=lambda name: others[name].std_s)
     if math.isfinite(others[vague].std_s):
         step_ms = frame_ms(cameras[vague])
-        rows.append(
-            row(
-                f"standard deviation, worst camera ({vague})",
-                1e3 * others[vague].std_s,
-                "ms",
-                warn_above=UNSURE_FRAMES * step_ms,
-                remedy="A quarter of a frame or more is unsure, and shifting whole frames would add up to "
-                f"{step_ms / 2:.0f} ms: give all cameras sound, and clap.",
-            )
+        yield row(
+            f"standard deviation, worst camera ({vague})",
+            1e3 * others[vague].std_s,
+            "ms",
+            warn_above=UNSURE_FRAMES * step_ms,
+            remedy="A quarter of a frame or more is unsure, and shifting whole frames would add up to "
+            f"{step_ms / 2:.0f} ms: give all cameras sound, and clap.",
         )
     if result.loop_s is not None:
-        rows.append(
-            row(
-                "largest contradiction between pairs of cameras",
-                1e3 * result.loop_s,
-                "ms",
-                warn_above=2.0 if cues == ["audio"] else 100.0,
-                remedy=f"{_worst_loop(result)}: clap in the middle, equally far from all cameras.",
-            )
+        yield row(
+            "largest contradiction between pairs of cameras",
+            1e3 * result.loop_s,
+            "ms",
+            warn_above=2.0 if cues == ["audio"] else 100.0,
+            remedy=f"{_worst_loop(result)}: clap in the middle, equally far from all cameras.",
         )
-    return rows
 
 
 def _worst_loop(result: SyncResult) -> str:
@@ -159,23 +158,20 @@ def _worst_loop(result: SyncResult) -> str:
     return f"The loop {' - '.join(loop.cameras)} does not close, {1e3 * abs(loop.closure_s):.0f} ms are left"
 
 
-def _cues(result: SyncResult) -> list[HealthRow]:
+def _cues(result: SyncResult) -> Iterator[HealthRow]:
     """Independent cues against each other, and steps in what should be one straight line."""
-    rows = []
     for other in dict.fromkeys(c.other for c in result.comparisons):
         pairs = [c for c in result.comparisons if c.other == other]
         worst = max(pairs, key=lambda c: abs(c.difference_s) / c.limit_s)
         names = f"{worst.first} and {worst.second}"
-        rows.append(
-            row(
-                f"{other} against sound, {names}",
-                1e3 * abs(worst.difference_s),
-                "ms",
-                warn_above=1e3 * worst.limit_s,
-                remedy=f"{names}: {other} and sound differ by {1e3 * worst.difference_s:+.0f} ms. If it is the same "
-                "in every take, it is the camera's lag between sound and pictures: set calibration.sync.av_lag_s: "
-                f"{{{worst.second}: {worst.difference_s:.3f}}}. Else film a clap that the cameras also see.",
-            )
+        yield row(
+            f"{other} against sound, {names}",
+            1e3 * abs(worst.difference_s),
+            "ms",
+            warn_above=1e3 * worst.limit_s,
+            remedy=f"{names}: {other} and sound differ by {1e3 * worst.difference_s:+.0f} ms. If it is the same "
+            "in every take, it is the camera's lag between sound and pictures: set calibration.sync.av_lag_s: "
+            f"{{{worst.second}: {worst.difference_s:.3f}}}. Else film a clap that the cameras also see.",
         )
     for jump in result.jumps:
         names = f"{jump.first} and {jump.second}"
@@ -184,13 +180,11 @@ def _cues(result: SyncResult) -> list[HealthRow]:
             "on one side of it, or give true times in capture.timestamps."
         )
         value = f"step of {1e3 * jump.step_s:+.0f} ms at {jump.at_s:.1f} s"
-        rows.append(note(f"jump of the clock, {names}", value, remedy=remedy))
-    return rows
+        yield note(f"jump of the clock, {names}", value, remedy=remedy)
 
 
-def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthRow]:
+def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[HealthRow]:
     """Clocks that run at different rates, and cameras that take different numbers of pictures."""
-    rows = []
     drifts = {name: clock.drift_ppm for name, clock in result.cameras.items() if clock.drift_ppm}
     if drifts:
         worst = max(drifts, key=lambda name: abs(drifts[name]))
@@ -198,21 +192,18 @@ def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
         over_ms = 1e-3 * drifts[worst] * (t[-1] - t[0])
         value = f"{worst} {drifts[worst]:+.0f} ppm: {over_ms:+.1f} ms over its clip; counted"
         wrong_base = abs(drifts[worst]) > WRONG_RATE_PPM
-        rows.append(
-            note(
-                "drift",
-                value,
-                remedy=f"{worst}'s file declares a wrong rate (29.97 declared as 30 is 1000 ppm): its times are "
-                "stretched to fit; copy the original file from the camera, without conversion."
-                if wrong_base
-                else "",
-            )
+        yield note(
+            "drift",
+            value,
+            remedy=f"{worst}'s file declares a wrong rate (29.97 declared as 30 is 1000 ppm): its times are "
+            "stretched to fit; copy the original file from the camera, without conversion."
+            if wrong_base
+            else "",
         )
     rates = {name: c.fps_mean for name, c in cameras.items() if c.fps_mean}
     if rates and max(rates.values()) > DIFFERENT_FPS * min(rates.values()):
         text = ", ".join(f"{name} {fps:.4g} fps" for name, fps in rates.items())
-        rows.append(note("frame rates", f"{text}; frames keep their own times"))
-    return rows
+        yield note("frame rates", f"{text}; frames keep their own times")
 
 
 def _overlap(cameras: dict[str, CameraFrames], result: SyncResult) -> HealthRow:
