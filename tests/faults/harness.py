@@ -130,12 +130,13 @@ class Tiny:
         """Run to the end, however that comes."""
         return self.start(*settings).end()
 
-    def at_work(self, started: Started, stage: str) -> None:
-        """Wait until a run has begun a stage."""
-        deadline = time.monotonic() + LIMIT_S
+    def at_work(self, stage: str, *settings: str) -> Started:
+        """A run that has begun a stage, of which the settings are."""
+        started, deadline = self.start(*settings, f"stage={stage}"), time.monotonic() + LIMIT_S
         while not list(self.run_dir.glob(f".new-{stage}-*")):
             assert started.poll() is None and time.monotonic() < deadline, f"{stage} never began"
             time.sleep(0.005)
+        return started
 
 
 @dataclass

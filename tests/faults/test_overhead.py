@@ -84,8 +84,7 @@ def _sync_each(folder: Path) -> None:
 
 def test_the_parent_costs_next_to_nothing(tiny: Tiny, figures) -> None:
     """Processor time of the parent alone, which looks at memory all the time."""
-    started = tiny.start("fault=sleep", "stage=frames")
-    tiny.at_work(started, "frames")
+    started = tiny.at_work("frames", "fault=sleep")
     time.sleep(0.5)
     ticks, start = _ticks(started.pid), time.monotonic()
     time.sleep(4.0)

@@ -43,8 +43,7 @@ def test_a_death_is_explained(tiny: Tiny, fault: str, named: str) -> None:
 
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
-    started = tiny.start("fault=sleep", "stage=big")
-    tiny.at_work(started, "big")
+    started = tiny.at_work("big", "fault=sleep")
     started.send_signal(sign)
     ended = started.end()
     assert ended.returncode == STOPPED
@@ -60,8 +59,7 @@ def ignores(pid: int, sign: signal.Signals) -> bool:
 
 
 def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
-    started = tiny.start("fault=deaf", "stage=big")
-    tiny.at_work(started, "big")
+    started = tiny.at_work("big", "fault=deaf")
     (child,) = children_of(started.pid)
     wait_for(lambda: ignores(child, signal.SIGTERM))
     started.terminate()
@@ -81,8 +79,7 @@ def test_ctrl_z_stops_the_child_too(tiny: Tiny) -> None:
     def becomes(pid: int, states: str) -> None:
         wait_for(lambda: state(pid) in states)
 
-    started = tiny.start("fault=sleep", "stage=big")
-    tiny.at_work(started, "big")
+    started = tiny.at_work("big", "fault=sleep")
     (child,) = children_of(started.pid)
     started.send_signal(signal.SIGTSTP)
     becomes(child, "T")
@@ -95,8 +92,7 @@ def test_ctrl_z_stops_the_child_too(tiny: Tiny) -> None:
 
 
 def test_the_parent_may_sleep(tiny: Tiny) -> None:
-    started = tiny.start("fault=sleep", "stage=big")
-    tiny.at_work(started, "big")
+    started = tiny.at_work("big", "fault=sleep")
     for _ in range(3):
         started.send_signal(signal.SIGSTOP)
         time.sleep(0.6)  # longer than it waits for a signal
@@ -107,8 +103,7 @@ def test_the_parent_may_sleep(tiny: Tiny) -> None:
 
 
 def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
-    started = tiny.start("fault=deaf", "stage=big")
-    tiny.at_work(started, "big")
+    started = tiny.at_work("big", "fault=deaf")
     (child,) = children_of(started.pid)
     started.kill()
     started.end()
@@ -117,8 +112,7 @@ def test_the_child_ends_with_its_parent(tiny: Tiny) -> None:
 
 
 def test_what_the_child_started_ends_with_it(tiny: Tiny) -> None:
-    started = tiny.start("fault=orphan", "stage=big")
-    tiny.at_work(started, "big")
+    started = tiny.at_work("big", "fault=orphan")
     note = tiny.folder / "orphan.pid"
     wait_for(lambda: note.exists() and note.read_text())
     (child,) = children_of(started.pid)

@@ -10,6 +10,7 @@ import torch
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.rest_model import RestModel
@@ -61,9 +62,20 @@ def ball_clips(ball: Ball, folder: Path, times: int, travel: np.ndarray) -> Scen
     return replace(ball.scene, dynamic=tuple(frames))
 
 
-def look_at(eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT) -> Camera:
-    """A camera that looks at the origin; +z is up."""
-    forward = -eye / np.linalg.norm(eye)
+def true_motion(scene: Scene, travel: np.ndarray) -> MotionField:
+    """How the ball moves, exactly, everywhere in the box."""
+    aabb, way = torch.tensor(scene.aabb).float(), torch.tensor(travel).float()
+    motion = MotionField.still(aabb, 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    motion.backward[1] -= way
+    motion.forward[1] += way
+    return motion
+
+
+def look_at(
+    eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT, target: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> Camera:
+    """A camera that looks at a place; +z is up."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     R = np.stack([right, np.cross(forward, right), forward])

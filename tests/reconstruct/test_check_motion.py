@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.reconstruct.conftest import true_motion
 
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.in_motion import in_motion_rows
@@ -31,10 +32,7 @@ def true(ball, rest: RestModel) -> DynamicModel:
 
 
 def moved(ball, rest: RestModel, way: float) -> DynamicModel:
-    aabb = torch.tensor(ball.scene.aabb).float()
-    motion = MotionField.still(aabb, 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
-    motion.backward[1] -= way * torch.tensor(ball.travel).float()
-    return DynamicModel(rest, motion)
+    return DynamicModel(rest, true_motion(ball.scene, way * ball.travel))
 
 
 def warnings(fits: dict[str, MotionFit]) -> list[str]:

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.reconstruct.conftest import ball_clips
+from tests.reconstruct.conftest import ball_clips, true_motion
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.clocks import SHIFTS, error_curves, lowest, with_offset
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.rest_model import RestModel
@@ -48,10 +47,7 @@ def test_a_late_camera_is_seen_where_the_motion_is_right(ball, moving: Scene, re
     0.3 pixels, 0.13 for their mean.
     """
     wrong = with_offset(moving, "cam1", 0.4 * GAP_S)
-    motion = MotionField.still(
-        torch.tensor(ball.scene.aabb).float(), 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
-    )
-    motion.backward[1] -= torch.tensor(TRAVEL).float()
+    motion = true_motion(ball.scene, TRAVEL)
     rays = RaySet(wrong.dynamic, 1.0, "white")
     looked_at = replace(rest, canonical=rest.canonical.seen_with(1.0, 1e-3, 1e-3))
     around = PixelSurroundings(DynamicModel(rest), rays)

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
 import pytest
+from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
@@ -25,12 +27,7 @@ TIMES = (0.0, 0.5, 1.0)
 
 def _camera(degrees: float, height: float) -> Camera:
     angle = np.radians(degrees)
-    position = np.array([2 * np.cos(angle), 2 * np.sin(angle), height])
-    z = -position / np.linalg.norm(position)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z])
-    return Camera(64, 48, K, np.column_stack([R, -R @ position]))
+    return replace(look_at(np.array([2 * np.cos(angle), 2 * np.sin(angle), height]), 64, 48), K=K)
 
 
 def _picture(time: float | None) -> np.ndarray:

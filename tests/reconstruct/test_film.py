@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import to_8_bits
@@ -21,12 +22,7 @@ def ring(degrees, radius=3.0, height=1.0, target=(0.1, -0.1, 0.2)) -> list[Camer
     cameras = []
     for angle in np.radians(degrees):
         position = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
-        z = np.array(target) - position
-        z /= np.linalg.norm(z)
-        x = np.cross(z, [0, 0, 1.0])
-        x /= np.linalg.norm(x)
-        R = np.stack([x, np.cross(z, x), z])
-        cameras.append(Camera(320, 240, K, np.column_stack([R, -R @ position])))
+        cameras.append(replace(look_at(position, 320, 240, target), K=K))
     return cameras
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.reconstruct.conftest import REST, true_motion
 from tests.refused import refused
 
 from devrf.capture.errors import ReconstructError
@@ -16,15 +17,11 @@ from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.fine_tune import LR, fine_tune
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import train_canonical
 
-REST = CanonicalOptions(
-    resolution=36, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),
-    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
-    hull_resolution=40,
-)  # fmt: skip
+COARSER = replace(REST, resolution=36, scale_at=(0.3,))
 TUNING = MotionOptions(
     levels=(4,), iterations=(1,), rays=400, importance=0.7, adapt=True, fine_tuning=60, learning_rate=0.1 / LR
 )
@@ -32,16 +29,7 @@ TUNING = MotionOptions(
 
 @pytest.fixture(scope="module", params=[False, True], ids=["colours per sample", "per ray"])
 def rest(ball, request: pytest.FixtureRequest) -> RestModel:
-    return train_canonical(ball.scene, replace(REST, deferred=request.param))
-
-
-def _true_motion(ball, rest: RestModel) -> MotionField:
-    motion = MotionField.still(
-        torch.tensor(ball.scene.aabb).float(), 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
-    )
-    motion.backward[1] -= torch.tensor(ball.travel).float()
-    motion.forward[1] += torch.tensor(ball.travel).float()
-    return motion
+    return train_canonical(ball.scene, replace(COARSER, deferred=request.param))
 
 
 def _darker(scene: Scene, folder: Path) -> Scene:
@@ -65,7 +53,7 @@ def _error(scene: Scene, model: DynamicModel) -> float:
 
 @pytest.mark.full
 def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel, tmp_path: Path) -> None:
-    scene, motion = _darker(ball.scene, tmp_path), _true_motion(ball, rest)
+    scene, motion = _darker(ball.scene, tmp_path), true_motion(ball.scene, ball.travel)
     before = {name: getattr(rest.canonical, name).clone() for name in ("density", "features", "distance")}
     tuned = fine_tune(scene, rest, motion, TUNING)
     assert tuned.model is not None and tuned.decision is None and (tuned.gain_db or 0) > 2
@@ -83,7 +71,10 @@ def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel,
 
 
 def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
-    motion, few = _true_motion(ball, rest), replace(TUNING, fine_tuning=2, learning_rate=1e-5 / LR)
+    motion, few = (
+        true_motion(ball.scene, ball.travel),
+        replace(TUNING, fine_tuning=2, learning_rate=1e-5 / LR),
+    )
     tuned = fine_tune(ball.scene, rest, motion, few)
     assert tuned.model is None and tuned.gain_db is not None and abs(tuned.gain_db) < 0.1
     assert "none instead of 2" in str(tuned.decision) and f"{tuned.gain_db:+.2f} dB" in str(tuned.decision)
@@ -96,7 +87,7 @@ def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
 def test_a_motion_too_large_for_the_device_is_taken_in_parts(
     ball, rest: RestModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, motion = _darker(ball.scene, tmp_path), _true_motion(ball, rest)
+    scene, motion = _darker(ball.scene, tmp_path), true_motion(ball.scene, ball.travel)
     half = motion.backward[1:] / 2, motion.forward[1:] / 2
     motion.backward, motion.forward = (
         torch.cat([field[:1], middle, field[1:]])
@@ -123,7 +114,7 @@ def test_parts_of_a_motion_follow_its_size() -> None:
 
 
 def test_a_loss_that_is_not_finite_is_an_error(ball, rest: RestModel) -> None:
-    motion = _true_motion(ball, rest)
+    motion = true_motion(ball.scene, ball.travel)
     spoilt = replace(rest, canonical=copy.copy(rest.canonical))
     spoilt.canonical.features = torch.full_like(rest.canonical.features, float("nan"))
     with refused("training-diverged", kind=ReconstructError):

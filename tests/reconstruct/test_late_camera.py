@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from tests.reconstruct.conftest import ball_clips
+from tests.reconstruct.conftest import ball_clips, true_motion
 
 from devrf.capture.scene import Scene
 from devrf.pipelines.health.training import late_rows
@@ -63,10 +62,7 @@ def test_pictures_beyond_what_is_modelled_are_left_out(moving: Scene) -> None:
 @pytest.fixture
 def trained(ball, monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     """Training finds the true motion, whatever it is given; what it was given."""
-    motion = MotionField.still(
-        torch.tensor(ball.scene.aabb).float(), 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
-    )
-    motion.backward[1] -= torch.tensor(TRAVEL).float()
+    motion = true_motion(ball.scene, TRAVEL)
     given: list[Scene] = []
 
     def train(scene: Scene, *_: object, **__: object) -> tuple[MotionField, dict]:

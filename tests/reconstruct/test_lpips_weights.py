@@ -76,20 +76,10 @@ def real(net: Net, data_dir: Path) -> dict[str, torch.Tensor]:
 
 @pytest.mark.parametrize("net", ["alex", "vgg"])
 def test_torchvisions_trunk_and_the_packages_heads(net, data_dir, tmp_path, package) -> None:
-    with np.load(data_dir / "weights" / f"lpips_{net}_v0.1.npz") as data:
-        ours = {key: torch.from_numpy(data[key].astype(np.float32)) for key in data.files}
-    state = {k: torch.nn.Parameter(v) for k, v in ours.items() if k.startswith("features")}
+    state = {k: torch.nn.Parameter(v) for k, v in real(net, data_dir).items() if k.startswith("features")}
     torch.save(state | {"classifier.6.weight": torch.zeros(1000, 8)}, tmp_path / TORCHVISION[net])
     shutil.copyfile(data_dir / "weights/lpips_ref" / f"lin_v0.1_{net}.pth", package / f"{net}.pth")
-    lpips = Lpips(net, tmp_path)
-    pictures = (
-        np.asarray(Image.open(data_dir / "weights" / "lpips_ref" / f"ex_{n}.png").convert("RGB"), np.float32)
-        / 255
-        for n in ("ref", "p0", "p1")
-    )
-    ref, far, near = (lpips.features(picture) for picture in pictures)
-    assert lpips.distance(ref, far) == pytest.approx(EXPECTED[net][0], abs=1e-4)
-    assert lpips.distance(ref, near) == pytest.approx(EXPECTED[net][1], abs=1e-4)
+    check_values(net, tmp_path, data_dir)
 
 
 def test_missing_weights_are_named(tmp_path, no_package) -> None:

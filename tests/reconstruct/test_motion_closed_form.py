@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tests.reconstruct.conftest import held_rays
+from tests.reconstruct.conftest import REST, held_rays
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
@@ -20,7 +20,7 @@ from devrf.reconstruct.losses import cycle_loss, flow_loss
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_voxels import moving_voxels
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pixel_flow import PUBLISHED_WIDTH, PixelFlow
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
@@ -29,17 +29,13 @@ BOX = torch.tensor([[-1.0, -0.8, -0.6], [1.0, 0.8, 0.6]])
 STEP = np.array(
     [0.03, -0.02, 0.025]
 )  # one picture to the next, box units: more than a voxel, within reach of the rates
-REST = CanonicalOptions(
-    resolution=36, iterations=150, rays=1024, samples=8192, channels=6, mlp_width=24, scale_at=(0.3,),
-    opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0, occupancy_every=20,
-    hull_resolution=40,
-)  # fmt: skip
+COARSER = replace(REST, resolution=36, iterations=150, scale_at=(0.3,))
 
 
 @pytest.mark.full
 def test_one_rigid_step_is_recovered_to_a_tenth_of_a_voxel(ball, tmp_path: Path) -> None:
     """The published losses, schedule in small; the pictures are the model's own, so nothing else is wrong."""
-    rest = train_canonical(ball.scene, REST)
+    rest = train_canonical(ball.scene, COARSER)
     model = DynamicModel(rest)
     cameras = [f.camera for f in ball.scene.static if f.split == "train"][::4]
     frames = []

@@ -5,33 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.reconstruct.conftest import REST
 from tests.refused import refused
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import load_image, plain_colour
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions
+from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.training_log import Diverged, TrainingLog
 from devrf.reconstruct.watch import Watch
 
-REST = CanonicalOptions(
-    resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
-    scale_at=(0.25, 0.5), opacity=0.1, alpha_threshold=1e-3, weight_threshold=1e-3, lr_grid=0.06, learning_rate=5.0,
-    occupancy_every=20, hull_resolution=40, shell_resolution=32, coarse_iterations=24, coarse_rays=512,
-    coarse_size=32,
-)  # fmt: skip
+SHELL = replace(REST, shell_resolution=32, coarse_iterations=24, coarse_rays=512, coarse_size=32)
 MOTION = MotionOptions(
     levels=(4, 8), iterations=(90, 40), rays=400, importance=0.7, lr=6e-3, weight_threshold=1e-3
 )
-
-
-@pytest.fixture(scope="module")
-def rest(ball) -> RestModel:
-    return train_canonical(ball.scene, REST)
 
 
 def _psnr(a: np.ndarray, b: np.ndarray) -> float:
@@ -122,7 +113,7 @@ def test_one_camera_in_each_step(ball, rest: RestModel) -> None:
 @pytest.mark.full
 def test_box_by_a_coarse_model(ball) -> None:
     """The published search finds the ball as the silhouettes do, and draws only rays that meet it."""
-    options = replace(REST, iterations=40, box_search="coarse", coarse_iterations=350, coarse_rays=512)
+    options = replace(SHELL, iterations=40, box_search="coarse", coarse_iterations=350, coarse_rays=512)
     model = train_canonical(ball.scene, options)
     box = model.canonical.aabb
     assert (box[1] > 0.8 * ball.radius).all() and (box[0] < -0.8 * ball.radius).all()
@@ -133,7 +124,7 @@ def test_box_by_a_coarse_model(ball) -> None:
 def test_surroundings_are_learned_without_mattes(ball) -> None:
     """The same pictures taken as a room: the white around the ball is part of the scene."""
     scene = replace(ball.scene, background="shell", aabb=np.array([[-0.7] * 3, [0.7] * 3]), far=8.0)
-    model = train_canonical(scene, REST)
+    model = train_canonical(scene, SHELL)
     assert model.shell is not None
     frame = next(f for f in scene.static if f.split == "test")
     true = load_image(frame, 1.0, "white").astype(np.float64) / 255
