@@ -123,10 +123,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     listed = json.loads(GONE.read_text()) if asked.what == "check" else {}
     found: list[Difference] = []
     if asked.what == "check":
-        print(
-            "not recorded yet:",
-            ", ".join(case.name for case in chosen if case.name not in recorded) or "none",
-        )
+        missing = [case.name for case in chosen if case.name not in recorded]
+        print("not recorded yet:", ", ".join(missing) or "none")
         chosen = [case for case in chosen if case.name in recorded]
     for case in CASES:
         if case.name not in {name for c in chosen for name in (c.name, c.exported)}:
@@ -173,9 +171,8 @@ def differences(
             off = _distance(was[name], now[name])
             if off > bound:
                 last = f"turned by {off:.3g}" if isinstance(now[name], dict) else _text(now[name])
-                found.append(
-                    Difference(f"{case}/{name}", _text(was[name]), last, f"{bound:.3g}" if bound else "equal")
-                )
+                allowed = f"{bound:.3g}" if bound else "equal"
+                found.append(Difference(f"{case}/{name}", _text(was[name]), last, allowed))
     return found
 
 
@@ -280,11 +277,8 @@ class Golden:
             before, now = min(seconds[stage, other]), min(seconds[stage, self])
             print(f"seconds of {stage}: {before:.1f} before, {now:.1f} now")
             if now > TRAINING_TIMES * before:
-                found.append(
-                    Difference(
-                        f"seconds of {stage}", f"{before:.1f}", f"{now:.1f}", f"{TRAINING_TIMES} times"
-                    )
-                )
+                texts = f"{before:.1f}", f"{now:.1f}", f"{TRAINING_TIMES} times"
+                found.append(Difference(f"seconds of {stage}", *texts))
         return found
 
     def about(self) -> dict[str, str]:

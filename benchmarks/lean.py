@@ -78,17 +78,8 @@ def _beside(scene: Path) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "session"
         shutil.copytree(scene.parent, copy)
-        trainings = [
-            *PROGRAM,
-            "run",
-            str(copy / scene.name),
-            "--preset",
-            "tiny",
-            "--quiet",
-            "--until",
-            "deformation",
-        ]
-        trainings += ["--force", "canonical", "--force", "deformation"]
+        options = "--preset tiny --quiet --until deformation --force canonical --force deformation"
+        trainings = [*PROGRAM, "run", str(copy / scene.name), *options.split()]
         alone_s = _seconds(trainings)
         with _busy():
             beside_s = _seconds(trainings)

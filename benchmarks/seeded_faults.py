@@ -60,7 +60,8 @@ def record(tree: Path) -> None:
     (data / "devrf_named.py").write_text(PLUGIN)
     environment = {"PYTHONPATH": str(data), "COVERAGE_RCFILE": str(data / "settings")}
     options = ["-p", "devrf_named", "--cov", f"--cov-config={data / 'settings'}", "--cov-context=test"]
-    _pytest(tree, [*options, "--cov-report=term", "-n", "2"], environment, None)
+    options += ["--cov-report=term", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
+    subprocess.run([*_command(tree), *options], cwd=tree, env={**os.environ, **environment})
 
 
 def touching(tree: Path, fault: Fault) -> list[str]:
@@ -133,23 +134,17 @@ def _first_that_fails(tree: Path, fault: Fault, whole: str, tests: list[str], ti
     return None
 
 
+def _command(tree: Path) -> list[str]:
+    return [str(tree / ".venv/bin/python"), "-m", "pytest", "-p", "no:cacheprovider", "-q", "-rfE"]
+
+
 def _pytest(
     tree: Path, arguments: list[str], environment: dict[str, str], limit_s: float | None
 ) -> str | None:
     """Run tests; the first that failed, None where all passed or the time is over."""
-    command = [
-        str(tree / ".venv/bin/python"),
-        "-m",
-        "pytest",
-        "-p",
-        "no:cacheprovider",
-        "-q",
-        "-rfE",
-        *arguments,
-    ]
     try:
         output = subprocess.run(
-            command,
+            [*_command(tree), *arguments],
             cwd=tree,
             env={**os.environ, **environment},
             text=True,

@@ -76,10 +76,8 @@ def read_truth(path: Path) -> Truth:
             },
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(
-            f"{path}: not a ground truth ({error!r}); expected static and cams with world_from_camera poses, "
-            "see evaluate.truth"
-        ) from error
+        text = f"{path}: not a ground truth ({error!r}); expected poses of static and cams; see evaluate"
+        raise InputError("file-damaged", text) from error
 
 
 def read_masks(path: Path, cameras: Sequence[str]) -> dict[str, Bool[np.ndarray, "frames h w"]]:

@@ -42,10 +42,12 @@ def flat_field(
         left = np.abs(values - design @ fitted)
     uneven = float(np.mean(left > SMOOTH_STOPS))
     if uneven > UNEVEN_SHARE:
+        wrong = f"{name}: {100 * uneven:.0f} % of the picture is not an evenly lit sheet (more than"
+        off, most = 100 * (2**SMOOTH_STOPS - 1), 100 * UNEVEN_SHARE
+        remedy = "fill the whole picture with a white sheet, out of focus, without shadows"
         raise CalibrationError(
-            f"{name}: {100 * uneven:.0f} % of the picture is not an evenly lit sheet (more than "
-            f"{100 * (2**SMOOTH_STOPS - 1):.0f} % off a smooth fall-off), expected at most {100 * UNEVEN_SHARE:.0f} %; "
-            "fill the whole picture with a white sheet, out of focus, without shadows"
+            "white-sheet-uneven",
+            f"{wrong} {off:.0f} % off a smooth fall-off), expected at most {most:.0f} %; {remedy}",
         )
     grid_x, grid_y = _centres(*GRID, columns / rows)
     stops = _powers(grid_x, grid_y, columns / rows) @ fitted[3:]

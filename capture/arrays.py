@@ -71,13 +71,12 @@ def _errors_named(path: Path) -> Iterator[None]:
     except MemoryError:
         raise
     except CaptureError as error:
-        raise ArrayError(str(error)) from None
+        raise ArrayError(error.code, str(error)) from None
     except FileNotFoundError:
-        raise ArrayError(f"{path}: no such file") from None
+        raise ArrayError("file-missing", f"{path}: no such file") from None
     except Exception as error:
-        raise ArrayError(
-            f"{path}: damaged or not a file of arrays ({error or type(error).__name__})"
-        ) from None
+        text = f"{path}: damaged or not a file of arrays ({error or type(error).__name__})"
+        raise ArrayError("file-damaged", text) from None
 
 
 def _name(entry: zipfile.ZipInfo) -> str:

@@ -78,10 +78,9 @@ def read_sound(path: Path) -> Sound | None:
         except FFmpegError as error:
             failure = f" ({error.strerror})"  # what decoded before the damage is used
     if not blocks:
-        raise CaptureError(
-            f"{path}: has a sound stream, but nothing of it decodes{failure}; remove the stream, "
-            "or set calibration.sync.method to motion"
-        )
+        wrong = f"{path}: has a sound stream, but nothing of it decodes{failure}"
+        remedy = "remove the stream, or set calibration.sync.method to motion"
+        raise CaptureError("sound-undecodable", f"{wrong}; {remedy}")
     samples, start_s = _place(blocks, native_hz)
     if native_hz != RATE_HZ:
         factor = gcd(native_hz, RATE_HZ)
@@ -109,11 +108,12 @@ def read_wav(path: Path, start_s: float = 0.0) -> Sound:
         with wave.open(str(path), "rb") as file:
             layout = (file.getnchannels(), file.getsampwidth())
             if layout != (1, 2):
-                raise CaptureError(f"{path}: {layout[0]} channels of {layout[1]} bytes, expected mono 16 bit")
+                text = f"{path}: {layout[0]} channels of {layout[1]} bytes, expected mono 16 bit"
+                raise CaptureError("sound-wrong", text)
             pcm = np.frombuffer(file.readframes(file.getnframes()), dtype="<i2")
             return Sound(pcm.astype(np.float32) / INT16_MAX, file.getframerate(), start_s)
     except (wave.Error, EOFError) as error:
-        raise CaptureError(f"{path}: not a wav file ({error})") from None
+        raise CaptureError("file-damaged", f"{path}: not a wav file ({error})") from None
 
 
 def _mono(block: av.AudioFrame) -> Float[np.ndarray, " n"]:

@@ -20,10 +20,6 @@ WIDEST_IDEAL = np.radians(89.9)  # normalised coordinates end where rays are par
 RIGID_TOLERANCE = 1e-4  # |R R^T - I|; poses read from text files carry about 1e-6
 
 
-def _no_distortion() -> np.ndarray:
-    return np.zeros(5)
-
-
 @dataclass(frozen=True)
 class Camera:
     """A calibrated camera.
@@ -40,7 +36,7 @@ class Camera:
     height: int
     K: Float[np.ndarray, "3 3"]
     cam_from_world: Float[np.ndarray, "3 4"]
-    distortion: Float[np.ndarray, "5"] = field(default_factory=_no_distortion)
+    distortion: Float[np.ndarray, "5"] = field(default_factory=lambda: np.zeros(5))
     model: LensModel = "OPENCV"
 
     def __post_init__(self) -> None:

@@ -146,7 +146,7 @@ def extract_clip(
             records[index] = replace(records[index], used=False, file=None)
     timed = np.array(seen.courses.times_s)
     if not any(record.used for record in records.values()):
-        raise CaptureError(_nothing_used(path, keep, timed, reader.info))
+        raise _nothing_used(path, keep, timed, reader.info)
     info, told = reader.info, timing(np.unique([*timed, *unused.times_s]))
     notes = [*info.notes, *told.notes, *unused.notes(len(records))]
     if true_time is not None and max(true_time) >= count:
@@ -175,14 +175,16 @@ def extract_clip(
     return Extract(frames, seen.courses.courses(), None if seen.light is None else seen.light.course())
 
 
-def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"], info: VideoInfo) -> str:
+def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"], info: VideoInfo) -> CaptureError:
     if keep.range_s is None:
         if len(time_s):
-            return f"{path}: no frame can be used; record the clip again"
-        return f"{path}: none of its frames has a time; correct capture.timestamps"
+            return CaptureError("video-unreadable", f"{path}: no frame can be used; record the clip again")
+        wrong = f"{path}: none of its frames has a time; correct capture.timestamps"
+        return CaptureError("times-missing", wrong)
     from_s, to_s = keep.range_s
     if len(time_s):
         there = f"it goes from {time_s[0]:.2f} to {time_s[-1]:.2f} s"
     else:
         there = "its length is unknown" if info.duration_s is None else f"it is {info.duration_s:.2f} s long"
-    return f"{path}: no frame between {from_s:.2f} and {to_s:.2f} s ({there}); change capture.range_s"
+    text = f"{path}: no frame between {from_s:.2f} and {to_s:.2f} s ({there}); change capture.range_s"
+    return CaptureError("range-empty", text)

@@ -9,14 +9,14 @@ class DevrfError(Exception):
     """Base of every error that is the data's or the configuration's fault, not the program's.
 
     Args:
-        code: Which error it is, for programs and tests: two to four words joined by hyphens (`rig-unlinked-camera`). It
+        code: Which error it is, for programs and tests: one to four words joined by hyphens (`rig-unlinked-camera`). It
             stays as it is when the text is put in other words.
         text: For people: the thing, the value, what was expected, what to do.
     """
 
-    def __init__(self, code: str, text: str = "") -> None:
+    def __init__(self, code: str, text: str) -> None:
         super().__init__(code, text)  # both, so that it survives the way out of a worker process
-        self.code, self.text = (code, text) if text else ("", code)
+        self.code, self.text = code, text
 
     def __str__(self) -> str:
         return self.text

@@ -163,7 +163,7 @@ class FrameSet:
             cameras = {name: _camera_frames(entry) for name, entry in raw["cameras"].items()}
             return FrameSet(cameras, dict(raw["joint"]), bool(raw["true_times"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise CaptureError(f"{path}: cannot be read ({error!r}); run again with --from ingest") from None
+            raise CaptureError("file-damaged", f"{path}: {error!r}; run again with --from ingest") from None
 
 
 def _camera_frames(raw: dict[str, Any]) -> CameraFrames:

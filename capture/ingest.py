@@ -155,7 +155,7 @@ def _read_courses(folder: Path, frames: FrameSet) -> dict[str, np.ndarray]:
             try:
                 courses[name] = read_npy(path)
             except ArrayError as error:
-                raise CaptureError(f"{error}; run again with --from ingest") from None
+                raise CaptureError(error.code, f"{error}; run again with --from ingest") from None
     return courses
 
 

@@ -25,12 +25,11 @@ def check_pixels(path: Path, width: int, height: int, most: int = PICTURE_PX) ->
         CaptureError: It claims more, or none.
     """
     if width < 1 or height < 1:
-        raise CaptureError(f"{path}: its header says {width}x{height} pixels; copy it from the camera again")
+        raise CaptureError("file-damaged", f"{path}: its header says {width}x{height} pixels; copy it again")
     if width * height > most:
-        raise CaptureError(
-            f"{path}: its header says {width}x{height}, {width * height / 1e6:.0f} million pixels; at most "
-            f"{most / 1e6:.0f} million are read: make it smaller, or copy it again if it is damaged"
-        )
+        wrong = f"{path}: its header says {width}x{height}, {width * height / 1e6:.0f} million pixels"
+        remedy = f"at most {most / 1e6:.0f} million are read: make it smaller, or copy it again"
+        raise CaptureError("picture-too-large", f"{wrong}; {remedy}")
 
 
 def check_bytes(path: Path, most: int, size: int | None = None) -> None:
@@ -42,10 +41,9 @@ def check_bytes(path: Path, most: int, size: int | None = None) -> None:
     """
     size = path.stat().st_size if size is None else size
     if size > most:
-        raise CaptureError(
-            f"{path}: {size / 1e6:.0f} MB, at most {most / 1e6:.0f} MB are read of such a file; is it another "
-            "kind of file, or damaged? Copy it again"
-        )
+        wrong = f"{path}: {size / 1e6:.0f} MB, at most {most / 1e6:.0f} MB are read of such a file"
+        remedy = "is it another kind of file, or damaged? Copy it again"
+        raise CaptureError("file-too-large", f"{wrong}; {remedy}")
 
 
 def check_span(path: Path, seconds: float) -> None:
@@ -55,7 +53,5 @@ def check_span(path: Path, seconds: float) -> None:
         CaptureError: They do.
     """
     if not seconds <= CLIP_S:
-        raise CaptureError(
-            f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut the clip, or copy it again "
-            "if it is damaged"
-        )
+        text = f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut it, or copy it again"
+        raise CaptureError("clip-too-long", text)

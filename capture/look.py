@@ -99,9 +99,9 @@ def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height wid
     try:
         cells = read_npy(flat)
     except ArrayError as error:
-        raise CaptureError(f"{error}; run again with --force colour") from None
+        raise CaptureError(error.code, f"{error}; run again with --force colour") from None
     if cells.ndim != 2 or not min(cells.shape) > 1 or not np.all((cells > 0) & (cells <= 1)):
-        raise CaptureError(f"{flat}: expected a map with values in (0, 1]; run again with --force colour")
+        raise CaptureError("file-damaged", f"{flat}: values not in (0, 1]; run again with --force colour")
     for axis, size in ((0, height), (1, width)):
         at = (np.arange(size) + 0.5) / size * cells.shape[axis] - 0.5
         low = np.clip(at.astype(int), 0, cells.shape[axis] - 2)

@@ -21,11 +21,11 @@ MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises again
 def check_file(path: Path) -> None:
     """Raise InputError unless `path` is a file with something in it."""
     if not path.exists():
-        raise InputError(f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)")
+        raise InputError("file-missing", f"{path}: no such file; check the path (relative to scene.yaml)")
     if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a video file")
+        raise InputError("file-is-folder", f"{path}: is a folder, expected a video file")
     if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty (0 bytes); copy it from the camera again")
+        raise InputError("file-empty", f"{path}: the file is empty (0 bytes); copy it from the camera again")
 
 
 def open_media(path: Path) -> InputContainer:
@@ -40,12 +40,12 @@ def open_media(path: Path) -> InputContainer:
             str(path), metadata_errors="replace"
         )  # of cameras in other alphabets, and damaged
     except FFmpegError as error:
-        raise InputError(f"{path}: not a video ({_what_is_it(path, error)})") from None
+        raise _what_is_it(path, error) from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+        raise InputError("file-unreadable", f"{path}: cannot be read ({error.strerror})") from None
     if container.format.name in TEXT_FORMATS:
         container.close()
-        raise InputError(f"{path}: not a video (it holds text); check the path in scene.yaml")
+        raise InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
     return container
 
 
@@ -70,10 +70,11 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        raise InputError(f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml")
+        raise InputError("video-missing", f"{path}: has no video stream (it holds: {kinds}); check the path")
     stream = streams[0]
     if stream.codec_context is None:
-        raise InputError(f"{path}: its pictures are coded in a way that is not known; convert it to H.264")
+        text = f"{path}: its pictures are coded in a way that is not known; convert it to H.264"
+        raise InputError("video-unknown", text)
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
         check_pixels(path, stream.codec_context.width, stream.codec_context.height, CLIP_PX)
     stream.thread_type = "AUTO"
@@ -82,15 +83,17 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     return stream
 
 
-def _what_is_it(path: Path, error: Exception) -> str:
+def _what_is_it(path: Path, error: Exception) -> InputError:
     """What an unreadable file seems to be, and what to do."""
     with path.open("rb") as file:
         head = file.read(SNIFF_BYTES)
     if b"ftyp" in head[:16]:
-        return "an mp4 or mov whose index is missing: the recording or the copy was cut short; copy it again"
+        text = f"{path}: not a video (an mp4 or mov without its index); copy it again"
+        return InputError("file-cut-short", text)
     try:
         head.decode("utf-8")
-        return "it holds text; check the path in scene.yaml"
+        return InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
     except UnicodeDecodeError:
         reason = getattr(error, "strerror", None) or str(error)
-        return f"{reason}; expected mp4, mov, mkv, avi or another format ffmpeg reads"
+        text = f"{path}: not a video ({reason}); expected a format that ffmpeg reads"
+        return InputError("file-not-video", text)

@@ -46,14 +46,12 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
             yield image
     except (DevrfError, MemoryError):
         raise
+    except FileNotFoundError:
+        raise CaptureError("picture-missing", f"{path}: no such file") from None
     except UnidentifiedImageError:
-        raise CaptureError(
-            f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it"
-        ) from None
+        raise CaptureError("picture-unreadable", f"{path}: not a JPEG or PNG; remove it") from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes
-        raise CaptureError(
-            f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
-        ) from error
+        raise CaptureError("picture-unreadable", f"{path}: {error}; make it again or remove it") from error
 
 
 def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
@@ -67,7 +65,8 @@ def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
             grey = _rounded(np.asarray(image))
             return grey[:, :, None].repeat(3, axis=2)
         if image.mode == "F":
-            raise ValueError("its pixels are real numbers, expected 8 or 16 bits")
+            text = f"{path}: pixels are real numbers, expected 8 or 16 bits"
+            raise CaptureError("picture-kind-unread", text)
         deep = _deep_colour(path, image)
         if deep is not None:
             return deep

@@ -58,7 +58,8 @@ def list_pictures(folder: Path) -> list[Path]:
         InputError: If the folder is missing or holds no photos.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; check the path in scene.yaml (relative to scene.yaml)")
+        text = f"{folder}: no such folder; check the path in scene.yaml (relative to scene.yaml)"
+        raise InputError("folder-missing", text)
     files = sorted(
         (p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")),
         key=lambda p: (natural_key(p.name), p.name),
@@ -73,11 +74,9 @@ def list_pictures(folder: Path) -> list[Path]:
     if pictures:
         return pictures
     if any(p.suffix.lower() in UNREADABLE_SUFFIXES for p in files):
-        raise InputError(f"{folder}: holds HEIC/AVIF photos only; convert them to JPEG")
+        raise InputError("picture-kind-unread", f"{folder}: HEIC/AVIF photos only; convert them to JPEG")
     kinds = ", ".join(sorted({p.suffix or p.name for p in files})[:6]) or "nothing"
-    raise InputError(
-        f"{folder}: no pictures in this folder (it holds: {kinds}); expected JPEG, PNG or RAW files"
-    )
+    raise InputError("pictures-none", f"{folder}: no pictures (but {kinds}); expected JPEG, PNG or RAW files")
 
 
 def numbering(pictures: list[Path]) -> list[str]:
@@ -132,11 +131,11 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
         orientation = _orientation(header)
     image = _decoded(path, cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise CaptureError(f"{path}: the picture does not decode; copy it from the camera again")
+        raise CaptureError("picture-unreadable", f"{path}: does not decode; copy it from the camera again")
     if image.dtype == np.uint16:
         image = np.round(image / 257.0).astype(np.uint8)
     if image.dtype != np.uint8:
-        raise CaptureError(f"{path}: pixels are {image.dtype}, expected 8 or 16 bits")
+        raise CaptureError("picture-kind-unread", f"{path}: pixels are {image.dtype}, expected 8 or 16 bits")
     if image.ndim == 2:
         image = image[:, :, None].repeat(3, axis=2)
     order = [2, 1, 0, 3][: image.shape[2]]
@@ -153,9 +152,9 @@ def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
         with open_picture(path):
             grey = _decoded(path, cv2.IMREAD_GRAYSCALE)
     except CaptureError as error:
-        raise CaptureError(f"{error}; run again with --from ingest") from None
+        raise CaptureError(error.code, f"{error}; run again with --from ingest") from None
     if grey is None:
-        raise CaptureError(f"{path}: cannot be read as a picture; run again with --from ingest")
+        raise CaptureError("picture-unreadable", f"{path}: cannot be read; run again with --from ingest")
     return grey
 
 

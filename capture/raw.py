@@ -177,10 +177,9 @@ def develop(path: Path, recipe: Recipe | None = None) -> Development:
     with _open(path) as file:
         header = _header(path, file)
         if recipe.white <= max(header.black):
-            raise CaptureError(
-                f"{path}: black level {max(header.black)}, but the set's white level is {recipe.white}; "
-                "photos of one folder must come from one camera"
-            )
+            wrong = f"{path}: black level {max(header.black)}, but the set's white level is {recipe.white}"
+            remedy = "photos of one folder must come from one camera"
+            raise CaptureError("raw-levels-differ", f"{wrong}; {remedy}")
         try:
             sensor = _sensor_values(file, header)  # before LibRaw works on them in place
             linear = file.postprocess(
@@ -207,13 +206,11 @@ def _open(path: Path) -> "RawPy":
     import rawpy
 
     if not path.is_file():
-        raise InputError(f"{path}: no such file; check the path in scene.yaml")
+        raise InputError("file-missing", f"{path}: no such file; check the path in scene.yaml")
     try:
         file = rawpy.imread(str(path))
     except rawpy.LibRawError as error:
-        raise InputError(
-            f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
-        ) from None
+        raise InputError("file-not-raw", f"{path}: no RAW file ({_reason(error)}); convert it") from None
     try:
         check_pixels(path, file.sizes.raw_width, file.sizes.raw_height)
     except CaptureError:
@@ -223,7 +220,7 @@ def _open(path: Path) -> "RawPy":
 
 
 def _damaged(path: Path, error: Exception) -> CaptureError:
-    return CaptureError(f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again")
+    return CaptureError("file-damaged", f"{path}: its RAW data is damaged ({_reason(error)}); copy it again")
 
 
 def _header(path: Path, file: "RawPy") -> RawHeader:

@@ -36,9 +36,7 @@ def picture_times(path: Path) -> Float[np.ndarray, " n"]:
     with open_media(path) as container:
         time_base, offset_s = video_stream(container, path).time_base, origin_s(container)
     if pts is None or len(pts) == 0 or time_base is None:
-        raise CaptureError(
-            f"{path}: no picture has a time; put the stream into an mp4 with its true frame rate"
-        )
+        raise CaptureError("times-missing", f"{path}: no picture has a time; put the stream into an mp4")
     return pts * float(time_base) - offset_s
 
 

@@ -119,7 +119,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         if not self.static and not self.dynamic:
-            raise CaptureError("the scene has no pictures")
+            raise CaptureError("pictures-none", "the scene has no pictures")
         if not (self.aabb[1] > self.aabb[0]).all():
             raise ValueError(f"scene box is empty: {self.aabb.tolist()}")
         if not 0 <= self.near < self.far:
@@ -185,10 +185,9 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
     image = read_matted(frame, background)
     height, width = image.shape[:2]
     if (width, height) != (frame.camera.width, frame.camera.height):
-        raise CaptureError(
-            f"{frame.path}: picture is {width}x{height}, its calibration is for "
-            f"{frame.camera.width}x{frame.camera.height}; calibrate at the size of the pictures"
-        )
+        wrong = f"{frame.path}: picture is {width}x{height}, its calibration is for"
+        remedy = f"{frame.camera.width}x{frame.camera.height}; calibrate at the size of the pictures"
+        raise CaptureError("picture-size-wrong", f"{wrong} {remedy}")
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if image.shape[2] == 4:
         alpha = image[..., 3:].astype(np.float32) / 255
@@ -235,10 +234,8 @@ def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     """
     matte = read_pixels(path)[..., 0]
     if matte.shape != size:
-        raise CaptureError(
-            f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}; save it at the "
-            "picture's size"
-        )
+        wrong = f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}"
+        raise CaptureError("matte-size-wrong", f"{wrong}; save it as large")
     return matte
 
 

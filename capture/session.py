@@ -148,26 +148,21 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
             columns = tuple(reader.fieldnames or ())
             missing = [c for c in TIMESTAMP_COLUMNS if c not in columns]
             if missing:
-                raise InputError(
-                    f"{path}: no column {', '.join(missing)} (it has: {', '.join(columns) or 'nothing'}); "
-                    f"expected {', '.join(TIMESTAMP_COLUMNS)}"
-                )
+                wrong = f"{path}: no column {', '.join(missing)} (it has: {', '.join(columns) or 'nothing'})"
+                raise InputError("entry-missing", f"{wrong}; expected {', '.join(TIMESTAMP_COLUMNS)}")
             for row in reader:
                 name, index, time_s = _times_row(row, f"{path}: line {reader.line_num}")
                 if index in rows.setdefault(name, {}):
-                    raise InputError(
-                        f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice"
-                    )
+                    text = f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice"
+                    raise InputError("entry-twice", text)
                 rows[name][index] = time_s
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a CSV text file ({error})") from None
+        raise InputError("file-damaged", f"{path}: not a CSV text file ({error})") from None
     names = list(cameras)
     absent = [name for name in names if name not in rows]
     if absent:
-        raise InputError(
-            f"{path}: no rows for camera {', '.join(absent)} (it has: {', '.join(rows) or 'no rows'}); "
-            "use the names of capture.cameras"
-        )
+        wrong = f"{path}: no rows for camera {', '.join(absent)} (it has {', '.join(rows) or 'none'})"
+        raise InputError("camera-missing", f"{wrong}; see capture.cameras")
     out = {}
     for name in names:
         index = np.array(sorted(rows[name]))
@@ -175,10 +170,9 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
         back = np.flatnonzero(np.diff(time_s) <= 0)
         if len(back):
             i = int(back[0])
-            raise InputError(
-                f"{path}: camera {name}: time does not increase from frame {index[i]} ({time_s[i]:.6f} s) to "
-                f"frame {index[i + 1]} ({time_s[i + 1]:.6f} s); correct the table"
-            )
+            a, b = (f"frame {index[n]} ({time_s[n]:.6f} s)" for n in (i, i + 1))
+            text = f"{path}: camera {name}: time does not increase from {a} to {b}; correct the table"
+            raise InputError("times-not-rising", text)
         out[name] = FrameTimes(index, time_s)
     return out
 
@@ -187,26 +181,22 @@ def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
     try:
         index, time_s = int(row["frame_index"]), float(row["time_s"])
     except (TypeError, ValueError):
-        raise InputError(
-            f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}; "
-            "expected a whole number and seconds"
-        ) from None
+        wrong = f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}"
+        raise InputError("entry-wrong", f"{wrong}; expected whole number, seconds") from None
     if index < 0 or not np.isfinite(time_s):
-        raise InputError(f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite")
+        raise InputError("entry-wrong", f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more")
     return (row["camera"] or "").strip(), index, time_s
 
 
 def _check_sweep(path: Path) -> None:
     if not path.exists():
-        raise InputError(f"{path}: no such file or folder; check the path in scene.yaml")
+        raise InputError("file-missing", f"{path}: no such file or folder; check the path in scene.yaml")
     if not path.is_dir():
         probe_video(path)
         return
     pictures = _check_folder(path)
     if len(pictures) < MIN_SWEEP_FRAMES:
-        raise InputError(
-            f"{path}: {len(pictures)} picture; a sweep needs many views of the scene, at least 20"
-        )
+        raise InputError("sweep-too-short", f"{path}: {len(pictures)} picture; a sweep needs 20 or more")
 
 
 def _check_clip_or_folder(path: Path) -> None:
@@ -231,10 +221,10 @@ def _check_folder(path: Path) -> list[Path]:
             check_file(picture)
             probe_picture(picture)
         except DevrfError as error:
-            broken.append(str(error))
+            broken.append(error)
     if broken:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
-        raise InputError(broken[0] + more)
+        raise InputError(broken[0].code, f"{broken[0]}{more}")
     return pictures
 
 

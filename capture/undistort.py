@@ -46,10 +46,9 @@ def common_pinhole(cameras: Sequence[Camera], whole: bool) -> Camera:
         if any(c.model == "OPENCV_FISHEYE" for c in distinct):
             reach = np.minimum(reach, LARGEST_STRETCH * np.min([_linear_reach(c) for c in distinct], axis=0))
     if not reach.min() > 0:
-        raise CaptureError(
-            "the principal point lies outside a picture, so the pictures have no common middle; export to "
-            "nerfstudio or colmap, which keep each camera as it is"
-        )
+        wrong = "the principal point lies outside a picture, so the pictures have no common middle"
+        remedy = "export to nerfstudio or colmap, which keep each camera as it is"
+        raise CaptureError("principal-point-outside", f"{wrong}; {remedy}")
     focal = max(float(c.K[i, i]) for c in distinct for i in (0, 1))
     area = max(c.width * c.height for c in distinct)
     focal *= min(1.0, float(np.sqrt(LARGEST_AREA * area / (4 * focal * focal * reach[0] * reach[1]))))
@@ -145,12 +144,7 @@ def _outline(camera: Camera) -> Float[np.ndarray, "4 side 2"]:
 def _inscribed(outline: Float[np.ndarray, "4 side 2"]) -> Float[np.ndarray, "2"]:
     """Half sides of a centred rectangle that lies inside an outline."""
     left, right, top, bottom = outline
-    return np.array(
-        [
-            min(-left[:, 0].max(), right[:, 0].min()),
-            min(-top[:, 1].max(), bottom[:, 1].min()),
-        ]
-    )
+    return np.array([min(-left[:, 0].max(), right[:, 0].min()), min(-top[:, 1].max(), bottom[:, 1].min())])
 
 
 def _linear_reach(camera: Camera) -> Float[np.ndarray, "2"]:

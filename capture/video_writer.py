@@ -59,10 +59,9 @@ def write_video(
                     size = (even.shape[1], even.shape[0])
                     stream.width, stream.height = size
                 elif (even.shape[1], even.shape[0]) != size:
-                    raise CaptureError(
-                        f"{path.name}: picture {count} is {even.shape[1]}x{even.shape[0]}, the first one "
-                        f"{size[0]}x{size[1]}; a film needs pictures of one size"
-                    )
+                    wrong = f"{path.name}: picture {count} is {even.shape[1]}x{even.shape[0]}"
+                    expected = f"the first one {size[0]}x{size[1]}; a film needs pictures of one size"
+                    raise CaptureError("picture-size-wrong", f"{wrong}, {expected}")
                 frame = av.VideoFrame.from_ndarray(even, format="rgb24")
                 frame = frame.reformat(
                     format="yuv420p", src_colorspace="itu709", dst_colorspace="itu709", dst_color_range="MPEG"
@@ -72,10 +71,10 @@ def write_video(
             if count:
                 container.mux(stream.encode(None))
     except (OSError, FFmpegError) as error:
-        raise CaptureError(f"{path}: cannot be written ({error}); check the folder and free space") from error
+        raise CaptureError("file-unwritable", f"{path}: {error}; check the folder and free space") from error
     if not count:
         path.unlink(missing_ok=True)
-        raise CaptureError(f"{path.name}: no pictures to write, expected at least one")
+        raise CaptureError("pictures-none", f"{path.name}: no pictures to write, expected at least one")
     return count
 
 

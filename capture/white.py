@@ -35,23 +35,21 @@ def mean_white(path: Path) -> Float[np.ndarray, "rows columns 3"]:
         size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
         small = cv2.resize(linear, size, interpolation=cv2.INTER_AREA).astype(np.float64)
         if total is not None and small.shape != total.shape:
-            raise CaptureError(f"{path}: pictures of several sizes; expected those of one camera in one mode")
+            raise CaptureError("picture-size-wrong", f"{path}: pictures of several sizes; film in one mode")
         total = small if total is None else total + small
         clipped += clipped_share(rgb[:, :, :3])
         count += 1
     if total is None:
-        raise CaptureError(f"{path}: no picture of the white sheet; film it again")
+        raise CaptureError("pictures-none", f"{path}: no picture of the white sheet; film it again")
     mean, share = total / count, clipped / count
     if share > CLIPPED_SHARE:
-        raise CaptureError(
-            f"{path}: {100 * share:.0f} % of the white sheet is clipped, expected at most "
-            f"{100 * CLIPPED_SHARE:.0f} %; film it again at half the exposure"
-        )
+        wrong = f"{path}: {100 * share:.0f} % of the white sheet is clipped"
+        expected = f"expected at most {100 * CLIPPED_SHARE:.0f} %; film it again at half the exposure"
+        raise CaptureError("white-sheet-clipped", f"{wrong}, {expected}")
     if float(np.median(mean)) < DARKEST:
-        raise CaptureError(
-            f"{path}: the white sheet has {100 * float(np.median(mean)):.1f} % of the full light, expected at "
-            f"least {100 * DARKEST:.0f} %; film it again with more light"
-        )
+        wrong = f"{path}: the white sheet has {100 * float(np.median(mean)):.1f} % of the full light"
+        expected = f"expected at least {100 * DARKEST:.0f} %; film it again with more light"
+        raise CaptureError("white-sheet-dark", f"{wrong}, {expected}")
     return mean
 
 

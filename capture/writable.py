@@ -26,9 +26,7 @@ def check_folder(folder: Path, what: str) -> None:
         reason = f"{there} takes no files"
     else:
         return
-    raise InputError(
-        f"{what} {folder}: cannot be written ({reason}); choose another folder, or make it writable"
-    )
+    raise InputError("folder-unwritable", f"{what} {folder}: cannot be written ({reason}); choose another")
 
 
 def _takes_files(folder: Path) -> bool:
@@ -47,5 +45,5 @@ def check_file(path: Path, what: str) -> None:
         InputError: It is a folder, or its folder cannot be written.
     """
     if path.is_dir():
-        raise InputError(f"{what} {path}: is a folder; expected the name of a file")
+        raise InputError("file-is-folder", f"{what} {path}: is a folder; expected the name of a file")
     check_folder(path.parent, what)

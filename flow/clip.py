@@ -31,10 +31,9 @@ def gaps_of(camera: str, time: Sequence[float] | Float[np.ndarray, " n"]) -> Boo
     """
     steps = np.diff(np.asarray(time, dtype=np.float64))
     if len(steps) == 0 or not (steps > 0).all():
-        raise FlowError(
-            f"camera {camera!r}: {len(time)} frames at times {[round(float(t), 4) for t in time][:5]}…, "
-            "expected at least two at rising times; check the clip and its timestamps"
-        )
+        wrong = f"camera {camera!r}: {len(time)} frames at times {[round(float(t), 4) for t in time][:5]}…"
+        expected = "expected at least two at rising times; check the clip and its timestamps"
+        raise FlowError("times-not-rising", f"{wrong}, {expected}")
     return steps > GAP * np.median(steps)
 
 
@@ -80,9 +79,8 @@ def clip_flow(
             try:
                 found = measured(find, n, load, size, n in asked, len(index) - 1)
             except FlowError as error:
-                raise FlowError(
-                    f"camera {camera!r}: frames {index[n]} and {index[n - 1]}: {error}"
-                ) from error
+                text = f"camera {camera!r}: frames {index[n]} and {index[n - 1]}: {error}"
+                raise FlowError(error.code, text) from error
         write_pair(path, found[0], found[1], asdict(found[2]))
         return found[2]
 

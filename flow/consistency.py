@@ -57,10 +57,9 @@ def both_ways(
     for found in (flow, back):
         shape, kind = getattr(found, "shape", ()), getattr(found, "dtype", type(found).__name__)
         if not isinstance(found, np.ndarray) or kind != np.float32 or shape != expected:
-            raise FlowError(
-                f"flow.method {estimator.name}: estimate gave {kind} of shape {list(shape)}, expected a numpy array "
-                f"of float32 of shape {list(expected)}"
-            )
+            wrong = f"flow.method {estimator.name}: estimate gave {kind} of shape {list(shape)}"
+            expected_array = f"a numpy array of float32 of shape {list(expected)}"
+            raise FlowError("estimator-result-wrong", f"{wrong}, expected {expected_array}")
     return flow, *round_trip(flow, back)
 
 

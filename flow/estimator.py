@@ -47,7 +47,7 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
         InputError: A `mistake`; weights that do not fit; an installed method that is no estimator.
     """
     if wrong := mistake(method, weights):
-        raise InputError(f"flow: {wrong}")
+        raise InputError("method-unusable", f"flow: {wrong}")
     if method == "dis":
         from devrf.flow.dis import DisFlow
 
@@ -61,12 +61,10 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
     try:
         estimator = point.load()(weights, device)
     except Exception as error:  # somebody else's code: whatever it raises, the user is told whose it is
-        raise InputError(
-            f"flow.method: {method}: {point.value} cannot be used ({type(error).__name__}: {error})"
-        ) from error
+        text = f"flow.method: {method}: {point.value} cannot be used ({type(error).__name__}: {error})"
+        raise InputError("method-unusable", text) from error
     if not isinstance(estimator, FlowEstimator):
-        raise InputError(
-            f"flow.method: {method}: {point.value} gave {type(estimator).__name__}, expected an estimator with "
-            "name, parallel and estimate(image0, image1)"
-        )
+        wrong = f"flow.method: {method}: {point.value} gave {type(estimator).__name__}"
+        expected = "an estimator with name, parallel and estimate(image0, image1)"
+        raise InputError("method-unusable", f"{wrong}, expected {expected}")
     return estimator

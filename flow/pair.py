@@ -108,15 +108,12 @@ def check_pictures(image0: np.ndarray, image1: np.ndarray) -> None:
     """
     for image in (image0, image1):
         if image.dtype != np.uint8 or image.ndim < 3 or image.shape[-1] != 3:
-            raise FlowError(
-                f"a picture of shape {list(image.shape)} and type {image.dtype}, expected [..., height, width, 3] "
-                "in 8 bits; bring both pictures of a pair to 8 bits by one fixed scale"
-            )
+            wrong = f"a picture of shape {list(image.shape)} and type {image.dtype}"
+            expected = "expected [..., height, width, 3] in 8 bits; bring both of a pair to 8 bits by one fixed scale"
+            raise FlowError("picture-kind-unread", f"{wrong}, {expected}")
     if image0.shape != image1.shape:
-        raise FlowError(
-            f"pictures of a pair have shapes {list(image0.shape)} and {list(image1.shape)}, expected the same; "
-            "a clip must keep its size"
-        )
+        wrong = f"a pair has shapes {list(image0.shape)} and {list(image1.shape)}, expected the same"
+        raise FlowError("picture-size-wrong", f"{wrong}; a clip must keep its size")
 
 
 def _unsure_px(

@@ -55,8 +55,9 @@ class Raft(nn.Module):
         super().__init__()
         self.sizes = sizes
         small = sizes == SMALL
-        self.fnet = _Encoder(sizes, sizes.features, _instance, small)
-        self.cnet = _Encoder(sizes, sizes.hidden + sizes.context, _none if small else nn.BatchNorm2d, small)
+        self.fnet = _Encoder(sizes, sizes.features, nn.InstanceNorm2d, small)
+        norm = nn.Identity if small else nn.BatchNorm2d
+        self.cnet = _Encoder(sizes, sizes.hidden + sizes.context, norm, small)
         self.update_block = _Update(sizes, small)
 
     def forward(
@@ -97,14 +98,6 @@ def _convex(low: Float[Tensor, "1 2 h w"], mask: Float[Tensor, "1 c h w"]) -> Fl
     around = F.unfold(low, 3, padding=1).view(2, 9, height, width)
     out = torch.einsum("kijhw,ckhw->chiwj", weights, around)
     return out.reshape(1, 2, STRIDE * height, STRIDE * width)
-
-
-def _instance(channels: int) -> nn.Module:
-    return nn.InstanceNorm2d(channels)
-
-
-def _none(channels: int) -> nn.Module:
-    return nn.Identity()
 
 
 class _Encoder(nn.Module):

@@ -44,11 +44,10 @@ def load_raft(path: Path) -> Raft:
     stem = named.get("fnet.conv1.weight")
     sizes = SIZES.get(stem.shape[0]) if stem is not None and stem.dim() else None
     if sizes is None:
-        raise InputError(
-            f"flow.weights: {path}: no RAFT: fnet.conv1.weight is "
-            f"{'absent' if stem is None else list(stem.shape)}, expected {SMALL.stem} (small) or {LARGE.stem} "
-            f"(large) filters; the file has {_listed(named)}"
-        )
+        there = "absent" if stem is None else list(stem.shape)
+        expected = f"{SMALL.stem} (small) or {LARGE.stem} (large) filters; the file has {_listed(named)}"
+        wrong = f"flow.weights: {path}: no RAFT: fnet.conv1.weight is {there}"
+        raise InputError("weights-wrong", f"{wrong}, expected {expected}")
     network = Raft(sizes)
     _check(path, named, network.state_dict(), sizes.name)
     network.load_state_dict(named, strict=True)
@@ -57,21 +56,22 @@ def load_raft(path: Path) -> Raft:
 
 def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
-        raise InputError(f"flow.weights: {path}: no such file; expected a checkpoint of RAFT (.pth)")
+        raise InputError("file-missing", f"flow.weights: {path}: no such file; expected RAFT's (.pth)")
     try:
         found = read_weights(path)
     except DevrfError as error:
-        raise InputError(f"flow.weights: {error}") from error
+        raise InputError(error.code, f"flow.weights: {error}") from error
     except OSError as error:
-        raise InputError(f"flow.weights: {path}: cannot be read ({error.strerror or error})") from error
+        raise InputError("file-unreadable", f"flow.weights: {path}: {error.strerror or error}") from error
     except Exception as error:  # what torch's reader raises of other files depends on their first bytes
+        wrong = f"flow.weights: {path}: not a file of plain weights"
         raise InputError(
-            f"flow.weights: {path}: not a file of plain weights; expected a state dict of RAFT (.pth), get it again"
+            "file-damaged", f"{wrong}; expected a state dict of RAFT (.pth), get it again"
         ) from error
     if not isinstance(found, dict) or not all(
         isinstance(name, str) and isinstance(value, Tensor) for name, value in found.items()
     ):
-        raise InputError(f"flow.weights: {path}: holds no state dict; expected names with tensors")
+        raise InputError("weights-wrong", f"flow.weights: {path}: no state dict of names with tensors")
     return found
 
 
@@ -102,10 +102,8 @@ def _check(path: Path, named: dict[str, Tensor], expected: dict[str, Tensor], si
     wrong += [f"surplus {_listed(surplus)}"] if surplus else []
     wrong += [f"of another shape {_listed(shapes)}"] if shapes else []
     if wrong:
-        raise InputError(
-            f"flow.weights: {path}: not all weights of RAFT ({size}) and nothing else: {'; '.join(wrong)}; use the "
-            "authors' or torchvision's file as published"
-        )
+        found = f"flow.weights: {path}: not all weights of RAFT ({size}) and nothing else: {'; '.join(wrong)}"
+        raise InputError("weights-wrong", f"{found}; use the authors' or torchvision's file as published")
 
 
 def _listed(names) -> str:

@@ -75,9 +75,7 @@ def write_pair(
     new.replace(path)
 
 
-def read_pair(
-    path: Path,
-) -> tuple[Float16[np.ndarray, "height width 2"], UInt8[np.ndarray, "height width"]]:
+def read_pair(path: Path) -> tuple[Float16[np.ndarray, "height width 2"], UInt8[np.ndarray, "height width"]]:
     """Vectors (0 where they cannot be trusted) and confidence of one pair.
 
     Raises:
@@ -124,7 +122,7 @@ def _read(path: Path, *names: str, text: bool = False) -> dict[str, np.ndarray]:
     try:
         return read_npz(path, names, text=text)
     except ArrayError as error:
-        raise FlowError(f"{error}; run again with --force flow") from error
+        raise FlowError(error.code, f"{error}; run again with --force flow") from error
 
 
 def _carried_on(

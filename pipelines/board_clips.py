@@ -74,8 +74,9 @@ class BoardClips:
         size = (clip.width, clip.height)
         if size != (films.width, films.height):
             raise InputError(
+                "board-clip-size",
                 f"board clip {clip.source} is {size[0]}x{size[1]}, camera '{camera}' films "
-                f"{films.width}x{films.height}; film the board in the same mode as the scene"
+                f"{films.width}x{films.height}; film the board in the same mode as the scene",
             )
         found = self._found.get(entry)
         if found is not None and (spec is None or spec == replace(found.spec, corrections=spec.corrections)):

@@ -169,7 +169,8 @@ def _moving_frames(
             if f.file is not None and f.time_s is not None
         ]
         if not times[name]:
-            raise CaptureError(f"camera '{name}' has no frames; check its clip and capture.range_s")
+            text = f"camera '{name}' has no frames; check its clip and capture.range_s"
+            raise CaptureError("camera-without-frames", text)
     t0_s = max(t[0][2] for t in times.values())
     t1_s = min(t[-1][2] for t in times.values())
     if context.config.capture.range_s is not None:
@@ -177,9 +178,8 @@ def _moving_frames(
         t0_s, t1_s = max(t0_s, from_s), min(t1_s, to_s)
     if t1_s <= t0_s:
         spans = ", ".join(f"{n} {t[0][2]:.2f} to {t[-1][2]:.2f} s" for n, t in times.items())
-        raise CaptureError(
-            f"the cameras share no time on {next(iter(times))}'s clock ({spans}); check capture.range_s"
-        )
+        text = f"the cameras share no time on {next(iter(times))}'s clock ({spans}); check capture.range_s"
+        raise CaptureError("cameras-share-no-time", text)
     out = []
     for name, rows in times.items():
         for index, path, time_s in rows:

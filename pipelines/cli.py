@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 import devrf
-from devrf.capture.errors import DevrfError
 from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines import run_command
 from devrf.pipelines.bench.cli import bench
@@ -24,6 +23,7 @@ from devrf.pipelines.cli_options import (
 )
 from devrf.pipelines.cli_results import compare, export, render, report, view
 from devrf.pipelines.console import Talk
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.exit_codes import DONE, STOPPED, UNHEALTHY
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import dry_run
@@ -55,13 +55,8 @@ def init(
     talk = talk_of(quiet)
     from devrf.pipelines.init import command as init_command
 
-    with errors_told(talk):
-        try:
-            init_command.init(talk, folder, name, force)
-        except OSError as error:
-            raise DevrfError(
-                f"{folder}: cannot be written ({error.strerror or error}); make room, or copy it to another disk"
-            ) from None
+    with errors_told(talk), disk_told(folder, "make room, or copy it to another disk"):
+        init_command.init(talk, folder, name, force)
 
 
 @app.command()

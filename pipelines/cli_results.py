@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import InputError
 from devrf.pipelines import run_command
 from devrf.pipelines.cli_options import (
     DeviceOption,
@@ -17,6 +17,7 @@ from devrf.pipelines.cli_options import (
     errors_told,
     talk_of,
 )
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.runner.own_folder import check_run_folder
 from devrf.pipelines.runner.signals import stopped_by_signals
@@ -45,15 +46,12 @@ def report(
     with errors_told(talk):
         if not done:
             raise InputError(
-                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
+                "run-missing",
+                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})",
             )
         check_run_folder(job.run_dir, ("report",))
-        try:
+        with disk_told(job.run_dir / "report", "make room there"):
             report_so_far(job.config, job.run_dir, stale)
-        except OSError as error:
-            raise DevrfError(
-                f"{job.run_dir}: the report cannot be written ({error.strerror or error})"
-            ) from None
     for line in run_command.said_of_stale(stale):
         talk.say(f"  note: {line}", style="yellow")
     job.fresh.append("report")
@@ -62,8 +60,7 @@ def report(
 
 def compare(
     runs: Annotated[
-        list[Path],
-        typer.Argument(help="Run folders, or scene.yaml; the others are held against the first"),
+        list[Path], typer.Argument(help="Run folders, or scene.yaml; the others are held against the first")
     ],
     out: Annotated[Path, typer.Option(help="Folder for compare.html")] = Path("compare"),
     as_json: Annotated[
@@ -164,7 +161,7 @@ def render(
         try:
             command.film(talk, job, asked, device)
         except command.Stopped as stop:
-            talk.error(str(stop))
+            talk.error(str(stop), "stopped")
             raise typer.Exit(STOPPED) from None
 
 
@@ -214,7 +211,8 @@ def export(
                     lambda until: run_command.said_of_stale(run_command.stale(job, until)),
                 )  # fmt: skip
         except KeyboardInterrupt:
-            talk.error(
+            what = (
                 "stopped; nothing is left of this export, an earlier one stands; the same command begins anew"
             )
+            talk.error(what, "stopped")
             raise typer.Exit(STOPPED) from None

@@ -11,13 +11,7 @@ from jaxtyping import Float, UInt8
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.geometry import (
-    SHIFT_FRAMES,
-    SHIFT_SIGMAS,
-    GeometryCheck,
-    check_clocks,
-    refined,
-)
+from devrf.calibration.clocks.geometry import SHIFT_FRAMES, SHIFT_SIGMAS, GeometryCheck, check_clocks, refined
 from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
@@ -46,13 +40,19 @@ def timed_pictures(
 
     Cameras with too few pictures in that span are left out.
     """
-    times = {n: clocks[n].true_time(_times(c)) for n, c in frames.items() if len(c.used) >= MIN_FRAMES}
+    shown = {
+        n: [f for f in c.used if f.file is not None and f.time_s is not None]
+        for n, c in frames.items()
+        if len(c.used) >= MIN_FRAMES
+    }
+    times = {n: clocks[n].true_time(np.array([f.time_s for f in of])) for n, of in shown.items()}
     if len(times) < 2:
         return {}
-    from_s, to_s = _busiest(times, {n: _on_clock(motion[n], clocks[n]) for n in times if n in motion})
+    moved = {n: (clocks[n].true_time(motion[n][:, 0]), motion[n][:, 1]) for n in times if n in motion}
+    from_s, to_s = _busiest(times, {n: np.column_stack(course) for n, course in moved.items()})
     views = {}
     for name, time_s in times.items():
-        files = [folder / f.file for f in frames[name].used if f.file is not None and f.time_s is not None]
+        files = [folder / str(f.file) for f in shown[name]]
         inside = np.flatnonzero((time_s >= from_s) & (time_s <= to_s))
         if len(inside) >= MIN_FRAMES:
             grey = np.stack([_small(files[i]) for i in inside])
@@ -103,9 +103,8 @@ def check_rows(
                 f"standard deviation of clocks by geometry, worst camera ({vague})",
                 1e3 * used[vague].std_s,
                 "ms",
-                warn=UNSURE_FRAMES * step_ms,
-                fail=UNKNOWN_FRAMES * step_ms,
-                low_is_bad=False,
+                warn_above=UNSURE_FRAMES * step_ms,
+                fail_above=UNKNOWN_FRAMES * step_ms,
                 remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
             )
         )
@@ -119,8 +118,7 @@ def check_rows(
                 f"clock against geometry, worst camera ({worst})",
                 1e3 * abs(found.offset_s),
                 "ms",
-                warn=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
-                low_is_bad=False,
+                warn_above=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
                 remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
                 f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
             )
@@ -170,7 +168,7 @@ def sound_travel(cameras: Mapping[str, Camera], clocks: Mapping[str, Clock]) -> 
     if widest_m <= FAR_M:
         return [note("sound's travel", value)]
     remedy = "Clap in the middle, equally far from all cameras, or use a flash of light."
-    return [note("sound's travel", value, verdict="warn", remedy=remedy)]
+    return [note("sound's travel", value, remedy=remedy)]
 
 
 def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
@@ -211,14 +209,6 @@ def _busiest(
         moved += (total[last] - total[first]) / max(total[-1], 1e-9)
     best_s = float(starts[np.argmax(moved)])
     return best_s, best_s + length_s
-
-
-def _times(camera: CameraFrames) -> Float[np.ndarray, " n"]:
-    return np.array([f.time_s for f in camera.used if f.file is not None and f.time_s is not None])
-
-
-def _on_clock(motion: Float[np.ndarray, "n 2"], clock: Clock) -> Float[np.ndarray, "n 2"]:
-    return np.column_stack([clock.true_time(motion[:, 0]), motion[:, 1]])
 
 
 def _small(path: Path) -> UInt8[np.ndarray, "h w"]:

@@ -25,10 +25,7 @@ def clock_dict(clock: Clock) -> dict[str, Any]:
 
 def curve_dict(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> dict[str, list[float]]:
     """How well two clips agree at each lag, as it is written to `curves.json` and `clock_check.json`."""
-    return {
-        "lags_s": [round(float(x), 6) for x in lags_s],
-        "values": [round(float(x), 5) for x in values],
-    }
+    return {"lags_s": [round(float(x), 6) for x in lags_s], "values": [round(float(x), 5) for x in values]}
 
 
 def read_clocks(path: Path) -> dict[str, tuple[float, float]]:

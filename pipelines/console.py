@@ -78,11 +78,11 @@ class Talk:
         if self.events is not None:
             self.events.write(event, **fields)
 
-    def error(self, text: str, code: str = "") -> None:
-        """What went wrong, and the error's code where it has one."""
+    def error(self, text: str, code: str) -> None:
+        """What went wrong, and which error it is (docs/conventions.md)."""
         logger.error("%s", text)
         self.event("error", message=text, code=code)
-        self.err.print(f"{text} [{code}]" if code else text, markup=False, style="red")
+        self.err.print(f"{text} [{code}]", markup=False, style="red")
 
     def health(self, stage: str, rows: list[HealthRow]) -> None:
         """A stage's rows that are not ok (all of them when verbose)."""

@@ -25,7 +25,7 @@ def resolve_device(wish: str, gpu_memory_gb: float | None = None) -> str:
             torch.cuda.set_per_process_memory_fraction(min(1.0, gpu_memory_gb * GB / there))
         return "cuda"
     if wish == "cuda":
-        raise InputError("--device cuda: PyTorch finds no GPU here; use --device cpu, or auto")
+        raise InputError("gpu-missing", "--device cuda: PyTorch finds no GPU here; use --device cpu, or auto")
     return "cpu"
 
 
@@ -36,4 +36,4 @@ def check_device(wish: str) -> None:
         InputError: It is not auto, cpu or cuda.
     """
     if wish not in ("auto", "cpu", "cuda"):
-        raise InputError(f"--device {wish}: expected auto, cpu or cuda")
+        raise InputError("option-unknown-value", f"--device {wish}: expected auto, cpu or cuda")

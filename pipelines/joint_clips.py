@@ -32,10 +32,7 @@ class JointViews:
 
 
 def read_joint_views(
-    clips: BoardClips,
-    names: list[str],
-    calibrated: dict[str, Intrinsics],
-    progress: Progress = no_progress,
+    clips: BoardClips, names: list[str], calibrated: dict[str, Intrinsics], progress: Progress = no_progress
 ) -> JointViews:
     """Search the joint clips of `names` for the board.
 

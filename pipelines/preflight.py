@@ -23,7 +23,7 @@ def check_inputs(config: SceneConfig, scene_dir: Path, stages: Collection[str]) 
 
             problems = check_dataset(config, scene_dir)
         if problems:
-            raise InputError("\n".join(problems))
+            raise InputError("inputs-unusable", "\n".join(problems))
     if "flow" in stages and config.flow.method != "dis":  # DIS has nothing to be wrong
         from devrf.flow.estimator import create_estimator
 

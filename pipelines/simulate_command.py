@@ -1,6 +1,5 @@
 """`devrf-pipeline simulate`: words of the command line into options of the simulator."""
 
-import difflib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from devrf.capture.simulate.dataset_options import DatasetOptions, ForwardOption
 from devrf.capture.simulate.forward import simulate_forward
 from devrf.capture.simulate.session import simulate_session
 from devrf.capture.simulate.session_options import SessionOptions
+from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.console import Talk
 from devrf.pipelines.stamps.code_version import code_version
 
@@ -74,7 +74,8 @@ def simulate(
         InputError: With every mistake in the options.
     """
     if protocol not in PROTOCOLS:
-        raise InputError(f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}")
+        text = f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}"
+        raise InputError("option-unknown-value", text)
     chosen = PROTOCOLS[protocol]
     size = size or chosen.size
     match = re.fullmatch(r"(\d+)x(\d+)", size.strip().lower())
@@ -87,7 +88,7 @@ def simulate(
     except InputError as error:
         mistakes.append(str(error))
     if mistakes or match is None:
-        raise InputError("\n".join(mistakes))
+        raise InputError("option-malformed", "\n".join(mistakes))
     with talk.progress("simulate") as progress:
         made = chosen.render(
             out,
@@ -121,9 +122,8 @@ def options_from(model: type[Options], settings: Sequence[str]) -> Options:
         if not equals:
             mistakes.append(f"--set {text}: expected name=value, such as {names[0]}=24")
         elif name.strip() not in names:
-            near = difflib.get_close_matches(name.strip(), names, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(names)}"
-            mistakes.append(f"--set {name.strip()}: unknown option, {hint}")
+            hint = suggestion(name.strip(), names) or f", expected one of {', '.join(names)}"
+            mistakes.append(f"--set {name.strip()}: unknown option{hint}")
         else:
             try:
                 values[name.strip()] = yaml.safe_load(value)
@@ -137,5 +137,5 @@ def options_from(model: type[Options], settings: Sequence[str]) -> Options:
             mistakes.append(f"--set {name}: {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}")
         options = None
     if mistakes or options is None:
-        raise InputError("\n".join(mistakes))
+        raise InputError("option-malformed", "\n".join(mistakes))
     return options

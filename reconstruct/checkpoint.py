@@ -85,7 +85,7 @@ class Checkpoint:
         """Of a training of this fingerprint that has not ended; None where there is none."""
         newest_first = sorted(self._files(), key=lambda path: path.stat().st_mtime_ns, reverse=True)
         found = (self._numbers(path) for path in newest_first)
-        return next((Begun(n["done"], n.get("chosen")) for n in found if n is not None), None)
+        return next((Begun(saved.done, saved.numbers.get("chosen")) for saved in found if saved), None)
 
     def keep(self, done: int, of: int, log: TrainingLog, state: Callable[[], State]) -> None:
         """Write the state after `done` of all steps and the log, if it is time to.
@@ -99,7 +99,7 @@ class Checkpoint:
             tensors, numbers = state()
             kept = self.write(Saved(done, tensors, numbers | {"log": log.state()}))
             but = "" if kept else ", which could not be kept (devrf.log says why)"
-            raise OutOfTime(f"its time is over after step {done} of {of}{but}")
+            raise OutOfTime("out-of-time", f"its time is over after step {done} of {of}{but}")
         gap_s = self._gap_s if self.every_s is None else self.every_s
         if time.monotonic() - self._written < gap_s:
             return
@@ -164,14 +164,13 @@ class Checkpoint:
         parts = self.path.parent.glob(f"{glob.escape(self.path.stem)}.*{self.path.suffix}")
         return [path for path in (self.path, *parts) if path.exists()]
 
-    def _numbers(self, path: Path) -> dict[str, Any] | None:
-        """The numbers of a checkpoint of this training, read without its tensors."""
+    def _numbers(self, path: Path) -> Saved | None:
+        """A checkpoint of this training, read without its tensors."""
         try:
-            with safe_open(str(path), framework="pt", device="cpu") as file:
-                numbers = json.loads(_proven_head(file.metadata() or {}))
-        except (OSError, SafetensorError, ValueError):
+            saved = look_at(path, "cpu", lambda name: False)
+        except ReconstructError:
             return None
-        return numbers if numbers["of"] == self.fingerprint else None
+        return saved if saved.numbers["of"] == self.fingerprint else None
 
     def _read(self, path: Path) -> Saved | None:
         if not path.exists():
@@ -210,7 +209,7 @@ def look_at(path: Path, device: str, wanted: Callable[[str], bool]) -> Saved:
             numbers = json.loads(_proven_head(file.metadata() or {}))
             tensors = {n: file.get_tensor(n) for n in file.keys() if wanted(n)}  # noqa: SIM118 (not a dict)
     except (OSError, SafetensorError, ValueError) as error:
-        raise ReconstructError(f"{path}: no training to look at ({error})") from None
+        raise ReconstructError("file-unreadable", f"{path}: no training to look at ({error})") from None
     return Saved(numbers.pop("done"), tensors, numbers)
 
 

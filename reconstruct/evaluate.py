@@ -252,13 +252,11 @@ class _Session:
     def _timed(self, camera: Camera, time: float | None, extra: bool) -> tuple[np.ndarray, np.ndarray | None]:
         """A picture and, where one is kept, its expected errors; only rendering is timed."""
         begin = clock.perf_counter()
-        if self.confidence is None or not extra:
-            rendered = self.render(camera, time)
-            self.seconds.append(clock.perf_counter() - begin)
-            return rendered, None
-        layers = self.confidence.render(camera, time)
+        sure = self.confidence if extra else None
+        layers = None if sure is None else sure.render(camera, time)
+        rendered = self.render(camera, time) if layers is None else layers[0]
         self.seconds.append(clock.perf_counter() - begin)
-        return layers[0], self.confidence.expected(camera, time, layers)
+        return rendered, None if sure is None or layers is None else sure.expected(camera, time, layers)
 
     def _features(self, picture: np.ndarray) -> dict[str, Any]:
         if min(picture.shape[:2]) < LPIPS_SMALLEST_SIDE:

@@ -133,7 +133,6 @@ class Guard:
 
 def diverged(where: str) -> ReconstructError:
     """What is said where smaller steps do not help."""
-    return ReconstructError(
-        f"training diverged: {where}, and smaller steps do not help; check poses and times (report), then lower "
-        "reconstruct.learning_rate or reconstruct.resolution, or change the seed"
-    )
+    remedy = "check poses and times (report), then lower reconstruct.learning_rate or reconstruct.resolution"
+    text = f"training diverged: {where}, and smaller steps do not help; {remedy}, or change the seed"
+    return ReconstructError("training-diverged", text)

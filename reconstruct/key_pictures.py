@@ -61,4 +61,4 @@ class KeyPictures:
             chosen = ((away > -reach) & (away < max(ahead, reach - 1.0 + AT_KEY))).nonzero()[:, 0]
             if len(chosen):
                 return chosen
-        raise ReconstructError(f"no picture near key time {key}")
+        raise ReconstructError("pictures-none", f"no picture near key time {key}")

@@ -54,9 +54,10 @@ class Lpips:
         from torch.nn import functional as F
 
         if min(picture.shape[:2]) < SMALLEST_SIDE:
-            raise ReconstructError(
+            text = (
                 f"picture is {picture.shape[1]}x{picture.shape[0]}, LPIPS needs {SMALLEST_SIDE} pixels a side"
             )
+            raise ReconstructError("picture-too-small", text)
         x = (2 * picture.astype(np.float32) - 1 - np.array(MEAN, np.float32)) / np.array(STD, np.float32)
         x = torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1)))[None].to(self._device)
         out = []

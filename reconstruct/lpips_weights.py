@@ -62,10 +62,9 @@ def load_weights(net: Net, source: Source) -> tuple[Weights, "list[Tensor]"]:
         return _trunk(state, net, str(both)), _heads(state, "lin{}.weight", net, str(both))
     found = sorted(source.glob(TRUNK_FILES[net]))
     if not found:
-        raise ReconstructError(
-            f"{source}: no weights of {NETWORK[net]}; two layouts are read: {both.name}, or torchvision's "
-            f"{TRUNK_FILES[net]} with the package lpips (evaluate.lpips_weights)"
-        )
+        layouts = f"{both.name}, or torchvision's {TRUNK_FILES[net]} with the package lpips (evaluate.lpips_weights)"
+        text = f"{source}: no weights of {NETWORK[net]}; two layouts are read: {layouts}"
+        raise ReconstructError("weights-missing", text)
     return _trunk(_read(found[0]), net, str(found[0])), _heads_of_package(net)
 
 
@@ -83,9 +82,8 @@ def _heads_of_package(net: Net) -> "list[Tensor]":
         path = Path(root) / "weights" / "v0.1" / f"{net}.pth"
         if path.is_file():
             return _heads(_read(path), "lin{}.model.1.weight", net, str(path))
-    raise ReconstructError(
-        f"the heads of LPIPS on {NETWORK[net]} are missing; expected the package lpips (pip install lpips)"
-    )
+    text = f"the heads of LPIPS on {NETWORK[net]} are missing; expected the package lpips (pip install lpips)"
+    raise ReconstructError("package-missing", text)
 
 
 def _trunk(state: Mapping[str, Any], net: Net, name: str) -> Weights:
@@ -104,14 +102,12 @@ def _tensor(state: Mapping[str, Any], key: str, shape: tuple[int, ...], net: Net
     import torch
 
     value, expected = state.get(key), f"expected {list(shape)}; take the file of {NETWORK[net]}"
-    if not isinstance(value, torch.Tensor):
-        raise ReconstructError(f"{name}: not LPIPS weights of {net}: {key} is missing, {expected}")
-    if list(value.squeeze().shape) != [n for n in shape if n > 1]:  # our npz has them flat
-        raise ReconstructError(
-            f"{name}: not LPIPS weights of {net}: {key} is {list(value.shape)}, {expected}"
-        )
+    if not isinstance(value, torch.Tensor) or list(value.squeeze().shape) != [n for n in shape if n > 1]:
+        found = list(value.shape) if isinstance(value, torch.Tensor) else "missing"
+        text = f"{name}: not LPIPS weights of {net}: {key} is {found}, {expected}"
+        raise ReconstructError("weights-wrong", text)
     if not torch.isfinite(value).all():
-        raise ReconstructError(f"{name}: {key} has values that are not finite; get the file again")
+        raise ReconstructError("values-not-finite", f"{name}: {key} is not finite; get the file again")
     return value.detach().reshape(shape).float()
 
 
@@ -126,11 +122,10 @@ def _read(path: Path) -> Mapping[str, Any]:
             return {key: torch.from_numpy(value) for key, value in read_npz(path).items()}
         state = read_weights(path)
     except DevrfError as error:
-        raise ReconstructError(f"{error}; get the file again") from error
+        raise ReconstructError(error.code, f"{error}; get the file again") from error
     except Exception as error:  # torch raises errors of many kinds
-        raise ReconstructError(
-            f"{path}: damaged, or holds more than weights, and is not used ({_short(error)}); get the file again"
-        ) from error
+        text = f"{path}: damaged, or holds more than weights ({_short(error)}); get the file again"
+        raise ReconstructError("file-damaged", text) from error
     return state if isinstance(state, Mapping) else {}
 
 
@@ -145,7 +140,7 @@ def _downloaded(url: str) -> Mapping[str, Any]:
             url, map_location="cpu", progress=False, check_hash=True, weights_only=True
         )
     except Exception as error:  # no network, no space, another file: the metric is missing, no more
-        raise ReconstructError(f"{url}: could not be downloaded ({_short(error)})") from error
+        raise ReconstructError("download-failed", f"{url}: not downloaded ({_short(error)})") from error
     finally:
         socket.setdefaulttimeout(patience)
 

@@ -80,7 +80,7 @@ def fitted(
         need = need_of(smaller)
         if limits.hold(need):
             return Fitted(smaller, _decisions(options, smaller, wanted, limits), need)
-    raise ReconstructError(_too_little(need, limits))
+    raise ReconstructError("training-needs-memory", _too_little(need, limits))
 
 
 def surely(predicted: int) -> int:

@@ -66,14 +66,7 @@ def save_motion(path: Path, motion: MotionField, voxel: float) -> None:
     tensors, step = {"aabb": motion.aabb}, MOTION_STEP * voxel
     for name, field in (("backward", motion.backward), ("forward", motion.forward)):
         tensors |= {f"{name}.{part}": value for part, value in field_to_stream(field, step).items()}
-    meta = {
-        "kind": "motion",
-        "shape": motion.backward.shape[:4],
-        "step": step,
-        "t_first": motion.t_first,
-        "t_last": motion.t_last,
-        "rest_key": motion.rest_key,
-    }
+    meta = {"kind": "motion", "shape": motion.backward.shape[:4], "step": step, **motion.numbers()}
     _save(path, tensors, meta)
 
 
@@ -103,14 +96,11 @@ def load_motion(path: Path, device: str = "cpu") -> MotionField:
     tensors, meta = _load(path, "motion", "cpu")
     with _damage_named(path):
         (T, X, Y, Z), step = meta["shape"], float(meta["step"])
-        return MotionField(
-            tensors["aabb"].cpu(),
-            field_from_stream(_parts("backward", tensors, STREAM), (T, X, Y, Z), step),
-            field_from_stream(_parts("forward", tensors, STREAM), (T, X, Y, Z), step),
-            float(meta["t_first"]),
-            float(meta["t_last"]),
-            meta["rest_key"],
-        ).stored(device)
+        fields = (
+            field_from_stream(_parts(name, tensors, STREAM), (T, X, Y, Z), step)
+            for name in ("backward", "forward")
+        )
+        return motion_of(meta, tensors["aabb"].cpu(), *fields).stored(device)
 
 
 def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
@@ -129,36 +119,51 @@ def load_deformation(folder: Path, device: str = "cpu") -> tuple[MotionField | N
 
 
 def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> RestModel:
-    net = net_of(tensors, meta)
     X, Y, Z = meta["shape"]
     occupied = mask_of(tensors["canonical.occupied"].cpu(), (X, Y, Z)).to(device)
+    grids = _spread("canonical", tensors, grown(occupied))
+    model = rest_of(meta, tensors, tensors["canonical.aabb"], *grids)
+    model.canonical.distance = distance(occupied)
+    if "shell" in meta:
+        N = int(meta["shell"]["size"])
+        occupied = mask_of(tensors["shell.occupied"].cpu(), (N, N, N)).to(device)
+        shell = shell_of(meta, tensors["shell.aabb"], torch.empty(N, N, N, 4, device=device))
+        shell.distance = distance(occupied)
+        shell.grid = torch.cat(_spread("shell", tensors, shell.reachable()), dim=-1)
+        model.shell = shell
+    return model
+
+
+def rest_of(
+    meta: dict[str, Any], tensors: dict[str, Tensor], aabb: Tensor, density: Tensor, features: Tensor
+) -> RestModel:
+    """The scene at rest by its `RestModel.numbers`, grids and the MLP among tensors; without surroundings."""
     canonical = Canonical(
-        tensors["canonical.aabb"],
-        *_spread("canonical", tensors, grown(occupied)),
-        net,
+        aabb,
+        density,
+        features,
+        _net(tensors, meta),
         deferred=bool(meta["deferred"]),
         ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
         **{name: float(meta["canonical"][name]) for name in NUMBERS},
     )
-    canonical.distance = distance(occupied)
-    shell = None
-    if "shell" in meta:
-        numbers = meta["shell"]
-        N = int(numbers["size"])
-        occupied = mask_of(tensors["shell.occupied"].cpu(), (N, N, N)).to(device)
-        shell = Shell(
-            tensors["shell.aabb"],
-            torch.empty(N, N, N, 4, device=device),
-            final=int(numbers["final"]),
-            near=float(numbers["near"]),
-            far=float(numbers["far"]),
-        )
-        shell.distance = distance(occupied)
-        shell.grid = torch.cat(_spread("shell", tensors, shell.reachable()), dim=-1)
-    return RestModel(canonical, shell, meta["background"], float(meta["near"]), float(meta["far"]), {})
+    return RestModel(canonical, None, meta["background"], float(meta["near"]), float(meta["far"]), {})
 
 
-def net_of(tensors: dict[str, Tensor], meta: dict[str, Any]) -> ColourNet:
+def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor) -> Shell:
+    """Its surroundings."""
+    final, near, far = (meta["shell"][name] for name in ("final", "near", "far"))
+    return Shell(aabb, grid, final=int(final), near=float(near), far=float(far))
+
+
+def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:
+    """Motion by its `MotionField.numbers` and fields."""
+    return MotionField(
+        aabb, backward, forward, float(meta["t_first"]), float(meta["t_last"]), meta["rest_key"]
+    )
+
+
+def _net(tensors: dict[str, Tensor], meta: dict[str, Any]) -> ColourNet:
     """The MLP among a file's tensors, not to be trained."""
     with torch.device("meta"):  # no memory by what the file says, before its tensors are known to fit
         net = ColourNet(meta["channels"], meta["mlp_width"], meta["view_frequencies"])
@@ -211,9 +216,11 @@ def _damage_named(path: Path) -> Iterator[None]:
         AttributeError,
         OverflowError,
     ) as error:
-        raise ReconstructError(
-            f"{path}: its parts do not fit together ({error}); delete it and run its stage again"
-        ) from None
+        raise _damaged(path, f"its parts do not fit together ({error})") from None
+
+
+def _damaged(path: Path, why: str) -> ReconstructError:
+    return ReconstructError("file-damaged", f"{path}: {why}; delete it and run its stage again")
 
 
 def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -223,7 +230,7 @@ def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
 
 def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
     if not path.is_file():
-        raise ReconstructError(f"{path}: no model here; run the stage that makes it")
+        raise ReconstructError("file-missing", f"{path}: no model here; run the stage that makes it")
     try:
         with safe_open(str(path), framework="pt", device=device) as file:
             meta = json.loads((file.metadata() or {}).get("devrf", "{}"))
@@ -231,14 +238,10 @@ def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[s
             if not isinstance(meta, dict):
                 raise ValueError("its metadata are no names with values")
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
-        raise ReconstructError(
-            f"{path}: cannot be read ({error}); delete it and run its stage again"
-        ) from None
+        raise _damaged(path, f"cannot be read ({error})") from None
     if meta.get("format") != FORMAT or meta.get("kind") != kind:
-        raise ReconstructError(
-            f"{path}: holds {meta.get('kind', 'something else')}, format {meta.get('format')}; expected "
-            f"{kind}, format {FORMAT}"
-        )
+        found = f"{meta.get('kind', 'something else')}, format {meta.get('format')}"
+        raise ReconstructError("model-wrong-kind", f"{path}: holds {found}; expected {kind}, format {FORMAT}")
     if not all(torch.isfinite(t).all() for t in tensors.values() if t.is_floating_point()):
-        raise ReconstructError(f"{path}: holds values that are not finite; train again")
+        raise ReconstructError("values-not-finite", f"{path}: holds values that are not finite; train again")
     return tensors, meta

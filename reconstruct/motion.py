@@ -69,6 +69,10 @@ class MotionField:
         """When they are, in the scene's time of [0, 1]."""
         return np.linspace(self.t_first, self.t_last, self.keys).tolist()
 
+    def numbers(self) -> dict[str, float | int | None]:
+        """What files say of it besides its fields and its box."""
+        return {"t_first": self.t_first, "t_last": self.t_last, "rest_key": self.rest_key}
+
     def tau(self, time: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Times in units of the key times' spacing, held to the first and last."""
         span = max(self.t_last - self.t_first, 1e-9)

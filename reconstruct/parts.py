@@ -65,10 +65,6 @@ def _plain(scene: Scene, options: Options) -> bool:
     return scene.background != "shell"
 
 
-def _enough_cameras(scene: Scene, options: Options) -> bool:
-    return len({f.camera_name for f in scene.dynamic if f.split == "train"}) >= FEWEST
-
-
 def _levels(chosen: slice) -> Callable[[Scene, Options], Setup]:
     def without(scene: Scene, o: Options) -> Setup:
         levels, iterations = o.motion.levels[chosen], o.motion.iterations[chosen]
@@ -81,10 +77,6 @@ def _ends_only(scene: Scene, o: Options) -> Setup:
     ends = (0, -1) if len(o.motion.levels) > 1 else (0,)
     levels, iterations = (tuple(of[n] for n in ends) for of in (o.motion.levels, o.motion.iterations))
     return _motion(levels=levels, iterations=iterations)(scene, o)
-
-
-def _half_the_keys(scene: Scene, o: Options) -> Setup:
-    return _motion(keys=max(2, (_keys(scene, o) + 1) // 2))(scene, o)
 
 
 def _times_of_keys(scene: Scene, o: Options) -> Setup:
@@ -122,13 +114,14 @@ PARTS: tuple[Part, ...] = (
     Part("coarsest_level", "motion", "first level, with its iterations", _levels(slice(1, None))),
     Part("middle_levels", "motion", "levels between first and last, with their iterations", _ends_only),
     Part("finest_level", "motion", "last level, with its iterations", _levels(slice(None, -1))),
-    Part("key_times", "motion", "every second key time; without: interpolated", _half_the_keys,
+    Part("key_times", "motion", "every second key time; without: interpolated",
+         lambda scene, o: _motion(keys=max(2, (_keys(scene, o) + 1) // 2))(scene, o),
          lambda scene, o: not o.motion.adapt),
     Part("exact_times", "motion", "pictures between key times, at their own times", _times_of_keys),
     Part("fine_tuning", "motion", "the scene at rest follows all pictures", _motion(fine_tuning=0)),
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
     Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False),
-         _enough_cameras),
+         lambda scene, o: len({f.camera_name for f in scene.dynamic if f.split == "train"}) >= FEWEST),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",
          _motion(**_published(MotionOptions, "lr"))),

@@ -96,7 +96,7 @@ def train_motion(
     scene = scene.in_box_frame()
     frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
     if not frames:
-        raise ReconstructError("no training pictures of the scene in motion")
+        raise ReconstructError("pictures-none", "no training pictures of the scene in motion")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
     checked = check(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
@@ -239,13 +239,7 @@ class _Recipe:
         names = ("level", "left_box", "seen", "errors", "gains", "keys_left")
         numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
         numbers["guard"] = self.guard.state()
-        motion = self.motion
-        numbers["motion"] = {  # to look at it
-            "aabb": motion.aabb.tolist(),
-            "t_first": motion.t_first,
-            "t_last": motion.t_last,
-            "rest_key": motion.rest_key,
-        }
+        numbers["motion"] = self.motion.numbers() | {"aabb": self.motion.aabb.tolist()}  # to look at it
         return tensors, numbers
 
     def take_up(self, saved: Saved) -> int:

@@ -53,10 +53,8 @@ class TrainingLog:
         self._sums.clear()
         for name, value in means.items():
             if not math.isfinite(value):
-                raise Diverged(
-                    f"training diverged: loss '{name}' is {value} at iteration {self.iteration}; "
-                    "check poses and times (report), then lower reconstruct.resolution or change the seed"
-                )
+                text = f"training diverged: loss '{name}' is {value} at iteration {self.iteration}"
+                raise Diverged("training-diverged", f"{text}; check poses and times (report)")
         row = {"iteration": float(self.iteration), "seconds": round(self.seconds, 2), **labels}
         if "mse" in means:
             row["psnr"] = round(psnr(means["mse"]), 3)

@@ -8,13 +8,10 @@ import torch
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
-from devrf.reconstruct.canonical import NUMBERS, Canonical
 from devrf.reconstruct.checkpoint import look_at
-from devrf.reconstruct.model_io import net_of
+from devrf.reconstruct.model_io import motion_of, rest_of, shell_of
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import Shell
 
 REST_PARTS = ("density", "features", "distance", "surround", "surround distance")
 MOTION_PARTS = ("backward", "forward")
@@ -35,39 +32,22 @@ def rest_in_training(path: Path, device: str = "cpu") -> RestModel:
 def motion_in_training(path: Path, device: str = "cpu") -> MotionField:
     """The motion as a checkpoint of stage 2 has it; errors as `rest_in_training`."""
     saved = look_at(path, "cpu", MOTION_PARTS.__contains__)
-    return _as_told(path, lambda: _motion(saved.numbers["motion"], saved.tensors).stored(device))
+
+    def told() -> MotionField:
+        meta, fields = saved.numbers["motion"], (saved.tensors[name] for name in MOTION_PARTS)
+        return motion_of(meta, torch.tensor(meta["aabb"]), *fields).stored(device)
+
+    return _as_told(path, told)
 
 
 def _rest(meta: dict[str, Any], tensors: dict[str, Tensor]) -> RestModel:
     aabb = torch.tensor(meta["aabb"])
-    canonical = Canonical(
-        aabb,
-        tensors["density"],
-        tensors["features"],
-        net_of(tensors, meta),
-        deferred=bool(meta["deferred"]),
-        ndc=Ndc(**meta["ndc"]) if meta["ndc"] is not None else None,
-        **{name: float(meta["canonical"][name]) for name in NUMBERS},
-    )
-    canonical.distance = tensors["distance"]
-    shell = None
+    model = rest_of(meta, tensors, aabb, tensors["density"], tensors["features"])
+    model.canonical.distance = tensors["distance"]
     if "shell" in meta:
-        numbers = meta["shell"]
-        near, far = float(numbers["near"]), float(numbers["far"])
-        shell = Shell(aabb, tensors["surround"], final=int(numbers["final"]), near=near, far=far)
-        shell.distance = tensors["surround distance"]
-    return RestModel(canonical, shell, meta["background"], float(meta["near"]), float(meta["far"]), {})
-
-
-def _motion(meta: dict[str, Any], tensors: dict[str, Tensor]) -> MotionField:
-    return MotionField(
-        torch.tensor(meta["aabb"]),
-        tensors["backward"],
-        tensors["forward"],
-        float(meta["t_first"]),
-        float(meta["t_last"]),
-        meta["rest_key"],
-    )
+        model.shell = shell_of(meta, aabb, tensors["surround"])
+        model.shell.distance = tensors["surround distance"]
+    return model
 
 
 def _as_told(path: Path, make: Callable[[], T]) -> T:
@@ -75,4 +55,4 @@ def _as_told(path: Path, make: Callable[[], T]) -> T:
     try:
         return make()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ReconstructError(f"{path}: no model to look at ({error})") from None
+        raise ReconstructError("checkpoint-without-model", f"{path}: no model to look at ({error})") from None

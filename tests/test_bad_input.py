@@ -3,7 +3,9 @@
 The inputs are made here: a corner of a room whose three walls are textured planes, drawn by homographies.
 """
 
+import json
 import os
+import re
 import shutil
 import subprocess
 import threading
@@ -153,20 +155,11 @@ def cameras(material: Path, second: str) -> dict[str, str]:
 # --- seen before anything is started: 2 ---
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("gone.mp4", "no such file"),
-        ("text.mp4", "text.mp4"),
-        ("empty.mp4", "empty.mp4"),
-        ("truncated.mp4", "truncated.mp4"),
-        ("only_sound.mp4", "only_sound.mp4"),
-    ],
-)
-def test_a_clip_that_is_none(devrf: Callable, tmp_path: Path, material: Path, name: str, says: str) -> None:
+@pytest.mark.parametrize("name", ["gone.mp4", "text.mp4", "empty.mp4", "truncated.mp4", "only_sound.mp4"])
+def test_a_clip_that_is_none(devrf: Callable, tmp_path: Path, material: Path, name: str) -> None:
     result = devrf("run", scene(tmp_path, material, cameras=cameras(material, name)))
     assert result.code == 2, result.said
-    assert says in result.err and name in result.err and "cam1" in result.err
+    assert name in result.err and "cam1" in result.err
     assert "Traceback" not in result.said
     assert not (tmp_path / "run" / "ingest").exists()
 
@@ -183,16 +176,16 @@ def test_misspelt_unknown_and_out_of_range_keys(devrf: Callable, tmp_path: Path,
     path.write_text(path.read_text() + "reconstruct: {resolutoin: 160, rays: -5}\nfrobnicate: 1\n")
     result = devrf("run", path)
     assert result.code == 2
-    assert "scene.yaml: reconstruct.resolutoin: unknown key, did you mean resolution?" in result.err
+    assert re.search(r"scene\.yaml: reconstruct\.resolutoin: .*\bresolution\b", result.err)
     assert "scene.yaml: reconstruct.rays: -5; " in result.err
-    assert "scene.yaml: frobnicate: unknown key" in result.err
+    assert "scene.yaml: frobnicate: " in result.err
 
 
 def test_a_board_no_marker_of_which_exists(devrf: Callable, tmp_path: Path, material: Path) -> None:
     board = {"squares": [8, 6], "square_m": 0.06, "marker_m": 0.045, "dictionary": "DICT_4X4_77"}
     result = devrf("run", scene(tmp_path, material, board=board))
     assert result.code == 2 and not (tmp_path / "run" / "ingest").exists()
-    assert "no dictionary DICT_4X4_77; did you mean DICT_4X4_" in result.err
+    assert re.search(r"DICT_4X4_77\b.*DICT_4X4_[15]", result.err)
 
 
 def test_joint_clips_of_some_cameras_without_a_sweep(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -201,7 +194,7 @@ def test_joint_clips_of_some_cameras_without_a_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, board=board, cameras={"cam0": clip, "cam1": clip}, static=None)
     result = devrf("run", path)
     assert result.code == 2
-    assert "capture.board.joint_clips: has no clip of cam1; " in result.err
+    assert re.search(r"capture\.board\.joint_clips: .*\bcam1\b", result.err)
 
 
 def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -209,7 +202,7 @@ def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, mater
     output = tmp_path / "file" / "run"
     result = devrf("run", scene(tmp_path, material), "--set", f"output={output}", "--until", "ingest")
     assert result.code == 2
-    assert str(output) in result.err and "cannot be written" in result.err and "output:" in result.err
+    assert str(output) in result.err and "output:" in result.err
 
 
 @pytest.mark.skipif(
@@ -218,7 +211,7 @@ def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, mater
 def test_an_output_without_permission(devrf: Callable, tmp_path: Path, material: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
     result = devrf("run", scene(tmp_path, material), "--set", f"output={tmp_path / 'locked' / 'run'}")
-    assert result.code == 2 and "cannot be written" in result.err
+    assert result.code == 2 and str(tmp_path / "locked") in result.err
 
 
 # --- found while a stage runs: 1, or 3 where the material itself is at fault ---
@@ -229,7 +222,7 @@ def test_a_clip_that_ends_early(devrf: Callable, tmp_path: Path, material: Path)
     path = scene(tmp_path, material, cameras=cameras(material, "ends_early.mp4"))
     result = devrf("run", path, "--until", "ingest")
     assert result.code == 1, result.said
-    assert "ends_early.mp4 ends at frame" in result.err and "copy it from the camera again" in result.err
+    assert re.search(r"ends_early\.mp4 .*\b[1-6]\b", result.err)
     assert "Traceback" not in result.said
 
 
@@ -239,17 +232,16 @@ def test_clips_without_sound_fall_back_to_motion(devrf: Callable, tmp_path: Path
     path = scene(tmp_path, material, cameras=silent)
     result = devrf("run", path, "--until", "sync", "--allow-unhealthy")
     assert result.code in (0, 3), result.said
-    assert "sound" in result.said
+    assert "(cam1)" in result.said and "calibration.sync.method" in result.said
+    sync = json.loads((tmp_path / "run" / "sync" / "sync.json").read_text())
+    assert sync["cameras"]["cam1"]["method"] != "audio"
 
 
 def test_clips_without_sound_that_are_to_be_heard(devrf: Callable, tmp_path: Path, material: Path) -> None:
     path = scene(tmp_path, material, cameras=cameras(material, "silent_cam1.mp4"))
     result = devrf("run", path, "--set", "calibration.sync.method=audio")
     assert result.code == 2 and not (tmp_path / "run" / "ingest").exists(), result.said
-    assert (
-        "there is no sound track in the clip of cam1 (" in result.err
-        and "silent_cam1.mp4); set" in result.err
-    )
+    assert re.search(r"calibration\.sync\.method: .*\bcam1 \(.*/silent_cam1\.mp4\)", result.err)
 
 
 def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -258,8 +250,7 @@ def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, mat
     path = scene(tmp_path, material, timestamps=str(tmp_path / "times.csv"), range_s=[0, 1])
     result = devrf("run", path)
     assert result.code == 2 and not (tmp_path / "run" / "ingest").exists(), result.said
-    assert "capture.range_s: [0, 1]: camera cam1 has no frame in it" in result.err
-    assert "go from 40.00 to 41.10 s" in result.err
+    assert re.search(r"capture\.range_s: \[0, 1\]: .*\bcam1\b.* 40\.00 .* 41\.10 s", result.err)
 
 
 @pytest.mark.parametrize("range_s", [[50, 60], [-9, -2]])
@@ -270,10 +261,8 @@ def test_a_range_outside_the_first_clip(
     for command in (["run", path, "--dry-run"], ["check", path]):
         result = devrf(*command)
         assert result.code == 2, result.said
-        assert (
-            f"range_s: [{range_s[0]}, {range_s[1]}]: camera cam0 has no frame in it, its clip" in result.err
-        )
-        assert f"goes from 0.00 to {(CLIP_FRAMES - 1) / 10:.2f} s; change the range" in result.err
+        named = f"capture.range_s: {range_s}: ", "cam0", " 0.00 ", f" {(CLIP_FRAMES - 1) / 10:.2f} s"
+        assert all(name in result.err for name in named), result.err
     overlaps = devrf("run", scene(tmp_path, material, range_s=[0.5, 60]), "--dry-run")
     assert overlaps.code == 0, overlaps.said
 
@@ -282,7 +271,7 @@ def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, mate
     path = scene(tmp_path, material, static=str(material / "blank.mp4"), cameras=None)
     result = devrf("run", path, "--until", "static_poses")
     assert result.code == 3, result.said
-    assert "static_poses" in result.err and "texture" in result.err
+    assert result.err.startswith("static_poses: ") and f"0 of {SWEEP_FRAMES} " in result.err
     assert (tmp_path / "run" / "ingest" / "stamp.json").exists()
 
 
@@ -297,7 +286,7 @@ def test_a_board_that_is_never_seen(devrf: Callable, tmp_path: Path, material: P
     path = scene(tmp_path, material, board=board)
     result = devrf("run", path, "--until", "rig")
     assert result.code == 3, result.said
-    assert "cam0" in result.err and "board" in result.err
+    assert "'cam0'" in result.err and "capture.board" in result.err and f"0 of {CLIP_FRAMES} " in result.err
 
 
 @pytest.mark.full
@@ -305,7 +294,7 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, cameras=cameras(material, "elsewhere.mp4"))
     result = devrf("run", path, "--until", "rig", "--set", "calibration.sync.method=none")
     assert result.code == 3, result.said
-    assert "cam1" in result.err and "sweep" in result.err
+    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 ", result.err)
     assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
 
 
@@ -354,9 +343,8 @@ def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk
     filler.join()
     before = devrf(*run, "static_poses")
     assert (writing.code, before.code) == (1, 1), writing.said + before.said
-    assert "disk is full" in writing.err and "disk is full" in before.err
     for result in (writing, before):
-        assert str(small_disk) in result.err and "free some space" in result.err
+        assert str(small_disk) in result.err and "output:" in result.err
         assert "Traceback" not in result.said
     assert (run_dir / "ingest/stamp.json").exists() and not list(run_dir.glob(".new-*"))
     (small_disk / "filler").unlink()

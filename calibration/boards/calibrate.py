@@ -182,10 +182,9 @@ def calibrate_intrinsics(
     """
     sharp, blurred = _sharp_views(views)
     if len(sharp) < MIN_VIEWS:
-        raise HealthError(
-            f"camera '{name}': the board is seen in {len(views)} pictures, need {MIN_VIEWS} (20 are good); "
-            "film it longer, larger in the picture and tilted by 20 to 45 degrees"
-        )
+        text = f"camera '{name}': the board is seen in {len(views)} pictures, need {MIN_VIEWS} (20 are good)"
+        remedy = "film it longer, larger in the picture and tilted by 20 to 45 degrees"
+        raise HealthError("board-rarely-seen", f"{text}; {remedy}")
     families = (
         [(terms,)]
         if terms

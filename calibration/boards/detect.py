@@ -85,10 +85,7 @@ def edge_width(
     Returns:
         In lengths of the edge, and in pixels; NaN where no edge lies between two corners.
     """
-    place = np.full(len(spec.corners), -1)
-    place[ids] = np.arange(len(ids))
-    pairs = place[spec.edges]
-    pairs = pairs[(pairs >= 0).all(axis=1)]
+    pairs = _neighbours(spec, ids)
     if len(pairs) == 0:
         return np.nan, np.nan
     a, b = xy[pairs[:, 0]] - 0.5, xy[pairs[:, 1]] - 0.5
@@ -174,13 +171,16 @@ def _first_square_is_light(grey: Grey, xy: Float[np.ndarray, "n 2"], spec: Board
 
 def _side(spec: BoardSpec, ids: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"]) -> float:
     """Shortest distance between neighbouring corners, pixels."""
+    pairs = _neighbours(spec, ids)
+    return float(np.linalg.norm(xy[pairs[:, 0]] - xy[pairs[:, 1]], axis=1).min(initial=np.inf))
+
+
+def _neighbours(spec: BoardSpec, ids: Int[np.ndarray, " n"]) -> Int[np.ndarray, "m 2"]:
+    """Places in `ids` of corners that an edge of the board joins."""
     place = np.full(len(spec.corners), -1)
     place[ids] = np.arange(len(ids))
     pairs = place[spec.edges]
-    pairs = pairs[(pairs >= 0).all(axis=1)]
-    if len(pairs) == 0:
-        return np.inf
-    return float(np.linalg.norm(xy[pairs[:, 0]] - xy[pairs[:, 1]], axis=1).min())
+    return pairs[(pairs >= 0).all(axis=1)]
 
 
 def _refined(grey: Grey, xy: Float[np.ndarray, "n 2"], window_px: float) -> Float[np.ndarray, "n 2"]:

@@ -16,11 +16,7 @@ ENOUGH_VIEWS = 20  # of a chessboard; up to here pictures in which it was not fo
 
 
 def find_board(
-    name: str,
-    files: Sequence[Path],
-    spec: BoardSpec,
-    progress: Progress = no_progress,
-    required: bool = True,
+    name: str, files: Sequence[Path], spec: BoardSpec, progress: Progress = no_progress, required: bool = True
 ) -> tuple[list[BoardView], BoardSpec]:
     """Search pictures for the board.
 
@@ -47,7 +43,7 @@ def find_board(
         if other is not None:
             settled, views = other, _search(name, files, other, progress)
     if not views and required:
-        raise HealthError(never_seen(name, len(files), settled))
+        raise HealthError("board-never-seen", never_seen(name, len(files), settled))
     return views, settled
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from devrf.calibration.boards.spec import BoardView
+from devrf.calibration.bundle.model import minus_cross
 from devrf.calibration.intrinsics import Intrinsics, from_vector
 from devrf.capture.camera import LensModel, distort
 
@@ -242,11 +243,7 @@ def _reduce(fit: Fit, huber_px: float) -> _System:
     if fit.one_focal:
         every[:, :, 0] += every[:, :, 1]
     d_g = every[:, :, columns]
-    minus_cross = np.zeros((len(x), 3, 3))  # d(exp(w) x)/dw = -[x]_x
-    minus_cross[:, 0, 1], minus_cross[:, 0, 2] = x[:, 2], -x[:, 1]
-    minus_cross[:, 1, 0], minus_cross[:, 1, 2] = -x[:, 2], x[:, 0]
-    minus_cross[:, 2, 0], minus_cross[:, 2, 1] = x[:, 1], -x[:, 0]
-    d_pose = np.concatenate([d_x @ minus_cross, d_x], axis=2)
+    d_pose = np.concatenate([d_x @ minus_cross(x), d_x], axis=2)
     root = np.sqrt(_weight(fit.residual, huber_px))[:, :, None]
     d_g, d_pose, r = d_g * root, d_pose * root, fit.residual * root[:, :, 0]
     views = np.split(np.arange(len(x)), np.searchsorted(fit.corners.view, np.arange(1, len(fit.poses))))

@@ -39,7 +39,7 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
     if not seen:
         if not required:
             return None
-        raise HealthError(never_seen(name, len(files), spec))
+        raise HealthError("board-never-seen", never_seen(name, len(files), spec))
     fits = []
     for squares in (spec.squares, spec.squares[::-1]):
         for legacy in _tries(spec.legacy) if spec.type == "charuco" else (False,):
@@ -47,11 +47,10 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
             fits.append((layout_error(layout, seen), len(fits), layout))
     error, _, best = min(fits)
     if error > FIT_SQUARES:
-        raise HealthError(
-            f"{name}: markers of {spec.dictionary} are seen in {len(seen)} pictures but fit no "
-            f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares); "
-            "check squares, square_m, marker_m and dictionary of capture.board"
-        )
+        seen_in = f"{name}: markers of {spec.dictionary} are seen in {len(seen)} pictures but fit no"
+        misses = f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares)"
+        remedy = "check squares, square_m, marker_m and dictionary of capture.board"
+        raise HealthError("board-layout-wrong", f"{seen_in} {misses}; {remedy}")
     wrong = [("squares", f"[{best.squares[0]}, {best.squares[1]}]")] if best.squares != spec.squares else []
     for key in ("legacy", "inverted"):
         if getattr(spec, key) not in ("auto", getattr(best, key)):

@@ -97,9 +97,8 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
     if not name.startswith("DICT_") or not isinstance(number, int):
         known = sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_"))
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
-        raise InputError(
-            f"capture.board.dictionary: OpenCV has no dictionary {name}; did you mean {', '.join(near)}?"
-        )
+        text = f"capture.board.dictionary: OpenCV has no dictionary {name}; did you mean {', '.join(near)}?"
+        raise InputError("board-dictionary-unknown", text)
     return cv2.aruco.getPredefinedDictionary(number)
 
 

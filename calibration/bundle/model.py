@@ -66,7 +66,7 @@ def jacobians(
     d_x, d_k = _lens_jacobians(k, fisheye, x)
     one = problem.one_focal[device]
     d_k[one, :, 0] += d_k[one, :, 1] * (k[one, 1] / k[one, 0])[:, None]
-    d_pose = np.concatenate([d_x @ _minus_cross(x), d_x], axis=2)
+    d_pose = np.concatenate([d_x @ minus_cross(x), d_x], axis=2)
     d_world = d_x @ problem.poses[problem.obs_camera][:, :, :3]
     arm = _arm(problem)
     timing = problem.timing
@@ -74,10 +74,10 @@ def jacobians(
         d_here, d_time = d_world, np.zeros((len(x), 2))
     else:
         rest_s = timing.rest_s(problem.obs_camera)[:, None, None]
-        turning = np.eye(3) - rest_s * _minus_cross(timing.spin[timing.view])
+        turning = np.eye(3) - rest_s * minus_cross(timing.spin[timing.view])
         d_here = d_world @ turning @ timing.carry[timing.view][:, :, :3]
         d_time = np.einsum("mri,mi->mr", d_world, timing.rate(_carried(problem)))
-    d_body = np.concatenate([d_here @ _minus_cross(arm), d_here], axis=2)
+    d_body = np.concatenate([d_here @ minus_cross(arm), d_here], axis=2)
     return d_pose, d_k, d_body, d_time, np.einsum("mri,mi->mr", d_here, arm)
 
 
@@ -147,7 +147,7 @@ def _lens_jacobians(
     return d_x, d_k
 
 
-def _minus_cross(x: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+def minus_cross(x: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     """-[x]_x, the derivative of exp(w) x by w at 0."""
     out = np.zeros((len(x), 3, 3))
     out[:, 0, 1], out[:, 0, 2] = x[:, 2], -x[:, 1]

@@ -107,9 +107,8 @@ def synchronise(
     extras = extras or Extras()
     names = list(spans_s)
     if method == "timestamps" and not true_times:
-        raise CalibrationError(
-            "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
-        )
+        text = "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
+        raise CalibrationError("timestamps-missing", text)
     if true_times and method in ("auto", "timestamps"):
         basis = "the table of times is on one clock"
         return SyncResult({n: Clock(0.0, 0.0, 0.0, "timestamps", 1.0, basis) for n in names})
@@ -125,10 +124,9 @@ def synchronise(
     if method in ("auto", "audio"):
         silent = [n for n in names if n not in sounds]
         if method == "audio" and silent:
-            raise CalibrationError(
-                f"camera {', '.join(silent)}: no sound to synchronise by; set calibration.sync.method to auto, "
-                "flash or motion, or give capture.timestamps"
-            )
+            wrong = f"camera {', '.join(silent)}: no sound to synchronise by"
+            remedy = "set calibration.sync.method to auto, flash or motion, or give capture.timestamps"
+            raise CalibrationError("sound-missing", f"{wrong}; {remedy}")
         if silent:
             evidence.notes.append(f"camera {', '.join(silent)}: no sound")
         hear(names, sounds, evidence, progress)

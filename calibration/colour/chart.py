@@ -47,17 +47,15 @@ def read_chart(path: Path, look: Look | None = None) -> Float[np.ndarray, "24 3"
         if len(seen) == ENOUGH:
             break
     if not seen:
-        raise CalibrationError(
-            f"{path}: no colour chart in {count} picture{'s' if count > 1 else ''}; expected a chart of 6 x 4 patches "
-            "that fills a quarter of the picture, unhidden and evenly lit"
-        )
+        wrong = f"{path}: no colour chart in {count} picture{'s' if count > 1 else ''}"
+        remedy = "expected a chart of 6 x 4 patches on a quarter of the picture, unhidden and evenly lit"
+        raise CalibrationError("chart-unfound", f"{wrong}; {remedy}")
     colours = np.median(seen, axis=0)
     whole = int(np.isfinite(colours).all(axis=1).sum())
     if whole < FEWEST_PATCHES:
-        raise CalibrationError(
-            f"{path}: {24 - whole} of the chart's 24 patches are clipped, expected at most {24 - FEWEST_PATCHES}; film "
-            "it again at half the exposure, and the scene as well"
-        )
+        wrong = f"{path}: {24 - whole} of the chart's 24 patches are clipped, expected at most {24 - FEWEST_PATCHES}"
+        remedy = "film it again at half the exposure, and the scene as well"
+        raise CalibrationError("chart-clipped", f"{wrong}; {remedy}")
     return colours
 
 

@@ -22,11 +22,7 @@ MAX_ERROR_PX = 2.0  # mean reprojection error of a point
 
 
 def sweep_pairs(
-    name: str,
-    view: View,
-    model: SweepModel,
-    factor: float,
-    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]],
+    name: str, view: View, model: SweepModel, factor: float, read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]]
 ) -> Pairs:
     """Colours of a fixed camera's points in the sweep (first) and in its clean picture (second).
 

@@ -43,9 +43,7 @@ def overlap_of(found: Sequence[Features], between: Callable[[int], Picture | Non
         share for n in range(len(neighbours)) if (share := _depth_share(found[n:], neighbours[n])) is not None
     ]
     return SweepOverlap(
-        1 - len(breaks) / max(1, len(neighbours)),
-        breaks,
-        float(np.quantile(depth, 0.75)) if depth else None,
+        1 - len(breaks) / max(1, len(neighbours)), breaks, float(np.quantile(depth, 0.75)) if depth else None
     )
 
 

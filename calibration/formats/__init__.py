@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
 from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap, write_easymocap
@@ -42,6 +43,12 @@ RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths 
     "rig-pose2sim": write_pose2sim,
 }
 
+PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], Found]], ...] = (
+    (parse_qualisys, read_qualisys),
+    (parse_toml, read_toml),
+    (parse_kalibr, read_kalibr),
+)
+
 
 def find_calibration(path: Path) -> Found:
     """Read a calibration of another tool.
@@ -55,24 +62,17 @@ def find_calibration(path: Path) -> Found:
     if path.is_dir():
         return _from_folder(path)
     text = text_of(path)
-    qualisys = parse_qualisys(text)
-    if qualisys is not None:
-        return read_qualisys(path, qualisys)
-    tables = parse_toml(text)
-    if tables is not None:
-        return read_toml(path, tables)
-    chain = parse_kalibr(text)
-    if chain is not None:
-        return read_kalibr(path, chain)
-    data = storage(text)
-    if data is not None:
+    for parse, read in PARSED:
+        if (content := parse(text)) is not None:
+            return read(path, content)
+    if (data := storage(text)) is not None:
         if is_easymocap(data):
             return read_easymocap(path, data)
         if is_single(data):
             return read_singles({path.stem: (path, data)})
         if is_stereo(data):
             return read_stereo(path, data)
-    raise InputError(f"{path}: not a calibration that can be read; expected {READ}")
+    raise InputError("calibration-unread", f"{path}: not a calibration that can be read; expected {READ}")
 
 
 def find_single_files(files: Mapping[str, Path]) -> Found:
@@ -85,10 +85,9 @@ def find_single_files(files: Mapping[str, Path]) -> Found:
     for name, path in files.items():
         data = storage(text_of(path))
         if data is None or not is_single(data):
-            raise InputError(
-                f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}'); a file with all "
-                "cameras is named without the camera's name"
-            )
+            wrong = f"{path}: has no camera_matrix; expected OpenCV's file of one camera ('{name}')"
+            remedy = "a file with all cameras is named without the camera's name"
+            raise InputError("entry-missing", f"{wrong}; {remedy}")
         out[name] = (path, data)
     return read_singles(out)
 
@@ -106,8 +105,7 @@ def _from_folder(folder: Path) -> Found:
         if data is not None and is_single(data):
             singles[path.stem] = (path, data)
     if not singles:
-        raise InputError(
-            f"{folder}: no calibration in this folder; expected a COLMAP model, intri.yml and extri.yml, "
-            "intrinsics.yml and extrinsics.yml, or OpenCV files, one a camera; else name the file itself"
-        )
+        expected = "a COLMAP model, intri.yml with extri.yml, intrinsics.yml with extrinsics.yml, or a file per camera"
+        text = f"{folder}: no calibration in this folder; expected {expected}; else name the file itself"
+        raise InputError("calibration-unread", text)
     return read_singles(singles)

@@ -39,14 +39,15 @@ def read_colmap_rig(folder: Path) -> Found:
         where = f"{place}: image {number} ({image.name})"
         camera = model.cameras.get(image.camera_id)
         if camera is None:
-            raise InputError(f"{where}: its camera {image.camera_id} is not in the model; export it again")
+            text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
+            raise InputError("camera-missing", text)
         K, lens, lens_model = intrinsics(camera, where)
         path = PurePosixPath(image.name)
         name = path.parts[-2] if len(path.parts) > 1 else path.stem
         size = (camera.width, camera.height)
         seen.setdefault(name, []).append(FoundCamera(K, lens, lens_model, size, pose(image, where)))
     if not seen:
-        raise InputError(f"{place}: no image is registered; expected a model with an image of every camera")
+        raise InputError("pictures-none", f"{place}: no image is registered; expected one of every camera")
     _check_fixed(place, seen)
     return Found(FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary")
 
@@ -72,7 +73,6 @@ def _check_fixed(place: Path, seen: Mapping[str, list[FoundCamera]]) -> None:
         turn = float(np.abs(T[:, :, :3] - T[0, :, :3]).max())
         step = float(np.linalg.norm(centres[name] - centres[name][0], axis=1).max())
         if turn > SAME_ROTATION or step > SAME_POSITION * extent:
-            raise InputError(
-                f"{place}: the {len(T)} images of '{name}' stand at different places (up to {step:.3g} units apart); "
-                "expected one pose of a fixed camera; keep one image of it in the model"
-            )
+            wrong = f"{place}: the {len(T)} images of '{name}' stand at different places (up to {step:.3g} units apart)"
+            remedy = "expected one pose of a fixed camera; keep one image of it in the model"
+            raise InputError("camera-not-fixed", f"{wrong}; {remedy}")

@@ -38,7 +38,8 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
         extri = _other(path, EXTRI, required=False)
     names, cameras = intri.get("names"), {}
     if not isinstance(names, list):
-        raise InputError(f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names")
+        text = f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names"
+        raise InputError("entry-wrong", text)
     for name in map(str, names):
         where, lens = f"{path.parent / INTRI}", "dist" if f"dist_{name}" in intri else "D"
         width, height = intri.get(f"W_{name}"), intri.get(f"H_{name}")
@@ -62,10 +63,8 @@ def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -
     """
     wide = [name for name, camera in cameras.items() if camera.model == "OPENCV_FISHEYE"]
     if wide:
-        raise InputError(
-            f"camera '{wide[0]}' has a fisheye lens, which EasyMocap's files cannot say; export to rig-opencv or "
-            "rig-kalibr"
-        )
+        text = f"camera '{wide[0]}' has a fisheye lens, which EasyMocap lacks; export to rig-opencv or rig-kalibr"
+        raise InputError("lens-unwritable", text)
     intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
     extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
     for file in (intri, extri):
@@ -90,7 +89,5 @@ def _other(path: Path, name: str, required: bool) -> dict[str, Any]:
     other = path.with_name(name)
     found = storage(text_of(other)) if other.is_file() else None
     if found is None and required:
-        raise InputError(
-            f"{path}: has poses, but no K_ of any camera; expected {name} beside it; copy it there"
-        )
+        raise InputError("file-missing", f"{path}: poses, but no K_ of any camera; expected {name} beside it")
     return found or {}

@@ -73,14 +73,15 @@ def text_of(path: Path) -> str:
     """
     try:
         if path.stat().st_size > LARGEST_BYTES:
-            raise InputError(f"{path}: has {path.stat().st_size / 1e6:.0f} MB; expected a calibration file")
+            raise InputError("file-too-large", f"{path}: {path.stat().st_size / 1e6:.0f} MB, no calibration")
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; expected a calibration file") from None
+        raise InputError("file-damaged", f"{path}: not a text file; expected a calibration file") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
+        wrong = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
+        raise InputError("file-unreadable", wrong) from None
     if nesting(text) > DEEPEST:
-        raise InputError(f"{path}: nested {nesting(text)} deep; expected a calibration file")
+        raise InputError("file-damaged", f"{path}: nested {nesting(text)} deep; expected a calibration file")
     return text
 
 
@@ -101,18 +102,19 @@ def numbers(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
         InputError: Missing, not numbers, another count of them, or not finite.
     """
     if value is None:
-        raise InputError(f"{where} is missing; expected {_shape_words(shape)}")
+        raise InputError("entry-missing", f"{where} is missing; expected {_shape_words(shape)}")
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where} is {_shorten(value)}; expected {_shape_words(shape)}") from None
+        text = f"{where} is {_shorten(value)}; expected {_shape_words(shape)}"
+        raise InputError("entry-wrong", text) from None
     squeezed = tuple(n for n in array.shape if n != 1)
     if squeezed != tuple(n for n in shape if n != 1) and array.shape != (int(np.prod(shape)),):
-        raise InputError(
-            f"{where} has {'x'.join(map(str, array.shape)) or 'one'} number(s); expected {_shape_words(shape)}"
-        )
+        text = f"{where} has {'x'.join(map(str, array.shape)) or 'one'} number(s); expected {_shape_words(shape)}"
+        raise InputError("entry-wrong", text)
     if not np.isfinite(array).all():
-        raise InputError(f"{where} is {_shorten(array.tolist())}; expected finite numbers; calibrate again")
+        text = f"{where} is {_shorten(array.tolist())}; expected finite numbers; calibrate again"
+        raise InputError("entry-wrong", text)
     return array.reshape(shape)
 
 
@@ -125,11 +127,10 @@ def matrix(value: Any, where: str) -> Float[np.ndarray, "3 3"]:
     K = numbers(value, (3, 3), where)
     fx, skew, fy = K[0, 0], K[0, 1], K[1, 1]
     if min(fx, fy) <= 0 or abs(K[1, 0]) > 0 or not np.allclose(K[2], [0, 0, 1]):
-        raise InputError(
-            f"{where} is {K.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0"
-        )
+        text = f"{where} is {K.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0"
+        raise InputError("entry-wrong", text)
     if abs(skew) > LARGEST_SKEW * fx:
-        raise InputError(f"{where} has skew {skew:g}; expected 0; calibrate without skew")
+        raise InputError("lens-unread", f"{where} has skew {skew:g}; expected 0; calibrate without skew")
     return np.array([[fx, 0, K[0, 2]], [0, fy, K[1, 2]], [0, 0, 1]]) + HALF_PIXEL
 
 
@@ -148,20 +149,19 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
     try:
         flat = np.array([] if value is None else value, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where} is {_shorten(value)}; expected distortion coefficients") from None
+        text = f"{where} is {_shorten(value)}; expected distortion coefficients"
+        raise InputError("entry-wrong", text) from None
     lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
-        raise InputError(
-            f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())}); expected "
-            f"{' or '.join(map(str, lengths))} finite numbers{' of the fisheye model' if fisheye else ''}"
-        )
+        expected = f"{' or '.join(map(str, lengths))} finite numbers{' of a fisheye lens' if fisheye else ''}"
+        wrong = f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())})"
+        raise InputError("entry-wrong", f"{wrong}; expected {expected}")
     beyond = {COEFFICIENTS[n]: flat[n] for n in range(HELD, flat.size) if flat[n] != 0}
     if beyond:
         words = ", ".join(f"{name} = {number:g}" for name, number in beyond.items())
-        raise InputError(
-            f"{where}: {words} cannot be held; expected the lens model k1, k2, p1, p2, k3; calibrate again without "
-            "the rational, thin-prism and tilted models"
-        )
+        wrong = f"{where}: {words} cannot be held; expected the lens model k1, k2, p1, p2, k3"
+        remedy = "calibrate again without the rational, thin-prism and tilted models"
+        raise InputError("lens-unread", f"{wrong}; {remedy}")
     out = np.zeros(HELD)
     out[: flat[:HELD].size] = flat[:HELD]
     return out
@@ -178,16 +178,15 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
     if array.shape == (3,):
         R = Rotation.from_rotvec(array).as_matrix()
         if not np.isfinite(R).all():
-            raise InputError(f"{where}: rotation is {array.tolist()}; expected a rotation vector, radians")
+            text = f"{where}: rotation is {array.tolist()}; expected a rotation vector, radians"
+            raise InputError("entry-wrong", text)
     else:
         R = array
         off = float(np.abs(R @ R.T - np.eye(3)).max())
         if off > RIGID_TOLERANCE or np.linalg.det(R) < 0:
-            raise InputError(
-                f"{where}: rotation is no rotation (R R^T differs from 1 by {off:.2g}, determinant "
-                f"{np.linalg.det(R):.3g}); expected an orthonormal matrix with determinant 1; is the file cut or "
-                "are its axes mirrored?"
-            )
+            wrong = f"{where}: no rotation (R R^T differs from 1 by {off:.2g}, determinant {np.linalg.det(R):.3g})"
+            remedy = "expected an orthonormal matrix with determinant 1; is it cut, or are its axes mirrored?"
+            raise InputError("pose-not-rigid", f"{wrong}; {remedy}")
     return np.column_stack([R, t])
 
 
@@ -204,7 +203,7 @@ def size_of(pair: Any, where: str) -> tuple[int, int]:
     """
     w, h = numbers(pair, (2,), where).tolist()
     if w < 1 or h < 1 or w != round(w) or h != round(h):
-        raise InputError(f"{where} is {w:g}x{h:g}; expected width and height in pixels")
+        raise InputError("entry-wrong", f"{where} is {w:g}x{h:g}; expected width and height in pixels")
     return int(w), int(h)
 
 

@@ -70,12 +70,11 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
     for n, (key, camera) in enumerate(cameras.items()):
         where = f"{path}: {key}"
         if camera["camera_model"] != "pinhole":
-            raise InputError(
-                f"{where}: camera_model is {camera['camera_model']!r}; expected pinhole; calibrate with pinhole-radtan"
-            )
+            wrong = f"{where}: camera_model is {camera['camera_model']!r}"
+            raise InputError("lens-unread", f"{wrong}; expected pinhole; calibrate with pinhole-radtan")
         lens = str(camera.get("distortion_model", "none"))
         if lens not in LENSES:
-            raise InputError(f"{where}: distortion_model is {lens!r}; expected {', '.join(LENSES)}")
+            raise InputError("lens-unread", f"{where}: distortion_model {lens!r}, not {', '.join(LENSES)}")
         if n > 0:
             step = numbers(camera.get("T_cn_cnm1"), (4, 4), f"{where}: T_cn_cnm1")
             pose(step[:3, :3], step[:3, 3], f"{where}: T_cn_cnm1")
@@ -101,10 +100,9 @@ def write_kalibr(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> N
     for n, (name, camera) in enumerate(cameras.items()):
         fisheye = camera.model == "OPENCV_FISHEYE"
         if camera.distortion[4] != 0:
-            raise InputError(
-                f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only; "
-                "export to a format that holds k3, such as rig-anipose"
-            )
+            wrong = f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only"
+            remedy = "export to a format that holds k3, such as rig-anipose"
+            raise InputError("lens-unwritable", f"{wrong}; {remedy}")
         K, cam_from_world = camera.K - HALF_PIXEL, np.vstack([camera.cam_from_world, [0, 0, 0, 1.0]])
         chain = {} if n == 0 else {"T_cn_cnm1": (cam_from_world @ np.linalg.inv(before)).tolist()}
         out[f"cam{n}"] = chain | {

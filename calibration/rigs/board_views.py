@@ -125,11 +125,11 @@ def spanning_tree(seen: Views) -> list[tuple[int, int]]:
         lost = [c for c in range(len(names)) if c not in reached]
         best, known, new = max((int(links[a, b]), a, b) for a in reached for b in lost)
         if best < MIN_SHARED_POINTS:
+            apart, rest = (", ".join(names[c] for c in some) for some in (lost, sorted(reached)))
+            wrong = f"{apart} share{'s' if len(lost) == 1 else ''} no view of the board with {rest}: {best} corners"
+            remedy = "hold the board where both see it, put a camera between them, or use the sweep"
             raise HealthError(
-                f"{', '.join(names[c] for c in lost)} share{'s' if len(lost) == 1 else ''} no view of the board "
-                f"with {', '.join(names[c] for c in sorted(reached))}: {best} corners seen at once, need "
-                f"{MIN_SHARED_POINTS} (200 are good); hold the board where both see it, put a camera between "
-                "them for the calibration, or use the sweep"
+                "rig-unlinked-camera", f"{wrong} at once, need {MIN_SHARED_POINTS} (200 are good); {remedy}"
             )
         tree.append((known, new))
         reached.add(new)

@@ -29,7 +29,7 @@ def clean_pictures(
         out: Existing folder.
     """
     if not files:
-        raise CaptureError(f"camera '{name}' has no frames; check its clip and capture.range_s")
+        raise CaptureError("pictures-none", f"camera '{name}' has no frames; check capture.range_s")
     chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
     candidates = {}
     if rest != "none":
@@ -48,7 +48,7 @@ def median_picture(files: list[Path]) -> UInt8[np.ndarray, "h w 3"]:
     try:
         pictures = [read_pixels(file)[:, :, :3] for file in files]
     except CaptureError as error:
-        raise CaptureError(f"{error}; run again with --from ingest") from None
+        raise CaptureError(error.code, f"{error}; run again with --from ingest") from None
     if len(pictures) == 1:
         return pictures[0]
     return np.median(np.stack(pictures), axis=0).round().astype(np.uint8)

@@ -151,10 +151,9 @@ def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, st
             "given cameras, matched by order", _pairs(chosen), remedy if len(names) > 1 else ""
         )
     missing = [name for name in names if name not in found]
-    raise InputError(
-        f"{where}: has no camera {', '.join(missing)}; it has {', '.join(found) or 'none'}, the capture has "
-        f"{', '.join(names)}; name capture.cameras as the calibration does"
-    )
+    wrong = f"{where}: has no camera {', '.join(missing)}; it has {', '.join(found) or 'none'}"
+    remedy = f"the capture has {', '.join(names)}; name capture.cameras as the calibration does"
+    raise InputError("camera-missing", f"{wrong}, {remedy}")
 
 
 def _number(name: str) -> int | None:
@@ -174,21 +173,19 @@ def _fitted(
     if camera.size is None:
         off = np.abs(camera.K[:2, 2] / size - 0.5)
         if off.max() > CENTRE_SHARE:
-            raise InputError(
-                f"{where}: camera '{name}' has its principal point at {camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}, its "
-                f"clip is {size[0]}x{size[1]}; expected it near the middle; calibrate at the size of the clip"
-            )
+            at, clip = f"{camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}", f"{size[0]}x{size[1]}"
+            wrong = f"{where}: camera '{name}' has its principal point at {at}, its clip is {clip}"
+            remedy = "expected it near the middle; calibrate at the size of the clip"
+            raise InputError("principal-point-outside", f"{wrong}; {remedy}")
         text = f"the file has no picture size; taken as the clip's, {size[0]}x{size[1]}"
         return replace(camera, size=size), GivenNote(check, text)
     (width, height), (clip_width, clip_height) = camera.size, size
     if camera.size == size:
         return camera, None
     if width * clip_height != height * clip_width:
-        raise InputError(
-            f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}; "
-            "expected the same size, or all of the picture made larger or smaller; a cropped clip needs a "
-            "calibration of its own"
-        )
+        wrong = f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
+        remedy = "expected one size, or all of the picture made larger or smaller; a cropped clip needs a calibration"
+        raise InputError("picture-size-wrong", f"{wrong}; {remedy} of its own")
     scale = clip_width / width
     text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
     return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), GivenNote(check, text)
@@ -227,7 +224,5 @@ def _scale(
 def _check_apart(cameras: Mapping[str, RigCamera], where: str) -> None:
     for (a, first), (b, second) in combinations(cameras.items(), 2):
         if np.array_equal(first.camera.cam_from_world, second.camera.cam_from_world):
-            raise InputError(
-                f"{where}: cameras '{a}' and '{b}' have the same pose; expected a pose each; calibrate the rig, "
-                "not only the lenses"
-            )
+            text = f"{where}: cameras '{a}' and '{b}' have one pose; calibrate the rig, not only the lenses"
+            raise InputError("poses-equal", text)

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from devrf.calibration.bundle.adjust import Solution
 from devrf.calibration.intrinsics import Intrinsics
@@ -37,6 +37,7 @@ def rig_camera(
     error = np.linalg.norm(solution.residual_px[support], axis=1)
     distance = np.linalg.norm(problem.points[problem.obs_body[support]] - camera.centre, axis=1)
     shown = support[:: max(1, -(-len(support) // RESIDUALS))]
+    rows = np.concatenate([problem.obs_xy[shown].round(1), solution.residual_px[shown].round(3)], axis=1)
     return RigCamera(
         camera=camera,
         intrinsics_source=source,
@@ -53,11 +54,6 @@ def rig_camera(
             "focal_px": float(camera.K[0, 0]),
             "focal_std_px": float(solution.intrinsics_std[problem.device[index], 0]),
             "median_distance": float(np.median(distance)) if len(distance) else None,
-            "residuals": _rounded(problem.obs_xy[shown], solution.residual_px[shown]),
+            "residuals": rows.tolist(),  # x, y, dx, dy, pixels
         },
     )
-
-
-def _rounded(xy: Float[np.ndarray, "n 2"], residual: Float[np.ndarray, "n 2"]) -> list[list[float]]:
-    """Rows x, y, dx, dy, pixels."""
-    return np.concatenate([xy.round(1), residual.round(3)], axis=1).tolist()

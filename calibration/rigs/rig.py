@@ -136,13 +136,11 @@ def read_rig(path: Path) -> Rig:
         )
         return Rig(cameras, scale, data.get("route", "given"))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check calibration.rig.given") from None
+        text = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
+        raise InputError("file-unreadable", text) from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(
-            f"{path}: not a rig.json ({where}{_words(error)}); expected cameras with width, height, K, distortion and "
-            "cam_from_world, as docs/formats.md says"
-        ) from None
-
-
-def _words(error: Exception) -> str:
-    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        why = f"{where}{error}{' is missing' if isinstance(error, KeyError) else ''}"
+        expected = (
+            "expected cameras with width, height, K, distortion and cam_from_world, as docs/formats.md says"
+        )
+        raise InputError("file-damaged", f"{path}: not a rig.json ({why}); {expected}") from None

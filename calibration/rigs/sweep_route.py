@@ -110,10 +110,8 @@ def rig_from_sweep(
             found[item.name] = (registration, label)
         progress(0.2 + 0.6 * (n + 1) / len(inputs), f"{item.name}: {most} inliers")
     if refused:
-        raise HealthError(
-            "; ".join(refused) + ". Add sweep pictures from near these cameras, looking the same way, "
-            "and check that they film the same place"
-        )
+        remedy = "Add sweep pictures from near these cameras, looking the same way; is it the same place?"
+        raise HealthError("rig-unlinked-camera", f"{'; '.join(refused)}. {remedy}")
     return _refined(model, inputs, found)
 
 

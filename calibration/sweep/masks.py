@@ -34,7 +34,7 @@ def prepare_masks(
         InputError: No folder, no mask at all, a mask of another size, or one that ignores everything.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml")
+        raise InputError("folder-missing", f"{folder}: no such folder; check calibration.static_poses.masks")
     without, problems = [], []
     for name, original in pictures.items():
         file = _find(folder, name, original)
@@ -44,31 +44,26 @@ def prepare_masks(
         keep = read_pixels(file)[:, :, :3].max(axis=2) >= BLACK_BELOW
         if keep.shape[::-1] != sizes[name]:
             size, want = "x".join(map(str, keep.shape[::-1])), "x".join(map(str, sizes[name]))
-            problems.append(
-                f"{file}: {size}, the picture {original} is {want} (upright); save it at that size"
-            )
+            text = f"{file}: {size}, the picture {original} is {want} (upright); save it at that size"
+            problems.append(InputError("mask-size-wrong", text))
             continue
         side = 2 * max(2, round(GROWN * max(keep.shape))) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         kept = cv2.erode(keep.astype(np.uint8) * 255, disc, borderType=cv2.BORDER_REPLICATE)
         if not kept.any():
-            problems.append(
-                f"{file}: ignores the whole picture; black is ignored, white is used: invert the mask, or take "
-                "the picture out of the sweep"
-            )
+            text = f"{file}: ignores the whole picture, as it is black; invert it, or leave the picture out"
+            problems.append(InputError("mask-ignores-all", text))
             continue
         target = out / f"{name}.png"
         target.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(target), kept)
     if problems:
         more = f"\n(and {len(problems) - LISTED} more)" if len(problems) > LISTED else ""
-        raise InputError("\n".join(problems[:LISTED]) + more)
+        raise InputError(problems[0].code, "\n".join(map(str, problems[:LISTED])) + more)
     if len(without) == len(pictures):
         example = next(iter(pictures.values()))
-        raise InputError(
-            f"{folder}: holds no mask of the sweep's {len(pictures)} pictures; expected names such as "
-            f"{example}.png"
-        )
+        wrong = f"{folder}: holds no mask of the sweep's {len(pictures)} pictures"
+        raise InputError("mask-missing", f"{wrong}; expected names such as {example}.png")
     return without
 
 

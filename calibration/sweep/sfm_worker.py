@@ -237,13 +237,7 @@ def _match(database: Path, job: dict[str, Any], pairs: list[Pair]) -> None:
     matching.num_threads = _threads(job)
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = SEED
-    pycolmap.match_image_pairs(
-        str(database),
-        matching,
-        pairing,
-        verification,
-        pycolmap.Device.cpu,
-    )
+    pycolmap.match_image_pairs(str(database), matching, pairing, verification, pycolmap.Device.cpu)
 
 
 def _attempt(

@@ -126,7 +126,8 @@ def recover_static_poses(
     """
     names = sorted(name for group in groups for name in group.names)
     if len(names) < MIN_MODEL:
-        raise CalibrationError(f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer")
+        text = f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer"
+        raise CalibrationError("sweep-too-short", text)
     metres, std_m = local_metres(places or {})
     no_gps = why_not(metres, std_m, len(names))
     nowhere = np.full(3, np.nan)
@@ -297,28 +298,31 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
     what = "two pictures always fit each other, so this says nothing" if largest else "nothing to start from"
     angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
     late = result["skipped_pictures"] or any(attempt["out_of_time"] for attempt in result["attempts"])
-    raise HealthError(
-        f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: "
-        f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees between views "
-        f"(50 and 4 were tried too); {median:.0f} features per picture in the median. {_cause(pairs, bool(late))}"
-    )
+    code, cause = _cause(pairs, bool(late))
+    best = f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees"
+    found = f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: {best}"
+    seen = f"between views (50 and 4 were tried too); {median:.0f} features per picture in the median"
+    raise HealthError(code, f"{found} {seen}. {cause}")
 
 
-def _cause(pairs: dict[str, Any], late: bool) -> str:
-    """The likeliest reason why nothing was registered, and its remedy."""
+def _cause(pairs: dict[str, Any], late: bool) -> tuple[str, str]:
+    """The code of the likeliest reason why nothing was registered, and its text with a remedy."""
     if late:
-        return "There was not enough time: raise calibration.static_poses.time_minutes, or use fewer pictures"
+        return "sweep-out-of-time", "Raise calibration.static_poses.time_minutes, or use fewer pictures"
     if pairs["watermark_share"] > OVERLAY_SHARE:
         return (
+            "sweep-under-overlay",
             f"{100 * pairs['watermark_share']:.0f} % of its pairs match on a static overlay (logo, time stamp, dirt on "
-            "the lens): switch it off, crop it, or mask it (calibration.static_poses.masks)"
+            "the lens): switch it off, crop it, or mask it (calibration.static_poses.masks)",
         )
     if pairs["verified"] >= MIN_MODEL and pairs["homography_share"] > HOMOGRAPHY_SHARE:
         return (
+            "sweep-without-parallax",
             f"{100 * pairs['homography_share']:.0f} % of its pairs fit a homography: the camera turned and did not "
-            "move, or it saw one flat surface. Walk sideways around the scene, with depth in view"
+            "move, or it saw one flat surface. Walk sideways around the scene, with depth in view",
         )
     return (
+        "sweep-unregistered",
         "Film a scene with texture (blank walls give none), walk sideways instead of turning on the spot, and keep "
-        "70 % overlap"
+        "70 % overlap",
     )

@@ -91,11 +91,7 @@ def against_model(views: TwoViews, cameras: Mapping[str, Camera]) -> dict[str, A
     true = (fit_all >= TRUE_MATCHES) & (fit_all > TRUE_PAIR * of_all)
     used = known & true[views.match_pair]
     contradicting = [
-        {
-            "names": [views.names[a], views.names[b]],
-            "inliers": int(of_inliers[n]),
-            "fit": int(fit_inliers[n]),
-        }
+        {"names": [views.names[a], views.names[b]], "inliers": int(of_inliers[n]), "fit": int(fit_inliers[n])}
         for n, (a, b) in enumerate(views.pairs.tolist())
         if wrong[n]
     ]

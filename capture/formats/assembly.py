@@ -156,12 +156,10 @@ def time_within(value: Any, where: str) -> float:
     Raises:
         CaptureError: It does not, or is no number.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise CaptureError(f"{where}: time is {value!r}; expected a number in [0, 1]")
-    if not -TIME_TOLERANCE <= value <= 1 + TIME_TOLERANCE:
-        raise CaptureError(
-            f"{where}: time is {value}; expected a number in [0, 1]; divide all times by the last one"
-        )
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and -TIME_TOLERANCE <= value <= 1 + TIME_TOLERANCE):
+        text = f"{where}: time is {value!r}; expected a number in [0, 1]; divide all times by the last one"
+        raise CaptureError("entry-wrong", text)
     return float(np.clip(value, 0.0, 1.0))
 
 
@@ -176,10 +174,9 @@ def check_sizes(frames: Iterable[PosedFrame]) -> None:
         other = first.setdefault(frame.camera_name, frame)
         size, expected = ((f.camera.width, f.camera.height) for f in (frame, other))
         if size != expected:
-            raise CaptureError(
-                f"{frame.path}: picture is {size[0]}x{size[1]}, {other.path.name} of the same camera "
-                f"{frame.camera_name!r} is {expected[0]}x{expected[1]}; expected one size per camera"
-            )
+            wrong = f"{frame.path}: picture is {size[0]}x{size[1]}, {other.path.name}"
+            remedy = f"of {frame.camera_name!r} is {expected[0]}x{expected[1]}; expected one size per camera"
+            raise CaptureError("picture-size-wrong", f"{wrong} {remedy}")
 
 
 def _scene(pictures: Pictures, background: Background, **box: Any) -> Scene:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.formats.files import read_json
+from devrf.capture.formats.files import number, number_or_none, read_json
 from devrf.capture.formats.opengl import cam_from_opengl
 
 DATAPARSER = "dataparser_transforms.json"
@@ -60,43 +60,37 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         undo = _undone(path.with_name(DATAPARSER))
         kind = str(meta.get("camera_type", "perspective")).lower()
         if kind != "perspective":
-            raise InputError(f"{path}: camera_type is {kind}; only perspective cameras are filmed")
+            raise InputError("lens-unread", f"{path}: camera_type is {kind}; only perspective cameras film")
         every_picture = bool(meta.get("camera_path"))
         entries = meta.get("camera_path") or meta.get("keyframes")
         if not isinstance(entries, list) or not 0 < len(entries) <= MOST_PICTURES:
-            raise InputError(
-                f"{path}: neither camera_path nor keyframes lists any picture; export a camera path from nerfstudio's "
-                "viewer, or see docs/film.md for what such a file holds"
-            )
+            wrong = f"{path}: neither camera_path nor keyframes lists any picture"
+            remedy = "export a camera path from nerfstudio's viewer, or see docs/film.md for what such a file holds"
+            raise InputError("pictures-none", f"{wrong}; {remedy}")
         width, height = size or _size(meta, path) or usual
         cameras, times = [], []
-        for number, entry in enumerate(entries):
-            where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{number}]"
+        for n, entry in enumerate(entries):
+            where = f"{path}: {'camera_path' if every_picture else 'keyframes'}[{n}]"
             if not isinstance(entry, dict):
-                raise InputError(f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov")
-            fov = _number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
+                text = f"{where}: is {str(entry)[:60]}; expected camera_to_world and fov"
+                raise InputError("entry-wrong", text)
+            fov = number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
-                raise InputError(f"{where}: fov is {fov:g}; expected degrees between 0 and 180")
+                raise InputError("entry-wrong", f"{where}: fov is {fov:g}; expected degrees from 0 to 180")
             f = 0.5 * height / np.tan(0.5 * np.radians(fov))
             K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
             pose = undo(_matrix(entry.get("camera_to_world", entry.get("matrix")), where))
             cameras.append(Camera(width, height, K, cam_from_opengl(pose, where)))
             times.append(_time(entry, where))
-        numbers = {
-            key: None if meta.get(key) is None else _number(meta[key], key, str(path))
-            for key in ("fps", "seconds")
-        }
+        fps, seconds = (number_or_none(meta, key, str(path)) for key in ("fps", "seconds"))
     except CaptureError as error:
-        raise InputError(str(error)) from None
+        raise InputError(error.code, str(error)) from None
     if any(time is None for time in times) and any(time is not None for time in times):
-        raise InputError(
-            f"{path}: some pictures have a render_time and others have none; give all of them one, or none"
-        )
+        text = f"{path}: some pictures have a render_time and others have none; give all of them one, or none"
+        raise InputError("entry-missing", text)
     known = tuple(time for time in times if time is not None)
     closed = bool(meta.get("is_cycle")) and not every_picture
-    return CameraPath(
-        tuple(cameras), known or None, numbers["fps"], numbers["seconds"], every_picture, closed
-    )
+    return CameraPath(tuple(cameras), known or None, fps, seconds, every_picture, closed)
 
 
 def _matrix(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
@@ -105,7 +99,8 @@ def _matrix(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
         pose = np.array(json.loads(value) if isinstance(value, str) else value, dtype=np.float64)
         pose = pose.reshape(4, 4)
     except (TypeError, ValueError):
-        raise InputError(f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers") from None
+        text = f"{where}: camera_to_world is {str(value)[:60]}; expected 16 numbers"
+        raise InputError("entry-wrong", text) from None
     return pose.T if np.any(pose[3, :3]) and not np.any(pose[:3, 3]) else pose
 
 
@@ -121,9 +116,8 @@ def _undone(path: Path) -> Any:
         if not (scale > 0 and np.isfinite(inverse).all()):
             raise ValueError(f"scale is {scale}")
     except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-        raise InputError(
-            f"{path}: cannot be used ({error}); expected transform (3 rows of 4) and scale"
-        ) from None
+        text = f"{path}: cannot be used ({error}); expected transform (3 rows of 4) and scale"
+        raise InputError("file-damaged", text) from None
 
     def undo(pose: np.ndarray) -> np.ndarray:
         moved = pose.copy()
@@ -137,20 +131,14 @@ def _size(meta: dict[str, Any], path: Path) -> tuple[int, int] | None:
     width, height = meta.get("render_width"), meta.get("render_height")
     if width is None or height is None:
         return None
-    return int(_number(width, "render_width", str(path))), int(_number(height, "render_height", str(path)))
+    return int(number(width, "render_width", str(path))), int(number(height, "render_height", str(path)))
 
 
 def _time(entry: dict[str, Any], where: str) -> float | None:
     value = entry.get("render_time", entry.get("time"))
     if value is None:
         return None
-    time = _number(value, "render_time", where)
+    time = number(value, "render_time", where)
     if not 0 <= time <= 1:
-        raise InputError(f"{where}: render_time is {time:g}, outside the clip; expected 0 to 1")
+        raise InputError("entry-wrong", f"{where}: render_time is {time:g}, outside the clip, 0 to 1")
     return time
-
-
-def _number(value: Any, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(f"{where}: {key} is {value!r}; expected a number")
-    return float(value)

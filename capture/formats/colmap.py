@@ -54,7 +54,7 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     place = model_folder(folder)
     model = read_model(place)
     if not model.images:
-        raise CaptureError(f"{place}: no image is registered; expected a model with pictures")
+        raise CaptureError("pictures-none", f"{place}: no image is registered; expected one with pictures")
     test = read_names(place / TEST_LIST)
     order = sorted(model.images, key=lambda number: natural_key(model.images[number].name))
     frames, grey = [], 0
@@ -65,7 +65,8 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
         grey += header.grey
         intrinsics = model.cameras.get(image.camera_id)
         if intrinsics is None:
-            raise CaptureError(f"{where}: its camera {image.camera_id} is not in the model; export it again")
+            text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
+            raise CaptureError("camera-missing", text)
         split = "test" if test is not None and image.name in test else "train"
         camera = _camera(intrinsics, image, header, where)
         frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
@@ -127,11 +128,7 @@ def _model(frames: tuple[PosedFrame, ...], base: Path, points: SparsePoints | No
         none, colours = np.zeros(0, np.int64), point_colours(points, frames).tolist()
         for n, (xyz, rgb) in enumerate(zip(points.xyz, colours, strict=True)):
             written[n + 1] = ModelPoint(xyz, UNKNOWN_ERROR_PX, none, tuple(rgb))
-    return Model(
-        {number: camera for (_, camera), number in cameras.items()},
-        images,
-        written,
-    )
+    return Model({number: camera for (_, camera), number in cameras.items()}, images, written)
 
 
 def _write(
@@ -154,10 +151,8 @@ def model_folder(folder: Path) -> Path:
     for place in places:
         if any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
             return place
-    raise CaptureError(
-        f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself; expected a "
-        "COLMAP model and images/"
-    )
+    text = f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or itself; expected a COLMAP model"
+    raise CaptureError("file-missing", text)
 
 
 def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray, LensModel]:
@@ -169,25 +164,22 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
     p = camera.params
     two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
     if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
-        raise CaptureError(
-            f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)} (FULL_OPENCV with "
-            "k4 to k6 of 0); undistort the pictures with COLMAP first"
-        )
+        wrong = f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)}"
+        remedy = "(FULL_OPENCV with k4 to k6 of 0); undistort the pictures with COLMAP first"
+        raise CaptureError("lens-unread", f"{wrong} {remedy}")
     fx, fy, cx, cy, *lens = p if two_focal else (p[0], *p)
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]
     if not (np.isfinite(p).all() and min(fx, fy) > 0):
-        raise CaptureError(f"{where}: camera parameters are {list(p)}; expected focal lengths above 0")
+        raise CaptureError("entry-wrong", f"{where}: parameters {list(p)}; expected focal lengths above 0")
     model: LensModel = "OPENCV_FISHEYE" if camera.model == "OPENCV_FISHEYE" else "OPENCV"
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, model
 
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:
     if (header.width, header.height) != (camera.width, camera.height):
-        raise CaptureError(
-            f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the "
-            "pictures that the model was made from"
-        )
+        text = f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use its own"
+        raise CaptureError("picture-size-wrong", text)
     K, distortion, model = intrinsics(camera, where)
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)
 

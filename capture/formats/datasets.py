@@ -110,7 +110,7 @@ def read_dataset(
             nothing at rest.
     """
     if not folder.is_dir():
-        raise CaptureError(f"data set {folder}: no such folder; check dataset.path")
+        raise CaptureError("folder-missing", f"data set {folder}: no such folder; check dataset.path")
     notes = [] if notes is None else notes
     found = READERS[dataset_format](folder, notes)
     check_sizes(found.dynamic)
@@ -131,9 +131,8 @@ def read_dataset(
         OverflowError,
         np.linalg.LinAlgError,
     ) as error:  # positions of 1e300, all at one place
-        raise CaptureError(
-            f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"
-        ) from None
+        text = f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"
+        raise CaptureError("scene-cameras-unusable", text) from None
 
 
 def _scene(found: Pictures, background: Background | None, notes: list[str]) -> Scene:

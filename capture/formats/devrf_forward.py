@@ -41,18 +41,15 @@ def read_devrf_forward(folder: Path, moving: Path, notes: list[str]) -> Pictures
     )
     views = [p for p in sorted(moving.glob("view*"), key=_number) if _number(p) > 0]
     if len(views) < 2 or [_number(p) for p in views] != list(range(1, len(views) + 1)):
-        raise CaptureError(
-            f"{moving}: expected the folders view1, view2, ... (two or more), found "
-            f"{', '.join(p.name for p in views) or 'none'}"
-        )
+        found = ", ".join(p.name for p in views) or "none"
+        text = f"{moving}: expected the folders view1, view2, ... (two or more), found {found}"
+        raise CaptureError("folder-missing", text)
     poses = read_rows(moving / "poses.npy", 15)
     check_bounds(read_rows(moving / "bds.npy", 2), moving / "bds.npy")
     for name, count in (("poses.npy", len(poses)), ("static pictures", len(static))):
         if count < len(views):
-            raise CaptureError(
-                f"{moving}: {count} {name} for {len(views)} views; expected the fixed cameras in the last "
-                f"{len(views)}"
-            )
+            text = f"{moving}: {count} {name}, expected {len(views)} or more: the fixed cameras are the last"
+            raise CaptureError("count-mismatch", text)
     box_from_world = forward_frame([f.camera for f in static], bounds)
     dynamic: list[PosedFrame] = []
     for n, view in enumerate(views):
@@ -120,11 +117,9 @@ def _check_same_place(camera: Camera, static: Camera, path: Path, view: str) -> 
     cosine = (np.trace(camera.cam_from_world[:, :3] @ static.cam_from_world[:, :3].T) - 1) / 2
     turn = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     if miss > LARGEST_MISS or turn > LARGEST_TURN_DEG:
-        raise CaptureError(
-            f"{path}: {view} is {miss:.3g} units and {turn:.1f} degrees from its picture at rest, expected the "
-            "same pose; the last pictures of static/ must be the fixed cameras, in order, and poses.npy must be "
-            "recentred and scaled by 1 / (0.75 nearest bound), as the published loader does"
-        )
+        wrong = f"{path}: {view} is {miss:.3g} units and {turn:.1f} degrees from its pose at rest"
+        remedy = "the last pictures of static/ must be the fixed cameras, in order, and poses.npy recentred and scaled"
+        raise CaptureError("pose-differs", f"{wrong}; {remedy} by 1 / (0.75 nearest bound)")
 
 
 def _number(path: Path) -> int:

@@ -1,6 +1,7 @@
 """Files of data sets: JSON, and what the header of a picture says before its pixels are read."""
 
 import json
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ LONGEST_NAME = 64  # of a camera, characters
 PICTURE_ENDINGS = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 GREY_MODES = ("1", "L", "I;16", "I;16B", "I")  # Pillow's names
 COLOUR_MODES = ("RGB", "RGBA", "P", "RGBX")
+# Of an entry.
+REQUIRED = (("file_path", str, "the path of a picture"), ("transform_matrix", list, "4 rows of 4 numbers"))
 
 
 @dataclass(frozen=True)
@@ -43,10 +46,8 @@ def find_picture(file: Path) -> Path:
         candidate = file.with_name(file.name + ending) if file.name else file
         if candidate.is_file():
             return candidate.resolve()
-    raise CaptureError(
-        f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its "
-        "entry"
-    )
+    text = f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry"
+    raise CaptureError("picture-missing", text)
 
 
 def read_header(path: Path) -> Header:
@@ -63,10 +64,8 @@ def read_header(path: Path) -> Header:
     if mode in COLOUR_MODES:
         return Header(path, width, height, False, alpha)
     count = {"LA": "2 channels (grey and transparency)", "PA": "2 channels (palette and transparency)"}
-    raise CaptureError(
-        f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or "
-        "RGBA"
-    )
+    text = f"{path}: {count.get(mode, f'pixels of kind {mode}')}; expected grey, RGB or RGBA; save it as RGB or RGBA"
+    raise CaptureError("picture-kind-unread", text)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -79,11 +78,11 @@ def read_json(path: Path) -> dict[str, Any]:
         check_bytes(path, TEXT_BYTES)
         value = json.loads(path.read_text(), parse_int=_whole)
     except FileNotFoundError:
-        raise CaptureError(f"{path}: file not found; check dataset.path and dataset.format") from None
+        raise CaptureError("file-missing", f"{path}: no such file; check dataset.path") from None
     except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a JSON file ({error}); copy it again") from None
+        raise CaptureError("file-damaged", f"{path}: not a JSON file ({error}); copy it again") from None
     if not isinstance(value, dict):
-        raise CaptureError(f"{path}: holds a {type(value).__name__}; expected an object with the key frames")
+        raise CaptureError("file-damaged", f"{path}: a {type(value).__name__}, not an object with frames")
     return value
 
 
@@ -97,16 +96,27 @@ def frames_of(meta: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     """The entries of a transforms file, each known to be an object with `file_path` and `transform_matrix`."""
     entries = meta.get("frames")
     if not isinstance(entries, list) or not entries:
-        raise CaptureError(f"{path}: no frames listed; expected a list frames with an entry per picture")
-    for number, entry in enumerate(entries):
+        raise CaptureError("pictures-none", f"{path}: no frames listed; expected a list with one per picture")
+    for n, entry in enumerate(entries):
         if not isinstance(entry, dict):
-            raise CaptureError(f"{path}: frames[{number}] is {entry!r}; expected an object")
-        for key, kind in (("file_path", str), ("transform_matrix", list)):
+            raise CaptureError("entry-wrong", f"{path}: frames[{n}] is {entry!r}; expected an object")
+        for key, kind, what in REQUIRED:
             if not isinstance(entry.get(key), kind):
-                raise CaptureError(
-                    f"{path}: frames[{number}].{key} is {entry.get(key)!r}; expected {_word(kind)}"
-                )
+                text = f"{path}: frames[{n}].{key} is {entry.get(key)!r}; expected {what}"
+                raise CaptureError("entry-wrong", text)
     return entries
+
+
+def number(value: Any, key: str, where: str) -> float:
+    """A value that must be a finite number; `key` and `where` name it in the error."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CaptureError("entry-wrong", f"{where}: {key} is {value!r}; expected a number")
+    return float(value)
+
+
+def number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None:
+    """The number of a key that may be missing."""
+    return None if entry.get(key) is None else number(entry[key], key, where)
 
 
 def relative_to(path: Path, base: Path) -> str:
@@ -122,7 +132,3 @@ def safe_name(name: object) -> str:
 def _whole(digits: str) -> int | float:
     """Of hundreds of digits no array can be made, nor are they asked whether they are finite."""
     return int(digits) if len(digits) < 20 else float(digits)
-
-
-def _word(kind: type) -> str:
-    return {str: "the path of a picture", list: "4 rows of 4 numbers"}[kind]

@@ -36,10 +36,12 @@ def read_flow_file(path: Path) -> Flow:
     try:
         data = read_npz(path, ("flow", "mask"))
     except ArrayError as error:
-        raise _damaged(error) from None
+        raise _damaged(error.code, error) from None
     flow, mask = data["flow"].astype(np.float32), np.asarray(data["mask"] > 0)
     if flow.shape != (*mask.shape, 2):
-        raise _damaged(f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}")
+        raise _damaged(
+            "flow-size-wrong", f"{path}: flow has shape {list(flow.shape)}, mask {list(mask.shape)}"
+        )
     finite = np.asarray(np.isfinite(flow).all(axis=-1))
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
 
@@ -76,24 +78,24 @@ def with_flow_files(
             out.append(frame)
             continue
         if not path.is_file():
-            raise CaptureError(
-                f"{path}: flow of {frame.path.name} not found, while the folder is there; copy it again, or remove "
-                "the whole folder so that flow is computed"
-            )
+            wrong = f"{path}: flow of {frame.path.name} not found, while the folder is there"
+            remedy = "copy it again, or remove the whole folder so that flow is computed"
+            raise CaptureError("file-missing", f"{wrong}; {remedy}")
         width, height = size or (frame.camera.width, frame.camera.height)
         try:
             found = tuple(npz_shapes(path, ("flow", "mask")))
         except ArrayError as error:
-            raise _damaged(error) from None
+            raise _damaged(error.code, error) from None
         if found != ((height, width, 2), (height, width)):
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
+            wrong = f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}"
+            expected = f"expected [{height}, {width}, 2] and [{height}, {width}], the size of {of}"
             raise CaptureError(
-                f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}; expected [{height}, {width}, 2] "
-                f"and [{height}, {width}], the size of {of}; compute the flow on the pictures of the data set"
+                "flow-size-wrong", f"{wrong}; {expected}; compute it on the data set's pictures"
             )
         out.append(replace(frame, flow=path.resolve()))
     return tuple(out)
 
 
-def _damaged(what: object) -> CaptureError:
-    return CaptureError(f"{what}; expected an npz with flow and mask; copy it again")
+def _damaged(code: str, what: object) -> CaptureError:
+    return CaptureError(code, f"{what}; expected an npz with flow and mask; copy it again")

@@ -109,15 +109,14 @@ def pinhole(
     """The camera of a row; its focal length is scaled from the size in the row to that of the picture."""
     height, width, focal = hwf
     if not (np.isfinite(hwf).all() and hwf.min() > 0):
-        raise CaptureError(f"{where}: height, width, focal are {hwf.tolist()}; expected numbers above 0")
+        raise CaptureError("entry-wrong", f"{where}: height, width, focal are {hwf.tolist()}, not above 0")
     ratio_x, ratio_y = header.width / width, header.height / height
     if (
         abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3
     ):  # copies have rounded sizes
-        raise CaptureError(
-            f"{header.path}: picture is {header.size}, {where} says {width:g}x{height:g}; expected the same "
-            "shape; use the pictures that were calibrated"
-        )
+        wrong = f"{header.path}: picture is {header.size}, {where} says {width:g}x{height:g}"
+        remedy = "expected the same shape; use the pictures that were calibrated"
+        raise CaptureError("picture-size-wrong", f"{wrong}; {remedy}")
     K = np.array([[focal * ratio_x, 0, header.width / 2], [0, focal * ratio_y, header.height / 2], [0, 0, 1]])
     return Camera(header.width, header.height, K, cam_from_opengl(opengl, where))
 
@@ -131,13 +130,10 @@ def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
     try:
         table = read_npy(path).astype(np.float64)
     except ArrayError as error:
-        raise CaptureError(
-            f"{error}; expected a table of numbers: copy it again, or check dataset.path and dataset.format"
-        ) from None
+        raise CaptureError(error.code, f"{error}; check dataset.path and dataset.format") from None
     if table.ndim < 2 or len(table) == 0 or table[0].size != columns:
-        raise CaptureError(
-            f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture"
-        )
+        text = f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture"
+        raise CaptureError("table-wrong", text)
     return table.reshape(len(table), columns)
 
 
@@ -150,10 +146,8 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
     good = np.isfinite(bounds).all(axis=1) & (bounds[:, 0] > 0) & (bounds[:, 1] > bounds[:, 0])
     if not good.all():
         n = int(np.argmin(good))
-        raise CaptureError(
-            f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; the picture saw no "
-            "points: remove its row and its file"
-        )
+        text = f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; remove row and picture"
+        raise CaptureError("entry-wrong", text)
     return bounds
 
 
@@ -171,10 +165,8 @@ def largest_pictures(folder: Path, count: int | None) -> list[Path]:
         if files:
             seen.append(f"images{factor} {len(files)}")
     expected = f"{count} pictures" if count is not None else "pictures"
-    raise CaptureError(
-        f"{folder}: expected {expected} in images, images_2, images_4 or images_8, found "
-        f"{', '.join(seen) or 'none'}; each row of the poses is one picture"
-    )
+    wrong = f"{folder}: expected {expected} in images, images_2, images_4 or images_8"
+    raise CaptureError("count-mismatch", f"{wrong}, found {', '.join(seen) or 'none'}; a row is a picture")
 
 
 def pictures_in(folder: Path) -> list[Path]:
@@ -195,6 +187,4 @@ def read_names(path: Path) -> frozenset[str] | None:
         check_bytes(path, TEXT_BYTES)
         return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
     except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(
-            f"{path}: no list of names ({error}); write one name per line, or remove it"
-        ) from None
+        raise CaptureError("file-damaged", f"{path}: {error}; write a name per line, or remove it") from None

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats.files import Header
+from devrf.capture.formats.files import Header, number
 
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 DISTORTION_KEYS: dict[LensModel, tuple[str, ...]] = {
@@ -32,23 +32,17 @@ def cam_from_opengl(matrix: Any, where: str) -> Float[np.ndarray, "3 4"]:
     except (TypeError, ValueError):
         pose = np.zeros(0)
     if pose.shape not in ((3, 4), (4, 4)):
-        raise CaptureError(f"{where}: the pose has shape {list(pose.shape)}; expected 4 rows of 4 numbers")
+        raise CaptureError("pose-wrong", f"{where}: the pose has shape {list(pose.shape)}; expected [4, 4]")
     if not np.isfinite(pose).all():
-        raise CaptureError(
-            f"{where}: the pose is not finite ({pose[:3].tolist()}); remove the picture, it was not registered"
-        )
+        raise CaptureError("pose-not-finite", f"{where}: pose {pose[:3].tolist()}; remove the picture")
     full = np.vstack([pose[:3], [0, 0, 0, 1]]) @ FLIP_YZ
     u, s, vt = np.linalg.svd(full[:3, :3])
     if np.abs(s - 1).max() > RIGID_REPAIR:
-        raise CaptureError(
-            f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}, expected 1, 1, 1); "
-            "take the scale out of its rotation"
-        )
+        text = f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}); take the scale out of it"
+        raise CaptureError("pose-not-rigid", text)
     if np.linalg.det(full[:3, :3]) < 0:
-        raise CaptureError(
-            f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}, expected 1); one of "
-            "its axes points the wrong way"
-        )
+        text = f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}); turn one of its axes"
+        raise CaptureError("pose-mirrored", text)
     R = (u @ vt).T
     return np.column_stack([R, -R @ full[:3, 3]])
 
@@ -61,29 +55,27 @@ def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
     """
     width, height = header.width, header.height
     stated = tuple(
-        int(_number(entry.get(key, size), key, where)) for key, size in (("w", width), ("h", height))
+        int(number(entry.get(key, size), key, where)) for key, size in (("w", width), ("h", height))
     )
     if stated != (width, height):
-        raise CaptureError(
-            f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}; use the pictures "
-            "that were calibrated"
-        )
+        wrong = f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}"
+        raise CaptureError("picture-size-wrong", f"{wrong}; use the calibrated ones")
     if "fl_x" in entry:
-        fl_x = _number(entry["fl_x"], "fl_x", where)
+        fl_x = number(entry["fl_x"], "fl_x", where)
     elif "camera_angle_x" in entry:
-        angle = _number(entry["camera_angle_x"], "camera_angle_x", where)
+        angle = number(entry["camera_angle_x"], "camera_angle_x", where)
         if not 0 < angle < np.pi:
-            raise CaptureError(f"{where}: camera_angle_x is {angle}; expected radians between 0 and 3.14")
+            raise CaptureError("entry-wrong", f"{where}: camera_angle_x is {angle}; expected 0 to 3.14")
         fl_x = 0.5 * width / np.tan(0.5 * angle)
     else:
-        raise CaptureError(f"{where}: neither fl_x nor camera_angle_x given; one of them is needed")
-    fl_y = _number(entry.get("fl_y", fl_x), "fl_y", where)
+        raise CaptureError("entry-missing", f"{where}: has neither fl_x nor camera_angle_x; one is needed")
+    fl_y = number(entry.get("fl_y", fl_x), "fl_y", where)
     if min(fl_x, fl_y) <= 0:
-        raise CaptureError(f"{where}: focal length is {fl_x}, {fl_y}; expected pixels above 0")
-    cx, cy = (_number(entry.get(key, side / 2), key, where) for key, side in (("cx", width), ("cy", height)))
+        raise CaptureError("entry-wrong", f"{where}: focal length is {fl_x}, {fl_y}; expected above 0")
+    cx, cy = (number(entry.get(key, side / 2), key, where) for key, side in (("cx", width), ("cy", height)))
     K = np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1.0]])
     model: LensModel = "OPENCV_FISHEYE" if entry.get("camera_model") == "OPENCV_FISHEYE" else "OPENCV"
-    lens = [_number(entry.get(key, 0.0), key, where) for key in DISTORTION_KEYS[model]]
+    lens = [number(entry.get(key, 0.0), key, where) for key in DISTORTION_KEYS[model]]
     distortion = np.array([*lens, 0.0][:5])
     return Camera(width, height, K, cam_from_opengl(entry["transform_matrix"], where), distortion, model)
 
@@ -103,9 +95,3 @@ def intrinsics_entry(camera: Camera) -> dict[str, Any]:
 def opengl_pose(camera: Camera) -> list[list[float]]:
     """`transform_matrix`: camera-to-world [4, 4] in OpenGL's axes."""
     return (camera.world_from_cam @ FLIP_YZ).tolist()
-
-
-def _number(value: Any, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise CaptureError(f"{where}: {key} is {value!r}; expected a number")
-    return float(value)

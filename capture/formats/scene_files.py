@@ -62,9 +62,7 @@ def with_scene_entry(scene: Scene, entry: Any, path: Path) -> Scene:
     try:
         return replace(scene, **_values(entry))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise CaptureError(
-            f"{path}: {OWN_KEY} is damaged ({error}); remove the key, or export again"
-        ) from None
+        raise CaptureError("entry-wrong", f"{path}: {OWN_KEY}: {error}; remove it, or export again") from None
 
 
 def _values(meta: dict[str, Any]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.formats.files import (
     find_picture,
     frames_of,
+    number_or_none,
     read_header,
     read_json,
     relative_to,
@@ -73,8 +74,8 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
         _check_model(entry.get("camera_model", "OPENCV"), path)
         header = read_header(find_picture(path.parent / entry["file_path"]))
         grey += header.grey
-        time = _number_or_none(entry, "time", where)
-        time_s = _number_or_none(entry, "time_s", where)
+        time = number_or_none(entry, "time", where)
+        time_s = number_or_none(entry, "time_s", where)
         frames.append(
             PosedFrame(
                 path=header.path,
@@ -100,16 +101,14 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
     """`frame_index` of an entry, else the number given."""
     index = entry.get("frame_index", number)
     if isinstance(index, bool) or not isinstance(index, int) or index < 0:
-        raise CaptureError(f"{where}: frame_index is {index!r}; expected a whole number from 0")
+        raise CaptureError("entry-wrong", f"{where}: frame_index is {index!r}, expected a whole number")
     return index
 
 
 def _check_model(model: object, path: Path) -> None:
     if model not in MODELS:
-        raise CaptureError(
-            f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE; "
-            "undistort the pictures"
-        )
+        text = f"{path}: camera_model is {model}; expected OPENCV, PINHOLE or OPENCV_FISHEYE; undistort it"
+        raise CaptureError("lens-unread", text)
 
 
 def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
@@ -124,19 +123,9 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
             None if flat is None else (base / flat).resolve(),
         )
     except (TypeError, ValueError) as error:
-        raise CaptureError(
-            f"{where}: its look cannot be used ({error}); expected colour_matrix with 3 rows of 3 numbers and "
-            "colour_gains with 3 numbers above 0, or no such keys"
-        ) from None
-
-
-def _number_or_none(entry: dict[str, Any], key: str, where: str) -> float | None:
-    value = entry.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise CaptureError(f"{where}: {key} is {value!r}; expected a number, or no such key at rest")
-    return float(value)
+        wrong = f"{where}: its look cannot be used ({error})"
+        remedy = "expected colour_matrix with 3 rows of 3 numbers, colour_gains with 3 above 0, or none"
+        raise CaptureError("entry-wrong", f"{wrong}; {remedy}") from None
 
 
 def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
@@ -150,5 +139,5 @@ def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
             else "train"
         )
     if split not in ("train", "test", "val"):
-        raise CaptureError(f"{where}: split is {split!r}; expected train or test")
+        raise CaptureError("entry-wrong", f"{where}: split is {split!r}; expected train or test")
     return "train" if split == "train" else "test"

@@ -47,11 +47,10 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
     best = BIN_DEG * (int(histogram.argmax()) + 0.5)
     near = strong & (np.abs((angle - best + 180) % 360 - 180) < SECTOR_DEG)
     if near.mean() < LEAST_SHARE:
-        raise CaptureError(
-            f"camera '{camera}': no key colour found: the commonest strong colour fills "
-            f"{100 * near.mean():.0f} % of its pictures, expected at least {100 * LEAST_SHARE:.0f} %; light the screen "
-            "evenly, name its colour (capture.mattes: {method: chroma, colour: '#00b140'}), or use another method"
-        )
+        wrong = f"camera '{camera}': no key colour found: the commonest strong colour fills {100 * near.mean():.0f} %"
+        remedy = "name its colour (capture.mattes: {method: chroma, colour: '#00b140'}) or use another method"
+        expected = f"expected at least {100 * LEAST_SHARE:.0f} %; light the screen evenly"
+        raise CaptureError("key-colour-unfound", f"{wrong} of its pictures, {expected}, {remedy}")
     return np.median(rgb[near], axis=0)
 
 
@@ -98,10 +97,9 @@ def parse_colour(text: str) -> Float[np.ndarray, "3"]:
     rgb = np.array([int(text[n : n + 2], 16) for n in (1, 3, 5)], np.float64)
     chroma = float(np.hypot(*_ycc(rgb.astype(np.float32)[None])[1][0]))
     if chroma < LEAST_CHROMA:
-        raise InputError(
-            f"{text} is nearly grey (chroma {chroma:.0f} of 255), expected a strong colour (at least "
-            f"{LEAST_CHROMA:.0f}): a grey screen cannot be told from shadow and cloth; use another method"
-        )
+        wrong = f"{text} is nearly grey (chroma {chroma:.0f} of 255), expected at least {LEAST_CHROMA:.0f}"
+        remedy = "a grey screen cannot be told from shadow and cloth; use another method"
+        raise InputError("key-colour-grey", f"{wrong}: {remedy}")
     return rgb
 
 

@@ -110,7 +110,7 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
             stderr=subprocess.STDOUT, text=True, errors="replace", start_new_session=True,
         )  # fmt: skip
     except OSError as error:
-        raise CaptureError(f"{_named(command)}: cannot be started ({error}); check capture.mattes") from None
+        raise CaptureError("command-unstartable", f"{_named(command)}: not started ({error})") from None
     running.add(process)
     late = False
     try:
@@ -125,25 +125,23 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
             f"{picture}: {'ended after its time' if late else f'exit code {process.returncode}'}\n{said}"
         )
     last = "\n".join(said.strip().splitlines()[-LAST_LINES:]) or "it said nothing"
+    last = f"what it said last:\n{last}"
     if late:
-        raise CaptureError(
-            f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s; what it said last:\n{last}\n"
-            "allow more (capture.mattes.timeout_s), or give it a smaller model"
-        )
+        wrong = f"{_named(command)}: not done with {picture} after {command.timeout_s:g} s"
+        remedy = "allow more (capture.mattes.timeout_s), or give it a smaller model"
+        raise CaptureError("command-timed-out", f"{wrong}; {last}\n{remedy}")
     if process.returncode != 0:
-        raise CaptureError(
-            f"{_named(command)}: exit code {process.returncode} for {picture}; what it said last:\n{last}\n"
-            "run it by hand on this picture, then again; finished mattes are kept"
-        )
+        wrong = f"{_named(command)}: exit code {process.returncode} for {picture}"
+        remedy = "run it by hand on this picture, then again; finished mattes are kept"
+        raise CaptureError("command-failed", f"{wrong}; {last}\n{remedy}")
     if not new.is_file():
-        raise CaptureError(
-            f"{_named(command)}: ended well but left no file at {MATTE} for {picture}; what it said last:\n{last}"
-        )
+        wrong = f"{_named(command)}: ended well but left no file at {MATTE} for {picture}"
+        raise CaptureError("command-without-output", f"{wrong}; {last}")
     height, width = read_pixels(picture).shape[:2]
     try:
         read_given(new, width, height, inverted=False)
     except CaptureError as error:
-        raise CaptureError(f"{_named(command)}: no matte of {picture}: {error}") from None
+        raise CaptureError(error.code, f"{_named(command)}: no matte of {picture}: {error}") from None
     sync(new)  # or a power cut could leave an empty file under a name that counts
     new.replace(name)
 

@@ -41,12 +41,11 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
     hint = f" (it holds {', '.join(others[:LISTED])})" if others else ""
     if not found:
         called = " or ".join(wanted[:LISTED])
-        raise InputError(f"{folder}: no folder called {called} in it{hint}; expected one per camera")
+        raise InputError("folder-missing", f"{folder}: no folder called {called} in it{hint}; one per camera")
     if SWEEP in found and without:
-        raise InputError(
-            f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}; before a plain background every "
-            "picture needs one: add them, or take static away"
-        )
+        wrong = f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}"
+        remedy = "before a plain background every picture needs one: add them, or take static away"
+        raise InputError("matte-missing", f"{wrong}; {remedy}")
     return found
 
 
@@ -76,7 +75,7 @@ def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
         if file is None:
             missing.append(f"{index:06d}.png" if name is None else f"{Path(name).stem}.png")
     if missing:
-        raise CaptureError(_missing(folder, missing, len(names), by_number, set(names)))
+        raise _missing(folder, missing, len(names), by_number, set(names))
     return [file for file in found if file is not None]
 
 
@@ -93,10 +92,8 @@ def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.
     if (w, h) == (width, height):
         return matte
     if abs(w * height - h * width) > SAME_SHAPE * h * width:
-        raise CaptureError(
-            f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright); make it from the picture as it was "
-            "filmed, not cropped or turned"
-        )
+        wrong = f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright)"
+        raise CaptureError("matte-size-wrong", f"{wrong}; make it from the picture as filmed")
     return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
 
 
@@ -123,9 +120,11 @@ def _opacity(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 def _missing(
     folder: Path, missing: list[str], count: int, by_number: Mapping[int, Path], wanted: set[int]
-) -> str:
+) -> CaptureError:
     listed = ", ".join(missing[:LISTED]) + (" ..." if len(missing) > LISTED else "")
     text = f"{folder}: no matte of {len(missing)} of the camera's {count} pictures: {listed}; "
     if by_number and 0 in wanted and min(by_number) == 1:
-        return text + "its files are numbered from 1, frames are counted from 0: rename them"
-    return text + "add them (black where no subject is seen), or leave the whole folder out"
+        text += "its files are numbered from 1, frames are counted from 0: rename them"
+        return CaptureError("mattes-misnumbered", text)
+    wrong = f"{text}add them (black where no subject is), or leave the folder out"
+    return CaptureError("matte-missing", wrong)

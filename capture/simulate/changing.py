@@ -70,10 +70,7 @@ def ease(x: float) -> float:
 
 
 def _object(
-    rng: np.random.Generator,
-    options: SessionOptions,
-    shape: Mesh,
-    vertices_at: Callable[[float], np.ndarray],
+    rng: np.random.Generator, options: SessionOptions, shape: Mesh, vertices_at: Callable[[float], np.ndarray]
 ) -> MovingObject:
     """The shape with a print like the sheet's, on its plinth."""
     contrast = options.texture_contrast

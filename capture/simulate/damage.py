@@ -103,8 +103,5 @@ def with_smaller_box(scene: Scene, share: float) -> Scene:
     """The scene in a box with the same middle, its sides this share of what they were."""
     grown = np.diag([1 / share, 1 / share, 1 / share, 1.0])
     return replace(
-        scene,
-        box_from_world=grown @ scene.box_from_world,
-        near=scene.near / share,
-        far=scene.far / share,
+        scene, box_from_world=grown @ scene.box_from_world, near=scene.near / share, far=scene.far / share
     )

@@ -80,17 +80,8 @@ def simulate_dataset(
     """
     options = options or DatasetOptions()
     check_arguments("devrf", scene, size, cameras, len(PLACES))
-    folder = OutputFolder(
-        out,
-        {
-            "protocol": "devrf",
-            "scene": scene,
-            "seed": seed,
-            "cameras": cameras,
-            "size": size,
-            "options": options.model_dump(mode="json"),
-        },
-    )
+    made_by = {"protocol": "devrf", "scene": scene, "seed": seed, "cameras": cameras, "size": size}
+    folder = OutputFolder(out, {**made_by, "options": options.model_dump(mode="json")})
     path = out / "scene.yaml"
     if folder.complete:
         return Made(path, 0)
@@ -149,16 +140,13 @@ def check_arguments(
         InputError: Unknown scene, a picture too small or too large, too few or too many cameras.
     """
     if scene not in MODELS:
-        raise InputError(
-            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(MODELS)} "
-            f"(--protocol {protocol})"
-        )
+        text = f"simulate --scene {scene}: expected one of {', '.join(MODELS)} (--protocol {protocol})"
+        raise InputError("scene-unknown", text)
     if not 1 <= cameras <= most_cameras:
-        raise InputError(
-            f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})"
-        )
+        text = f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})"
+        raise InputError("option-wrong", text)
     if not all(16 <= n <= 4096 for n in size):
-        raise InputError(f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels each way")
+        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels")
 
 
 def lens(size: tuple[int, int]) -> np.ndarray:

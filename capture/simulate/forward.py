@@ -78,20 +78,9 @@ def simulate_forward(
     options = options or ForwardOptions()
     check_arguments("devrf-forward", scene, size, cameras, len(PLACES))
     if max(size) > 2 * min(size):
-        raise InputError(
-            f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1 (--protocol devrf-forward)"
-        )
-    folder = OutputFolder(
-        out,
-        {
-            "protocol": "devrf-forward",
-            "scene": scene,
-            "seed": seed,
-            "cameras": cameras,
-            "size": size,
-            "options": options.model_dump(mode="json"),
-        },
-    )
+        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1")
+    made_by = {"protocol": "devrf-forward", "scene": scene, "seed": seed, "cameras": cameras, "size": size}
+    folder = OutputFolder(out, {**made_by, "options": options.model_dump(mode="json")})
     path = out / "scene.yaml"
     if folder.complete:
         return Made(path, 0)
@@ -101,7 +90,8 @@ def simulate_forward(
     film = Film(studio, (*model, _wall(seed)), times)
     alone = Film(studio, model, times)  # for the matte
     folder.begin()
-    fixed = [_fixed_camera(place, size, options) for place in (*PLACES[:cameras], TEST_PLACE)]
+    places = np.array([*PLACES[:cameras], TEST_PLACE])
+    fixed = [_camera(size, options, place, np.zeros(2)) for place in places]
     sweep = [_sweep_camera(seed, i, size, options) for i in range(options.static_views)]
     dynamic = f"dynamic_{len(fixed)}views"
     total = len(sweep) + len(fixed) * (1 + options.times)
@@ -192,10 +182,6 @@ def _wall(seed: int) -> Part:
     picture = texture(rng, texels, texels, WALL_TEXEL, 1.0, paint=WALL, largest_m=0.8, smallest_m=0.08)
     quad = np.array([[x, WALL_Y, z] for x, z in ((-h, h), (h, h), (h, -h), (-h, -h))])
     return rigid(picture_on_quad(quad, picture), np.eye(4))
-
-
-def _fixed_camera(place: tuple[float, float], size: tuple[int, int], options: ForwardOptions) -> Camera:
-    return _camera(size, options, np.array(place), np.zeros(2))
 
 
 def _sweep_camera(seed: int, number: int, size: tuple[int, int], options: ForwardOptions) -> Camera:

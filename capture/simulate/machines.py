@@ -198,16 +198,12 @@ def robot(rng: np.random.Generator, motion_scale: float) -> Model:
             (
                 (0.05, 0.14 * s, -0.1),
                 (0, 0.19 * s, -0.55),
-                [
-                    (rounded_box(rng, (0.26, 0.25, 0.46), RED, 0.06), shift(0, 0, 0)),
-                ],
+                [(rounded_box(rng, (0.26, 0.25, 0.46), RED, 0.06), shift(0, 0, 0))],
             ),
             (
                 (0.12, 0.2 * s, -0.17),
                 (0.06, 0.19 * s, -0.9),
-                [
-                    (rounded_box(rng, (0.42, 0.27, 0.17), YELLOW, 0.06), shift(0, 0, 0)),
-                ],
+                [(rounded_box(rng, (0.42, 0.27, 0.17), YELLOW, 0.06), shift(0, 0, 0))],
             ),
         ]
     parts: list[Part] = []

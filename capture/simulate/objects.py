@@ -8,6 +8,7 @@ import numpy as np
 from devrf.capture.simulate.changing import appearing, ease, parting, tumbling
 from devrf.capture.simulate.scenes import PRINT, WOOD, Mesh, MovingObject, box, texture
 from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.simulate.shapes import quads
 
 SHEET_WIDTH_M, SHEET_HEIGHT_M, SHEET_TOP_M = 0.9, 0.85, 1.45
 COLUMN_RADIUS_M, COLUMN_HEIGHT_M, COLUMN_FOOT_M = 0.2, 0.95, 0.45
@@ -109,12 +110,8 @@ def _column(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
 
 def _grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     """Faces and texture coordinates of a grid of vertices, row by row."""
-    n = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (q.ravel() for q in (n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]))
     v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]), np.stack([u, v], -1).reshape(
-        -1, 2
-    )
+    return quads(rows, columns), np.stack([u, v], -1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)

@@ -74,11 +74,7 @@ class BoardCamera:
     """Pictures of a board before a camera, exact to the ray: plane meets ray, area average of samples."""
 
     def __init__(
-        self,
-        camera: Camera,
-        backdrop: Float[np.ndarray, "h w 3"],
-        squares: tuple[int, int],
-        square_m: float,
+        self, camera: Camera, backdrop: Float[np.ndarray, "h w 3"], squares: tuple[int, int], square_m: float
     ) -> None:
         ideal = ideal_coordinates(camera, BOARD_SUBPIXELS)
         self._rays = np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1)

@@ -137,30 +137,23 @@ def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: Se
         InputError: Unknown scene, odd size, or options that do not fit together.
     """
     if scene not in SCENES:
-        raise InputError(
-            f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
-        )
+        text = f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
+        raise InputError("scene-unknown", text)
     if not 1 <= cameras <= 64:
-        raise InputError(f"simulate --cameras {cameras}: expected 1 to 64")
+        raise InputError("option-wrong", f"simulate --cameras {cameras}: expected 1 to 64")
     if any(n < 16 or n % 2 for n in size):
-        raise InputError(
-            f"simulate --size {size[0]}x{size[1]}: expected even numbers of at least 16 (H.264 in yuv420p)"
-        )
+        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected even, at least 16")
     if options.duration_s <= 2 * options.offset_range_s:
-        raise InputError(
-            f"simulate: duration_s {options.duration_s} is not more than twice offset_range_s "
-            f"{options.offset_range_s}; the clips would not overlap, raise duration_s"
-        )
+        wrong = f"duration_s {options.duration_s} is not over twice offset_range_s {options.offset_range_s}"
+        raise InputError("options-contradict", f"simulate: {wrong}; the clips would not overlap, raise it")
     if options.strip_m and scene != "sheet":
-        raise InputError(
-            f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips, expected --scene sheet"
-        )
+        raise InputError("options-contradict", f"simulate: strip_m {options.strip_m} needs --scene sheet")
 
 
 def _check_folder(out: Path) -> None:
     check_folder(out, "simulate")
     if out.exists() and any(out.iterdir()):
-        raise InputError(f"simulate {out}: not an empty folder; give a new one or empty it")
+        raise InputError("folder-exists", f"simulate {out}: not an empty folder; give a new one or empty it")
 
 
 class _Work:
@@ -273,10 +266,7 @@ def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Me
     paper = texture(
         rng, 120, 160, 0.004, options.texture_contrast, paint=WOOD, largest_m=0.2, smallest_m=0.03
     )
-    return [
-        picture_on_quad(front, board_picture(options.board_squares)),
-        picture_on_quad(back, paper),
-    ]
+    return [picture_on_quad(front, board_picture(options.board_squares)), picture_on_quad(back, paper)]
 
 
 def _away_from_board(sweep: list[Camera], options: SessionOptions) -> Camera:

@@ -108,7 +108,7 @@ def rounded_box(
         core = np.clip(point, radius - half, half - radius)
         out = point - core
         vertices.append(core + radius * out / np.linalg.norm(out, axis=1, keepdims=True))
-        faces.append(_quads(len(lines[1]), len(lines[0])) + sum(len(v) for v in vertices[:-1]))
+        faces.append(quads(len(lines[1]), len(lines[0])) + sum(len(v) for v in vertices[:-1]))
         cell = np.array([side % 3, side // 3])
         place = np.stack([p.ravel() + half[a], q.ravel() + half[b]], -1) / longest
         uv.append((cell + place) / [3, 2])
@@ -127,7 +127,7 @@ def turned(rng: np.random.Generator, paint: Paint, *profiles: list[tuple[Number,
         r, z = np.array(profile, dtype=np.float64).T[:, :, None]
         r = np.maximum(r, TIP)
         ring = np.stack([r * np.cos(turns), r * np.sin(turns), z + 0 * turns], -1)
-        faces.append(_quads(len(profile), AROUND + 1) + sum(len(v) for v in vertices))
+        faces.append(quads(len(profile), AROUND + 1) + sum(len(v) for v in vertices))
         vertices.append(ring.reshape(-1, 3))
         v = (done + np.concatenate([[0.0], np.cumsum(length)])) / total
         uv.append(np.stack(np.meshgrid(turns / (2 * np.pi), v), -1).reshape(-1, 2))
@@ -153,11 +153,11 @@ def cylinder(
     return turned(rng, paint, *([p, q] for p, q in zip(corners[:-1], corners[1:], strict=True)))
 
 
-def ball(rng: np.random.Generator, paint: Paint, radius: Number, length: Number = 0.0) -> Mesh:
-    """A ball, or a capsule about z whose straight piece has this length."""
+def ball(rng: np.random.Generator, paint: Paint, radius: Number) -> Mesh:
+    """A ball about the origin."""
     rise = np.linspace(-np.pi / 2, 0, 9)
-    low = [(radius * np.cos(a), radius * np.sin(a) - length / 2) for a in rise]
-    profile = low + [(r, -z) for r, z in low[::-1]][0 if length else 1 :]
+    low = [(radius * np.cos(a), radius * np.sin(a)) for a in rise]
+    profile = low + [(r, -z) for r, z in low[-2::-1]]
     return turned(rng, paint, [(float(r), float(z)) for r, z in profile])
 
 
@@ -170,7 +170,7 @@ def tube_mesh(
     girth = float(np.linalg.norm(np.diff(rings, axis=1), axis=2).sum(1).max())
     uv = np.stack(np.meshgrid(np.linspace(0, 1, around), np.linspace(0, 1, n)), -1).reshape(-1, 2)
     picture = skin(rng, girth, length, paint, coarse)
-    return Mesh(rings.reshape(-1, 3), _quads(n, around), uv, picture, smooth=True)
+    return Mesh(rings.reshape(-1, 3), quads(n, around), uv, picture, smooth=True)
 
 
 def tube(
@@ -202,7 +202,8 @@ def bent(
     return spine, side, np.tile([0.0, 1.0, 0.0], (len(angle), 1))
 
 
-def _quads(rows: int, columns: int) -> np.ndarray:
+def quads(rows: int, columns: int) -> np.ndarray:
+    """Faces of a grid of vertices, row by row."""
     n = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (q.ravel() for q in (n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]))
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])

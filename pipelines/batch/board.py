@@ -53,7 +53,8 @@ class Board:
         if row.code == 0:
             self.say(row, f"done{took}" if row.seconds else "nothing to do")
         else:
-            self._talk.error(f"{row.name}: {row.state}{took}: {row.message or f'exit code {row.code}'}")
+            why = row.message or f"exit code {row.code}"
+            self._talk.error(f"{row.name}: {row.state}{took}: {why}", f"scene-{row.state}")
 
     def write(self, *, now: bool = True) -> None:
         """batch.json, whole or not at all; a disk that is full does not stop the scenes.
@@ -70,9 +71,8 @@ class Board:
             self.written = True
         except OSError as error:
             if self.written:
-                self._talk.error(
-                    f"{self._out}: the summary cannot be written ({error.strerror}); make room there"
-                )
+                what = f"{self._out}: the summary cannot be written ({error.strerror}); make room there"
+                self._talk.error(what, "folder-unwritable")
             self.written = False
 
     def _table(self) -> Group:

@@ -21,6 +21,7 @@ from devrf.pipelines.batch.work import Work
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
 from devrf.pipelines.console import Talk
 from devrf.pipelines.device import check_device, resolve_device
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY, code_of
 from devrf.pipelines.runner.supervise import tell
 
@@ -64,19 +65,15 @@ def batch(
         InputError: The batch as a whole cannot be run.
     """
     if machines.engine not in ("local", "ray"):
-        raise InputError(f"--engine {machines.engine}: expected local or ray")
+        raise InputError("option-unknown-value", f"--engine {machines.engine}: expected local or ray")
     check_device(machines.device)
     if machines.engine == "local" and machines.device == "cuda":
         resolve_device("cuda")  # before the scenes are looked at, which can take minutes
     if machines.address is not None and machines.engine != "ray":
-        raise InputError("--address: is for --engine ray; add that, or leave it out")
+        raise InputError("option-misplaced", "--address: is for --engine ray; add that, or leave it out")
     check_folder(out, "--out")
-    try:
+    with disk_told(f"--out {out}", "choose another folder", InputError):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"--out {out}: cannot be made ({error.strerror or error}); choose another folder"
-        ) from None
     there = None if store is None else Store(store)
     if there is not None:
         there.check()
@@ -117,12 +114,8 @@ def _seen_in(scene: BatchScene, out: Path, store: Store | None, talk: Talk) -> P
     if store is None:
         return run_dir
     folder = (out / "scenes" / config.folder_name).resolve()
-    try:
+    with disk_told(folder, "make room there"):
         mirror(store, config, scene.scene_dir, folder, talk.say)
-    except OSError as error:
-        raise DevrfError(
-            f"{folder}: cannot be written ({error.strerror or error}); make room there"
-        ) from None
     return folder
 
 

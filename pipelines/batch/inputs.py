@@ -61,7 +61,8 @@ def inputs_of(config: SceneConfig, scene: Path, digests: Digests) -> Inputs:
             place = Path(os.path.relpath(path, scene_dir))  # as it is asked for, a link or not
             if os.pardir in place.parts:
                 raise InputError(
-                    f"{scene}: {name} ({path}) lies outside of the scene's folder; with --store it has to be in it"
+                    "file-outside-scene",
+                    f"{scene}: {name} ({path}) lies outside of the scene's folder; with --store it has to be in it",
                 )
             _add(found, path, place.as_posix(), digests)
     return found

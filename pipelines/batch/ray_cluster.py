@@ -53,15 +53,17 @@ class RayCluster:
         if not able:
             ray.shutdown()
             raise InputError(
+                "cluster-without-memory",
                 f"--address {address}: no node of the cluster has a CPU and memory; start nodes with --num-cpus and "
-                "--memory"
+                "--memory",
             )
         cpus = [int(node["CPU"]) for node in able]
         gpus = int(sum(node.get("GPU", 0) for node in able))
         if device == "cuda" and not gpus:
             ray.shutdown()
             raise InputError(
-                "--device cuda: no node of the cluster that has a CPU and memory has a GPU; use --device cpu, or auto"
+                "cluster-without-gpu",
+                "--device cuda: no node of the cluster that has a CPU and memory has a GPU; use --device cpu, or auto",
             )
         self.threads = max(1, min(cores if jobs is None else sum(cpus) // jobs, *cpus))
         per_core = min(node["memory"] / node["CPU"] for node in able)
@@ -118,16 +120,16 @@ def _connected(address: str | None) -> Any:
             socket.create_connection((host.strip("[]"), int(port)), KNOCK_S).close()
         except (OSError, OverflowError, ValueError) as error:
             raise InputError(
+                "cluster-unreachable",
                 f"--address {address}: nothing answers there ({error}); expected HOST:PORT of the cluster's head (ray "
-                f"start --head --port=PORT), or auto, or leave --address out"
+                f"start --head --port=PORT), or auto, or leave --address out",
             ) from None
     os.environ.update(SILENT if address else SILENT | LOOPBACK_ONLY)
     try:
         import ray
     except ImportError:
-        raise InputError(
-            "--engine ray: Ray is not installed; pip install 'devrf[ray]', or use --engine local"
-        ) from None
+        text = "--engine ray: Ray is not installed; pip install 'devrf[ray]', or use --engine local"
+        raise InputError("package-missing", text) from None
     import ray.exceptions
 
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
@@ -138,8 +140,9 @@ def _connected(address: str | None) -> Any:
             ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise InputError(
+            "cluster-unreachable",
             f"--engine ray: no connection to {address or 'a cluster of its own'} ({error}); is ray of the same version "
-            "there, and does `ray status` show its nodes?"
+            "there, and does `ray status` show its nodes?",
         ) from None
     return ray
 

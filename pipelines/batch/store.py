@@ -47,13 +47,15 @@ class Store:
         try:
             import fsspec.core
         except ImportError:
-            raise InputError("--store: fsspec is not installed; pip install 'devrf[store]'") from None
+            text = "--store: fsspec is not installed; pip install 'devrf[store]'"
+            raise InputError("package-missing", text) from None
         try:
             self._fs, self._root = fsspec.core.url_to_fs(url)
         except (ImportError, ValueError) as error:
-            raise InputError(f"--store {url}: {error}") from None
+            raise InputError("store-protocol-unknown", f"--store {url}: {error}") from None
         if not self._root.strip("/"):
-            raise InputError(f"--store {url}: names no bucket or folder; expected one, such as {url}NAME")
+            text = f"--store {url}: names no bucket or folder; expected one, such as {url}NAME"
+            raise InputError("store-without-folder", text)
         self.url = url
 
     def check(self) -> None:
@@ -69,8 +71,9 @@ class Store:
             self._fs.rm(trial)
         except Exception as error:  # each protocol's library has errors of its own
             raise InputError(
+                "store-unwritable",
                 f"--store {self.url}: cannot be written ({type(error).__name__}: {error}); check address, credentials "
-                "and network"
+                "and network",
             ) from error
 
     def put_inputs(self, files: Mapping[str, Path]) -> None:
@@ -93,9 +96,8 @@ class Store:
         try:
             self._get([(f"inputs/{digest}", path, (size, digest)) for (size, digest), path in files.items()])
         except DamagedError as error:  # the batch stores what is missing
-            raise DamagedError(
-                f"{error}; remove it there, if it is there, and run the batch again"
-            ) from error
+            text = f"{error}; remove it there, if it is there, and run the batch again"
+            raise DamagedError(error.code, text) from error
 
     def stamps(self, scene: str, stages: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Stamps of those of a scene's stages that are finished, asked for side by side."""
@@ -167,7 +169,8 @@ class Store:
         for _, path, _ in files:
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise StoreError(
-                    f"{self.url}/runs/{scene}/{stage}.json: names a file outside of the stage ({path}); remove it there"
+                    "store-path-outside",
+                    f"{self.url}/runs/{scene}/{stage}.json: names {path}, outside of the stage; remove it there",
                 )
         self._get(files)
 
@@ -194,13 +197,15 @@ class Store:
             try:
                 self._fs.get([self._path(name) for name, _, _ in files], [str(path) for _, path, _ in files])
             except FileNotFoundError as error:
-                raise DamagedError(f"{self.url}: a file is missing ({error})") from error
+                text = f"{self.url}: a file is missing ({error})"
+                raise DamagedError("store-file-missing", text) from error
         for name, path, (size, digest) in files:
             there = path.stat().st_size
             if there != size or file_digest(path) != digest:
                 path.unlink()
                 raise DamagedError(
-                    f"{self.url}/{name}: is not what was stored ({there} bytes, expected {size} and digest {digest})"
+                    "store-file-damaged",
+                    f"{self.url}/{name}: is not what was stored ({there} bytes, expected {size} and digest {digest})",
                 )
 
     def _list(self, folder: str) -> list[dict[str, Any]]:
@@ -220,7 +225,8 @@ class Store:
             raise
         except Exception as error:
             raise StoreError(
-                f"--store {self.url}: {type(error).__name__}: {error}; check address, credentials and network"
+                "store-unreachable",
+                f"--store {self.url}: {type(error).__name__}: {error}; check address, credentials and network",
             ) from error
 
     def _make_folders(self, places: Sequence[str]) -> None:

@@ -145,7 +145,6 @@ def _put_inputs(store: Store, scene: BatchScene) -> Inputs:
         scene.digests.save()
         store.put_inputs(inputs.here)
     except OSError as error:  # one that has vanished since it was looked at
-        raise DevrfError(
-            f"{scene.path}: a raw file cannot be read ({error}); check its disk, then run the batch again"
-        ) from error
+        text = f"{scene.path}: a raw file cannot be read ({error}); check its disk, then run the batch again"
+        raise DevrfError("file-unreadable", text) from error
     return inputs

@@ -91,9 +91,8 @@ class Asked:
         """A scene with the same preset and overrides."""
         config, scene_dir = configured(scene, self.preset, self.overrides)
         if config.kind not in ("dynamic", "dataset"):
-            raise InputError(
-                f"{scene}: bench {self.name} needs a scene in motion, with a sweep and moving cameras"
-            )
+            text = f"{scene}: bench {self.name} needs a scene in motion, with a sweep and moving cameras"
+            raise InputError("scene-without-motion", text)
         on = resolve_device(self.device, config.budget.gpu_memory_gb)
         return Run(config, scene_dir, STAGES, Choice(), self.talk, on)
 
@@ -161,7 +160,8 @@ def names_of(option: str, text: str, known: Sequence[str]) -> list[str]:
     names = [name.strip() for name in text.split(",")]
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"{option} {', '.join(unknown)}: unknown, expected {', '.join(known)}")
+        text = f"{option} {', '.join(unknown)}: unknown, expected {', '.join(known)}"
+        raise InputError("option-unknown-value", text)
     return names
 
 
@@ -172,7 +172,8 @@ def numbers_of(option: str, text: str, least: float, most: float) -> list[float]
     except ValueError:
         numbers = []
     if not numbers or not all(least <= number <= most for number in numbers):
-        raise InputError(f"{option} {text}: expected numbers from {least:g} to {most:g}, such as {least:g},1")
+        text = f"{option} {text}: expected numbers from {least:g} to {most:g}, such as {least:g},1"
+        raise InputError("option-malformed", text)
     return numbers
 
 

@@ -73,7 +73,8 @@ def speed(
         name, _, text = setting.partition(":")
         if name not in own or not text.startswith("reconstruct."):
             raise InputError(
-                f"--set-for {setting}: expected PRESET:reconstruct.KEY=VALUE, with one of {', '.join(own)}"
+                "option-malformed",
+                f"--set-for {setting}: expected PRESET:reconstruct.KEY=VALUE, with one of {', '.join(own)}",
             )
         own[name].append(text)
     assert asked.scene is not None
@@ -95,7 +96,7 @@ def growth(
 
     every = numbers_of("--strides", strides, 1.0, 1000.0)
     if any(n % 1 for n in every):
-        raise InputError(f"--strides {strides}: expected whole numbers, such as 4,2,1")
+        raise InputError("option-malformed", f"--strides {strides}: expected whole numbers, such as 4,2,1")
     sizes = numbers_of("--shares", shares, 0.01, 1.0)
     others = [asked.of(path) for path in other or []]
     run_growth(asked.run, asked.folder, [int(n) for n in every], sizes, others, asked.rows)

@@ -51,7 +51,8 @@ def run_growth(
         json_path: Where the rows go; the chart is drawn beside it.
     """
     if run.config.dataset is None:
-        raise InputError("bench growth leaves out times of a data set; export the capture as one first")
+        text = "bench growth leaves out times of a data set; export the capture as one first"
+        raise InputError("scene-no-dataset", text)
     found = [_trained(_every(run, out, n), None, "pictures") for n in sorted(strides, reverse=True)]
     bench = _every(run, out, 1)
     whole = run.config.reconstruct.resolution or PRESETS[run.config.preset].canonical.resolution

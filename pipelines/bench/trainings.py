@@ -73,8 +73,9 @@ class Bench:
         scene = read_scene(ready.run_dir / "scene")
         if not {"train", "test"} <= {f.split for f in scene.dynamic}:
             raise InputError(
+                "test-camera-missing",
                 f"{config.name}: a benchmark needs moving cameras to train on and one to test with "
-                "(capture.test_cameras, or the data set's test split)"
+                "(capture.test_cameras, or the data set's test split)",
             )
         return Bench(ready, out, scene, read_flows(ready.run_dir / "flow"))
 

@@ -79,7 +79,8 @@ def check_room(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> None:
     room = room_of(config, scene_dir, run_dir)
     if room.count <= 0:
         raise BudgetError(
-            f"stopped before the disk is full: {room.bound}; {room.remedy}, then run again: finished stages are kept"
+            "disk-full",
+            f"stopped before the disk is full: {room.bound}; {room.remedy}, then run again: finished stages are kept",
         )
 
 

@@ -104,7 +104,6 @@ def see_sweep(look: Look, progress: Progress) -> SweepSeen:
         row(
             "neighbouring pictures of the sweep that overlap",
             overlap.linked,
-            "",
             warn=LINKED_WARN,
             fail=LINKED_FAIL,
             remedy=f"Fewer than {ENOUGH} matches from {', '.join(breaks)}: walk there again, slowly, looking at the "
@@ -113,7 +112,6 @@ def see_sweep(look: Look, progress: Progress) -> SweepSeen:
         row(
             "matches of the sweep that show depth",
             overlap.depth_share,
-            "",
             warn=DEPTH_WARN,
             fail=DEPTH_FAIL,
             remedy="The camera turned but did not move, or it only sees something flat: walk sideways around the "
@@ -133,7 +131,6 @@ def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) ->
         row(
             f"share of {name}'s picture in which something moves",
             float(moving_mask([smooth_grey(picture) for picture in look.pictures]).mean()),
-            "",
             warn=SUBJECT_WARN,
             remedy=f"{name} does not see the subject: point it there, go nearer.",
         ),
@@ -144,9 +141,7 @@ def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) ->
             row(
                 f"share of {name}'s picture that moves at the {rest}",
                 moving_share([smooth_grey(picture) for picture in at_rest]),
-                "",
-                warn=AT_REST,
-                low_is_bad=False,
+                warn_above=AT_REST,
                 remedy=f"The scene is not at rest at the {rest} of {name}'s clip: start the cameras before the action, "
                 "or set capture.rest to when it is.",
             )
@@ -156,7 +151,6 @@ def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) ->
             row(
                 f"features that {name} shares with the sweep",
                 float(shared_features(features((at_rest or look.pictures)[0]), sweep)),
-                "",
                 warn=SHARED_WARN,
                 fail=SHARED_FAIL,
                 remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
@@ -208,4 +202,4 @@ def _stands(name: str, steady: Steadiness) -> HealthRow:
     if np.isnan(steady.moved):
         return note(check, "its background is never found again", verdict="fail", remedy=remedy)
     moved = 100 * steady.moved
-    return row(check, moved, "% of the width", warn=0.3, fail=100 * STANDS, low_is_bad=False, remedy=remedy)
+    return row(check, moved, "% of the width", warn_above=0.3, fail_above=100 * STANDS, remedy=remedy)

@@ -56,7 +56,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
         verdict = worst(row.verdict for row in rows) or "ok"
         if talk.loudness == "quiet":  # what is wrong, for those who asked for errors alone
             for row in (row for row in rows if row.verdict == "fail"):
-                talk.error(f"{WORDS[row.verdict]}  {title}: {describe(row)}")
+                talk.error(f"{WORDS[row.verdict]}  {title}: {describe(row)}", "check-failed")
         talk.say(f"{WORDS[verdict]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[verdict])
         for row in rows:
             shown = row.verdict != "ok" or title in SHOWN
@@ -64,7 +64,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     warnings = f", with {_number(verdicts.count('warn'), 'warning')}" if "warn" in verdicts else ""
     word = f"GO{warnings}" if go else NO_GO
     if not go and talk.loudness == "quiet":
-        talk.error(NO_GO)
+        talk.error(NO_GO, "check-no-go")
     talk.say(
         f"{word} ({duration(seconds)} for a few pictures of each clip; `run` looks at all)", style="bold"
     )

@@ -11,13 +11,14 @@ from rich.console import Console
 from rich.table import Table
 
 from devrf.capture.durable import write_json
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import InputError
 from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines.bench.rows import PIPE_WIDTH
 from devrf.pipelines.compare.differing import differing_code, differing_config, differing_versions
 from devrf.pipelines.compare.measures import MEASURES, Difference, differences, seed_differences, value_of
 from devrf.pipelines.compare.runs import ComparedRun, common_views, find_runs, limits_of
 from devrf.pipelines.console import Talk
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.report.pictures import picture_uri
 from devrf.pipelines.report.run import METRICS, at, evenly
 from devrf.pipelines.report.templates import readable, render
@@ -47,26 +48,16 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
     runs = find_runs(named)
     found = compare_runs(runs)
     for folder, option in ((out, "--out"), (rows.parent, "--json")):
-        try:
+        with disk_told(f"{option} {folder}", "choose another folder", InputError):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{option} {folder}: cannot be made ({error.strerror or error}); choose another folder"
-            ) from None
     table = measures_table(runs, found)
     _print(talk, runs, found, table)
-    where = out / PAGE
-    try:
+    with disk_told(out / PAGE, "free space, or name another place with --out"):
         new = out / f".{PAGE}.tmp"
         new.write_text(build_page(runs, found, table, out), encoding="utf-8")
         new.replace(out / PAGE)
-        where = rows
+    with disk_told(rows, "free space, or name another place with --json"):
         write_json(rows, found)
-    except OSError as error:
-        raise DevrfError(
-            f"{where}: cannot be written ({error.strerror or error}); free space, or name another place with --out "
-            "or --json"
-        ) from None
     talk.say(f"  page: {out / PAGE}")
     talk.say(f"  rows: {rows}")
     return out / PAGE

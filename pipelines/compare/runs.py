@@ -79,12 +79,14 @@ def find_runs(named: Sequence[Path]) -> list[ComparedRun]:
         InputError: There are fewer than two, one is named twice, is no run, is not finished or cannot be read.
     """
     if len(named) < 2:
-        raise InputError(f"compare: {len(named)} run named, expected two or more run folders or scene.yaml")
+        text = f"compare: {len(named)} run named, expected two or more run folders or scene.yaml"
+        raise InputError("compare-one-run", text)
     folders = [_run_folder(path) for path in named]
     for n, folder in enumerate(folders):
         if folder in folders[:n]:
             raise InputError(
-                f"{named[n]}: is the same run as {named[folders.index(folder)]} ({folder}); name each run once"
+                "compare-same-run",
+                f"{named[n]}: is the same run as {named[folders.index(folder)]} ({folder}); name each run once",
             )
     return [_read(name, folder) for name, folder in zip(_names(folders), folders, strict=True)]
 
@@ -101,8 +103,9 @@ def limits_of(base: ComparedRun, other: ComparedRun) -> tuple[str | None, list[s
     ]
     if not common:
         raise InputError(
+            "compare-no-common-view",
             f"{both} have no test view in common ({_cameras(base)}; {_cameras(other)}): another scene, or other test "
-            "cameras; compare runs of one scene with the same capture.test_cameras"
+            "cameras; compare runs of one scene with the same capture.test_cameras",
         )
     notes = []
     for moving, what in ((True, "test views"), (False, "held-out pictures")):
@@ -120,8 +123,9 @@ def limits_of(base: ComparedRun, other: ComparedRun) -> tuple[str | None, list[s
         apart = float(np.abs(small[0] - small[1]).mean())
         if apart > OTHER_PICTURE:
             raise InputError(
+                "compare-other-scene",
                 f"{both} show something else in {key[0]}, frame {key[1]}: the true pictures differ by {apart:.0f} grey "
-                f"levels (expected at most {OTHER_PICTURE:g}); compare runs of one scene"
+                f"levels (expected at most {OTHER_PICTURE:g}); compare runs of one scene",
             )
         if a.shape != b.shape:
             return (
@@ -149,7 +153,8 @@ def _run_folder(path: Path) -> Path:
         config, scene_dir = configured(path, None, None, check_files=False)
         return config.run_dir(scene_dir).resolve()
     what = "holds neither stages of a run nor a scene.yaml" if path.is_dir() else "not found"
-    raise InputError(f"{path}: {what}; expected a run folder (output: in scene.yaml) or a scene.yaml")
+    text = f"{path}: {what}; expected a run folder (output: in scene.yaml) or a scene.yaml"
+    raise InputError("run-missing", text)
 
 
 def _read(name: str, path: Path) -> ComparedRun:
@@ -158,20 +163,23 @@ def _read(name: str, path: Path) -> ComparedRun:
     if METRICS in run.folder.unreadable or (path / METRICS).is_file() and not run.metrics:
         why = run.folder.unreadable.get(METRICS, "it holds no object")
         raise InputError(
-            f"{path / METRICS}: cannot be read ({why}); make it again: devrf-pipeline run SCENE --force evaluate"
+            "file-damaged",
+            f"{path / METRICS}: cannot be read ({why}); make it again: devrf-pipeline run SCENE --force evaluate",
         )
     if not run.metrics:
         done = [stage for stage in stage_names() if stage in run.stamps]
         state = f"its last finished stage is {done[-1]}" if done else "no stage is finished"
         failed = "".join(f"; {stage} failed: {error}" for stage, error in errors.items())
         raise InputError(
+            "run-unfinished",
             f"{path}: is not finished: there is no {METRICS}, {state}{failed}; finish it with "
-            "devrf-pipeline run first, or name the run folder itself where a run was given another output"
+            "devrf-pipeline run first, or name the run folder itself where a run was given another output",
         )
     if not any(run.views.values()):
         raise InputError(
+            "metrics-without-views",
             f"{path / METRICS}: lists no test views (per_view), so there is nothing to compare; a test camera "
-            "(capture.test_cameras) or a sweep (evaluate.holdout_every) gives some"
+            "(capture.test_cameras) or a sweep (evaluate.holdout_every) gives some",
         )
     return run
 

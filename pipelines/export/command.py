@@ -1,12 +1,12 @@
 """`devrf-pipeline export`: what has to be right before anything is written, and what is said in the end."""
 
-import difflib
 import importlib.util
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats.export import check_target
+from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.formats import FORMATS
 from devrf.pipelines.export.request import Format, Options, Request
@@ -42,7 +42,10 @@ def export(
             to export yet, or a link in the run folder.
         DevrfError: The format cannot hold this scene, a picture is missing, or nothing can be written.
     """
-    chosen, options = _known(name), options or Options()
+    if name not in FORMATS:
+        text = f"--format {name}: expected {', '.join(FORMATS)}{suggestion(name, FORMATS)}"
+        raise InputError("option-unknown-value", text)
+    chosen, options = FORMATS[name], options or Options()
     if out is None:
         check_run_folder(run_dir, ())
     folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
@@ -60,34 +63,25 @@ def export(
     return folder
 
 
-def _known(name: str) -> Format:
-    if name in FORMATS:
-        return FORMATS[name]
-    near = difflib.get_close_matches(name, FORMATS, n=1)
-    hint = f", did you mean {near[0]}?" if near else ""
-    raise InputError(f"--format {name}: expected {', '.join(FORMATS)}{hint}")
-
-
 def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
     """Raises InputError where the format takes no such option, lacks a library, or the run is not that far."""
     for option in options.given():
         if option not in chosen.options:
             takers = [n for n, other in FORMATS.items() if option in other.options]
-            raise InputError(
-                f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
-            )
+            text = f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
+            raise InputError("option-misplaced", text)
     missing = [module for module in chosen.modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(
+            "package-missing",
             f"--format {name}: needs {', '.join(missing)}, which is not installed; install the extra `export` "
-            f"({INSTALL})"
+            f"({INSTALL})",
         )
     for stage in ("scene", "canonical") if chosen.stage == "canonical" else (chosen.stage,):
         if not (run_dir / stage / STAMP).is_file():
             what = "the model" if stage == "canonical" else f"the {stage}"
-            raise InputError(
-                f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
-            )
+            text = f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
+            raise InputError("stage-not-made", text)
 
 
 def _unhealthy(run_dir: Path, last: str) -> list[str]:

@@ -132,7 +132,8 @@ def _level(request: Request) -> float:
 
     level = LEVEL if request.options.level is None else request.options.level
     if not 0 < level < 1:
-        raise InputError(f"--level {level:g}: expected an opacity between 0 and 1, such as {LEVEL:g}")
+        text = f"--level {level:g}: expected an opacity between 0 and 1, such as {LEVEL:g}"
+        raise InputError("option-out-of-range", text)
     return level
 
 

@@ -60,8 +60,9 @@ def _check_size(count: int, keys: int) -> None:
     if size(count) > MOST_BYTES:
         most = int(count * (MOST_BYTES - size(0)) / (size(count) - size(0)) / 1000) * 1000
         raise InputError(
+            "page-too-large",
             f"--format player: with {count} splats at {keys} times the page could have {size(count) / 1e6:.0f} MB, "
-            f"more than {MOST_BYTES / 1e6:.0f}; choose at most --splats {most}, or fewer --times"
+            f"more than {MOST_BYTES / 1e6:.0f}; choose at most --splats {most}, or fewer --times",
         )
 
 

@@ -32,8 +32,9 @@ def write(request: Request) -> None:
             cloud = point_cloud(views)
             if not len(cloud.xyz):
                 raise ReconstructError(
+                    "model-without-surface",
                     f"{request.run_dir}: the model shows no surface {moment.said()}; look at it with render, and train "
-                    "longer"
+                    "longer",
                 )
             path = new / f"points_{n:04d}.ply"
             xyz = trained.to_world(cloud.xyz)

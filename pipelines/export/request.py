@@ -1,13 +1,14 @@
 """What a writer of exports is given, and what it says of itself in the table of formats."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.export import new_folder
 from devrf.pipelines.console import Talk
+from devrf.pipelines.disk_told import disk_told
 
 
 @dataclass(frozen=True)
@@ -63,16 +64,10 @@ class Request:
         with self.disk_told(), new_folder(self.folder, self.name) as new:
             yield new
 
-    @contextmanager
-    def disk_told(self) -> Iterator[None]:
+    def disk_told(self) -> AbstractContextManager[None]:
         """A disk that is full or may not be written, in words."""
-        try:
-            yield
-        except OSError as error:
-            raise CaptureError(
-                f"{self.folder}: cannot be written ({error.strerror or error}); nothing is left there; free space "
-                "or name another folder with --out"
-            ) from None
+        remedy = "nothing is left there; free space or name another folder with --out"
+        return disk_told(self.folder, remedy, CaptureError)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ def asked(request: Request) -> int:
     """
     count = COUNT if request.options.splats is None else request.options.splats
     if not FEWEST <= count <= MOST:
-        raise InputError(f"--splats {count}: expected {FEWEST} to {MOST}; {COUNT} if it is left out")
+        text = f"--splats {count}: expected {FEWEST} to {MOST}; {COUNT} if it is left out"
+        raise InputError("option-out-of-range", text)
     return count
 
 

@@ -46,13 +46,15 @@ def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
         times = keys
     elif text.strip().isdecimal():
         if not 1 <= int(text) <= MOST:
-            raise InputError(f"--times {text}: expected a number of times from 1 to {MOST}")
+            text = f"--times {text}: expected a number of times from 1 to {MOST}"
+            raise InputError("option-out-of-range", text)
         times = np.linspace(0.0, 1.0, int(text)).tolist()
     else:
         parts = [part.strip() for part in text.split(",")]
         if KEYS in parts or not all(parts):
             raise InputError(
-                f"--times {text!r}: expected a number of times, {KEYS}, or times with commas such as 0.5s,1.25s"
+                "option-malformed",
+                f"--times {text!r}: expected a number of times, {KEYS}, or times with commas such as 0.5s,1.25s",
             )
         times = sorted({parse_time(part, "--times", scene.t0_s, scene.t1_s) for part in parts})
     return [Moment(time, scene.t0_s + time * (scene.t1_s - scene.t0_s)) for time in times]

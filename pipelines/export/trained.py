@@ -62,7 +62,8 @@ class Trained:
                 if self.scene.dynamic
                 else "nothing moves in it"
             )
-            raise InputError(f"--times {wish}: the scene has no times to choose from: {why}")
+            text = f"--times {wish}: the scene has no times to choose from: {why}"
+            raise InputError("option-misplaced", text)
         if not moved and self.scene.dynamic:
             request.notes.append("the motion is not trained yet: this is the scene at rest alone")
         self.model: DynamicModel = load_trained(
@@ -107,13 +108,7 @@ class Trained:
         return directions @ (self.world_from_box[:3, :3] / self.scale).T
 
     def describe(
-        self,
-        folder: Path,
-        *,
-        files: str,
-        axes: str,
-        facts: dict[str, Any],
-        lengths: str | None = None,
+        self, folder: Path, *, files: str, axes: str, facts: dict[str, Any], lengths: str | None = None
     ) -> None:
         """Write README.txt and export.json.
 

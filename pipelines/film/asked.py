@@ -71,21 +71,20 @@ class Asked:
             value = getattr(self, key)
             if value is not None and not low <= value <= high or value == 0:
                 least = "more than 0" if low == 0 else f"at least {low:g}"
-                raise InputError(f"--{key} {value:g}: expected {least} and at most {high:g}")
+                text = f"--{key} {value:g}: expected {least} and at most {high:g}"
+                raise InputError("option-out-of-range", text)
         running = self.running
         if self.time is not None and running:
             others = ", ".join(map(option, running))
-            raise InputError(
-                f"--time {self.time}: time stands still, which {others} cannot change; leave one out"
-            )
+            text = f"--time {self.time}: time stands still, which {others} cannot change; leave one out"
+            raise InputError("option-misplaced", text)
         self.size_px()
         self.layer_names()
         if (self.format or "mp4") not in FORMATS:
-            raise InputError(f"--format {self.format}: expected {', '.join(FORMATS)}")
+            raise InputError("option-unknown-value", f"--format {self.format}: expected {', '.join(FORMATS)}")
         if self.beside is not None and self.layer_names() != ("colour",):
-            raise InputError(
-                f"--beside {self.beside}: true pictures have no {self.layers}; leave out --layers"
-            )
+            text = f"--beside {self.beside}: true pictures have no {self.layers}; leave out --layers"
+            raise InputError("option-misplaced", text)
 
     def size_px(self) -> tuple[int, int] | None:
         """Width and height.
@@ -97,15 +96,18 @@ class Asked:
             return None
         match = re.fullmatch(r"(\d{1,6})x(\d{1,6})", self.size.strip())
         if match is None:
-            raise InputError(f"--size {self.size}: expected WIDTHxHEIGHT, such as 640x360")
+            text = f"--size {self.size}: expected WIDTHxHEIGHT, such as 640x360"
+            raise InputError("option-malformed", text)
         width, height = int(match[1]), int(match[2])
         least, most = SIDE_PX
         if not (least <= width <= most and least <= height <= most):
-            raise InputError(f"--size {self.size}: expected sides of {least} to {most} pixels")
+            text = f"--size {self.size}: expected sides of {least} to {most} pixels"
+            raise InputError("option-out-of-range", text)
         if (self.format or "mp4") == "mp4" and (width % 2 or height % 2):
             raise InputError(
+                "film-sides-odd",
                 f"--size {self.size}: H.264 needs even sides; take {width - width % 2}x{height - height % 2}, or "
-                "--format png"
+                "--format png",
             )
         return width, height
 
@@ -120,7 +122,8 @@ class Asked:
         asked = {word.strip() for word in self.layers.split(",")}
         unknown = sorted(asked - set(LAYERS))
         if unknown:
-            raise InputError(f"--layers {self.layers}: expected some of {','.join(LAYERS)}")
+            text = f"--layers {self.layers}: expected some of {','.join(LAYERS)}"
+            raise InputError("option-unknown-value", text)
         return tuple(layer for layer in LAYERS if layer in asked)
 
     def slow_texts(self) -> tuple[str, str] | None:
@@ -133,7 +136,8 @@ class Asked:
             return None
         words = self.slow.split(",")
         if len(words) != 2:
-            raise InputError(f"--slow {self.slow}: expected two times, such as 0.4,0.6 or 1.0s,1.5s")
+            text = f"--slow {self.slow}: expected two times, such as 0.4,0.6 or 1.0s,1.5s"
+            raise InputError("option-malformed", text)
         return words[0], words[1]
 
     def _given(self) -> dict[str, object]:

@@ -17,6 +17,7 @@ from devrf.capture.writable import check_folder
 from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.device import resolve_device
+from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.film.about import FILM, READS, film_json, finished_film, made_from_of
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.plan import Film, planned
@@ -94,7 +95,8 @@ def _make(
     world_per_box = 1 / float(np.cbrt(np.linalg.det(world.box_from_world[:3, :3])))
     depth = DepthScale.of(plan.cameras, world.aabb, model.rest.near, world_per_box, world.metric)
     kept = Kept.beside(folder)
-    lock = Lock(_existing(kept.folder), talk.say)
+    kept.folder.mkdir(parents=True, exist_ok=True)
+    lock = Lock(kept.folder, talk.say)
     lock.take()
     try:
         if kept.begin(made_from):
@@ -130,7 +132,8 @@ def _folder(job: Run, asked: Asked) -> Path:
         folder = asked.out.expanduser().resolve()
     check_folder(folder, "--out")
     if folder.is_dir() and any(folder.iterdir()) and finished_film(folder) is None:
-        raise InputError(f"--out {folder}: holds files that are no film; name another folder, or empty it")
+        text = f"--out {folder}: holds files that are no film; name another folder, or empty it"
+        raise InputError("folder-exists", text)
     check_folder(folder.parent, "--out")
     return folder
 
@@ -139,8 +142,9 @@ def _check_made(job: Run) -> None:
     missing = [name for name in READS[:2] if not (job.run_dir / name / STAMP).is_file()]
     if missing:
         raise InputError(
+            "stage-not-made",
             f"{job.run_dir}: {missing[0]} is not made yet, so there is nothing to film; run the scene first "
-            "(devrf-pipeline run)"
+            "(devrf-pipeline run)",
         )
 
 
@@ -165,8 +169,9 @@ def _check_memory(job: Run, plan: Film) -> None:
     if needed > allowed:
         camera = plan.cameras[0]
         raise InputError(
+            "film-needs-memory",
             f"pictures of {camera.width}x{camera.height} need about {size_text(needed)} of memory, and "
-            f"{size_text(allowed)} are allowed ({memory_bound(job.config, allowed)}); choose a smaller --size"
+            f"{size_text(allowed)} are allowed ({memory_bound(job.config, allowed)}); choose a smaller --size",
         )
 
 
@@ -183,9 +188,10 @@ def _leaving(plan: Film, model: "DynamicModel") -> list[str]:
     if found.unseen:
         first = found.unseen[0]
         raise InputError(
+            "film-path-blind",
             f"--path {plan.path}: {len(found.unseen)} of {count} pictures cannot be rendered, the first is {first} (at "
             f"{first / plan.fps:.2f} s): the camera is inside of something solid, or beyond where rays end "
-            f"({model.rest.far:.3g} box units from the scene's box); move the path nearer to where cameras stood"
+            f"({model.rest.far:.3g} box units from the scene's box); move the path nearer to where cameras stood",
         )
     notes = []
     if found.outside:
@@ -211,26 +217,16 @@ def _confidence(talk: Talk, job: Run, world: Scene, model: "DynamicModel") -> An
     return Confidence(as_trained(world, json.loads(metrics.read_text()) if metrics.is_file() else {}), model)
 
 
-def _existing(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
 @contextmanager
 def _told(folder: Path) -> Iterator[None]:
     """A disk that is full, in words."""
     try:
-        yield
+        with disk_told(folder, f"make room, or name another folder with --out; {GOES_ON}"):
+            yield
     except CaptureError as error:
-        raise DevrfError(f"{error}; {GOES_ON}") from None
-    except OSError as error:
-        raise DevrfError(
-            f"{folder}: cannot be written ({error.strerror or error}); make room, or name another folder with "
-            f"--out; {GOES_ON}"
-        ) from None
+        raise DevrfError(error.code, f"{error}; {GOES_ON}") from None
     except Exception as error:
         if not is_no_memory(error):
             raise
-        raise DevrfError(
-            f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
-        ) from None
+        text = f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
+        raise DevrfError("no-memory", text) from None

@@ -16,13 +16,7 @@ from devrf.pipelines.film.plan import Film
 from devrf.pipelines.report.pictures import flow_picture
 from devrf.reconstruct.confidence import Confidence
 from devrf.reconstruct.error_map import confidence_picture
-from devrf.reconstruct.film.layers import (
-    DepthScale,
-    backward_flow,
-    depth_colours,
-    depth_steps,
-    planar_depth,
-)
+from devrf.reconstruct.film.layers import DepthScale, backward_flow, depth_colours, depth_steps, planar_depth
 from devrf.reconstruct.model import DynamicModel, Layers, render_layers
 
 Picture = Mapping[str, np.ndarray | Flow]

@@ -1,6 +1,5 @@
 """From what was asked to a film: a camera and a time for every picture."""
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.camera_path import CameraPath, read_camera_path
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.film.asked import USUAL_FPS, USUAL_SLOW, Asked, option
 from devrf.reconstruct.film.between import between, through, views_of
 from devrf.reconstruct.film.paths import PATHS
@@ -88,8 +88,9 @@ def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Film:
     film = Film(scene, spoken, tuple(path), times, fps, asked.layer_names(), asked.format or "mp4")
     if film.format == "webp" and film.count > MOST_ANIMATED:
         raise InputError(
+            "film-too-long",
             f"--format webp: {film.count} pictures, at most {MOST_ANIMATED} are put into one; choose fewer --seconds "
-            "or --fps, or mp4"
+            "or --fps, or mp4",
         )
     return film if asked.beside is None else _with_true(film, asked.beside)
 
@@ -99,14 +100,14 @@ def _from_file(asked: Asked, spoken: str, lens: Camera) -> CameraPath | None:
     if path.suffix.lower() != ".json" and not path.is_file():
         return None
     if not path.is_file():
-        raise InputError(f"--path {spoken}: no such file")
+        raise InputError("file-missing", f"--path {spoken}: no such file")
     given = read_camera_path(path, asked.size_px(), (lens.width, lens.height))
     if asked.size is None:  # the file's own size is held to the same bounds
         width, height = given.cameras[0].width, given.cameras[0].height
         try:
             replace(asked, size=f"{width}x{height}").size_px()
         except InputError as error:
-            raise InputError(f"{path}: render_width and render_height, as {error}") from None
+            raise InputError(error.code, f"{path}: render_width and render_height, as {error}") from None
     return given
 
 
@@ -140,15 +141,14 @@ def _curve(asked: Asked, t0_s: float, t1_s: float) -> TimeCurve:
     begin = 0.0 if asked.begin is None else parse_time(asked.begin, "--from", t0_s, t1_s)
     end = 1.0 if asked.end is None else parse_time(asked.end, "--to", t0_s, t1_s)
     if begin >= end:
-        raise InputError(
-            f"--from {asked.begin or 0} --to {asked.end or 1}: the second is not after the first"
-        )
+        text = f"--from {asked.begin or 0} --to {asked.end or 1}: the second is not after the first"
+        raise InputError("times-reversed", text)
     texts = asked.slow_texts()
     slow = None
     if texts is not None:
         first, last = (parse_time(text, "--slow", t0_s, t1_s) for text in texts)
         if first >= last:
-            raise InputError(f"--slow {asked.slow}: the second time is not after the first")
+            raise InputError("times-reversed", f"--slow {asked.slow}: the second time is not after the first")
         slow = (first, last)
     speed = USUAL_SLOW if slow is not None and asked.speed is None else asked.speed
     return TimeCurve(t1_s - t0_s, begin, end, speed, slow, bool(asked.ping_pong))
@@ -158,8 +158,9 @@ def _refuse_times(asked: Asked) -> None:
     options = [*asked.running, *(["time"] if asked.time is not None else [])]
     if options:
         raise InputError(
+            "scene-without-motion",
             f"{option(options[0])}: there is no motion in this run (nothing moves, or stage "
-            "deformation is not made yet); a film of it shows the scene at rest, without times"
+            "deformation is not made yet); a film of it shows the scene at rest, without times",
         )
 
 
@@ -181,15 +182,17 @@ def _still(scene: Scene, name: str, asked: Asked) -> Camera:
     """A camera that stands still, with its own lens, at the size that it is tested at or that was asked for."""
     known = {f.camera_name: f.camera for f in scene.dynamic}
     if name not in known:
-        raise InputError(f"--path still:{name}: no such camera; expected one of {', '.join(known) or 'none'}")
+        text = f"--path still:{name}: no such camera; expected one of {', '.join(known) or 'none'}"
+        raise InputError("camera-unknown", text)
     camera, size = known[name], asked.size_px()
     if size is None:
         return camera.scaled(scene.image_scale)
     fitting = round(size[0] * camera.height / camera.width)
     if abs(size[1] - fitting) > max(1, OTHER_SHAPE * fitting):
         raise InputError(
+            "film-other-shape",
             f"--size {asked.size}: pictures of {name} are {camera.width}x{camera.height}; take "
-            f"{size[0]}x{fitting + fitting % 2} for its shape"
+            f"{size[0]}x{fitting + fitting % 2} for its shape",
         )
     K = np.diag([size[0] / camera.width, size[1] / camera.height, 1.0]) @ camera.K
     return replace(camera, width=size[0], height=size[1], K=K)
@@ -200,9 +203,8 @@ def _with_true(film: Film, name: str) -> Film:
     frames = sorted((f for f in film.scene.dynamic if f.camera_name == name), key=lambda f: f.time or 0.0)
     if not frames or any(time is None for time in film.times):
         names = sorted({f.camera_name for f in film.scene.dynamic})
-        raise InputError(
-            f"--beside {name}: no such camera in motion; expected one of {', '.join(names) or 'none'}"
-        )
+        text = f"--beside {name}: no such camera in motion; expected one of {', '.join(names) or 'none'}"
+        raise InputError("camera-unknown", text)
     at = np.array([f.time for f in frames], dtype=np.float64)
     nearest = [int(np.abs(at - time).argmin()) for time in film.times if time is not None]
     beside = tuple(frames[n] for n in nearest)
@@ -214,13 +216,14 @@ def _with_true(film: Film, name: str) -> Film:
 def _checked(count: int) -> int:
     if count > MOST_PICTURES:
         raise InputError(
-            f"the film would have {count} pictures, at most {MOST_PICTURES} are made; choose fewer --seconds or --fps"
+            "film-too-long",
+            f"the film would have {count} pictures, at most {MOST_PICTURES} are made; choose fewer --seconds or --fps",
         )
     return count
 
 
 def _unknown(spoken: str) -> InputError:
     known: Sequence[str] = (*PATHS, "between", "between:CAMERA,CAMERA", "still:CAMERA", "FILE.json")
-    near = difflib.get_close_matches(spoken, known, n=1)
-    hint = f", did you mean {near[0]}?" if near else ""
-    return InputError(f"--path {spoken}: expected {', '.join(known)}{hint}")
+    return InputError(
+        "option-unknown-value", f"--path {spoken}: expected {', '.join(known)}{suggestion(spoken, known)}"
+    )

@@ -44,8 +44,7 @@ def _beside(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[He
             f"picture beside the scene at rest, worst camera ({name})",
             100 * length,
             "% of its width",
-            warn=100 * most,
-            low_is_bad=False,
+            warn_above=100 * most,
             remedy=f"{name} does not stand where the rig says, or has another focal length: leave tripod and zoom as "
             "they are between board, sweep and clip, film the board with this zoom (capture.board.clips), and let the "
             "sweep show what this camera sees.",

@@ -17,16 +17,14 @@ def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
             f"board error of {name}",
             board.rms_px,
             "px",
-            warn=1.0,
-            fail=3.0,
-            low_is_bad=False,
+            warn_above=1.0,
+            fail_above=3.0,
             remedy="The board does not fit: check squares, use a flat print, avoid motion blur."
             + _list(" Dropped views", board.dropped),
         ),
         row(
             f"board views of {name}",
             float(board.views),
-            "",
             warn=10.0,
             remedy=f"Few views leave the principal point unsure ({_centre_doubt(board)}): film the board longer."
             + _list(" Dropped views", board.dropped),
@@ -44,8 +42,7 @@ def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
             f"focal length of {name} by the board, standard deviation",
             _focal_std(board),
             "%",
-            warn=0.5,
-            low_is_bad=False,
+            warn_above=0.5,
             remedy="The views leave the focal length unsure: film more of them, the board large in the "
             "picture and tilted by 20 to 45 degrees.",
         ),
@@ -58,8 +55,7 @@ def board_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
                 f"board error of {name} on views held out",
                 board.held_out_rms_px,
                 "px",
-                warn=max(1.0, HELD_OUT_GAIN * board.rms_px),
-                low_is_bad=False,
+                warn_above=max(1.0, HELD_OUT_GAIN * board.rms_px),
                 remedy="Views that were not fitted agree less: the lens is unsure where they lie. Film the "
                 "board more evenly over the picture, with focus and zoom locked.",
             )
@@ -73,9 +69,7 @@ def _print_row(name: str, board: BoardCalibration) -> HealthRow:
     remedy = (
         f"The board is not as described; write {wrong} in capture.board. What the pictures show was used."
     )
-    return note(
-        f"board before {name}", found.words, verdict="warn" if wrong else "ok", remedy=remedy if wrong else ""
-    )
+    return note(f"board before {name}", found.words, remedy=remedy if wrong else "")
 
 
 def _coverage_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
@@ -87,7 +81,6 @@ def _coverage_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
         row(
             f"picture covered by board corners, {name}",
             evidence.coverage,
-            "",
             warn=0.8,
             remedy=f"{remedy}{never}",
         )
@@ -95,14 +88,7 @@ def _coverage_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
     if unseen and rows[0].verdict == "ok":
         corners = sum("corner" in place for place in evidence.unseen)
         remedy = remedy + never if corners > 2 else ""
-        rows.append(
-            note(
-                f"never seen with the board, {name}",
-                unseen,
-                verdict="warn" if remedy else "ok",
-                remedy=remedy,
-            )
-        )
+        rows.append(note(f"never seen with the board, {name}", unseen, remedy=remedy))
     return rows
 
 
@@ -123,7 +109,7 @@ def _view_row(name: str, board: BoardCalibration) -> HealthRow:
     elif len(board.dropped) > all_views / 4:
         remedy = "Many views do not fit: lock focus and zoom, hold the board still and flat."
     words = "; ".join(said) or "none"
-    return note(f"board views of {name} left out", words, verdict="warn" if remedy else "ok", remedy=remedy)
+    return note(f"board views of {name} left out", words, remedy=remedy)
 
 
 def _lens_words(board: BoardCalibration) -> str:
@@ -148,8 +134,7 @@ def _bow_rows(name: str, board: BoardCalibration) -> list[HealthRow]:
             f"bow of the board before {name}",
             abs(bow),
             "mm",
-            warn=BOW_SHARE * side_mm,
-            low_is_bad=False,
+            warn_above=BOW_SHARE * side_mm,
             remedy=f"The board bows by {abs(bow):.1f} +- {board.bow_std_mm[along]:.1f} mm; it was corrected for here, "
             "but glue the print onto a rigid, flat plate.",
         )

@@ -77,4 +77,4 @@ def box_health(
 
 
 def _at_most(check: str, value: float, unit: str, *, most: float, remedy: str) -> HealthRow:
-    return row(check, value, unit, warn=most, low_is_bad=False, remedy=remedy)
+    return row(check, value, unit, warn_above=most, remedy=remedy)

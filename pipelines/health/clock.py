@@ -29,7 +29,6 @@ def confidence_row(name: str, clock: Clock, why: str, *, final: bool) -> HealthR
     return row(
         f"confidence, worst camera ({name})",
         clock.confidence,
-        "",
         warn=0.6,
         fail=REFUSED_BELOW if final else None,
         remedy=f"The clock of {name} is not known: {why or clock.basis}. {later}{REMEDY}",

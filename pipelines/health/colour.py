@@ -29,8 +29,7 @@ def colour_rows(colours: Colours, test_cameras: set[str]) -> list[HealthRow]:
                     f"brightness of {name} by its chart against that by surface points",
                     abs(camera.stops - camera.stops_by_points),
                     "EV",
-                    warn=CHART_STOPS,
-                    low_is_bad=False,
+                    warn_above=CHART_STOPS,
                     remedy=f"The chart of {name} or of {target} was filmed in other light or with other settings than "
                     "the scene: film it with both in one place, or leave it out.",
                 )
@@ -41,8 +40,7 @@ def colour_rows(colours: Colours, test_cameras: set[str]) -> list[HealthRow]:
                     f"brightness of {name} against {target}, standard deviation",
                     camera.stops_std,
                     "EV",
-                    warn=VAGUE_STOPS,
-                    low_is_bad=False,
+                    warn_above=VAGUE_STOPS,
                     remedy=f"{camera.fitted} points say little: film a colour chart (calibration.colour.chart).",
                 )
             )
@@ -59,7 +57,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
             )
         text = "not compared: neither a chart nor enough surface points shared with cameras of known look"
         remedy = f"Film a colour chart with {name} and {target} (calibration.colour.chart), or let views overlap more."
-        return note(f"colours of {name}", text, verdict="warn", remedy=remedy)
+        return note(f"colours of {name}", text, remedy=remedy)
     side = "brighter" if camera.stops > 0 else "darker"
     found = f"{name} {abs(camera.stops):.2f} EV {side} than {target}"
     if camera.source == "none":
@@ -68,8 +66,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
             f"{found}, {why}",
             camera.apart.after,  # as it is, against the others as they are used
             UNIT,
-            warn=MIXED,
-            low_is_bad=False,
+            warn_above=MIXED,
             remedy=f"Film one colour chart with {name} and {target} (calibration.colour.chart).",
         )
     how = f"corrected by {WORDS[camera.kind]}" if camera.kind in WORDS else "needs no correction"
@@ -77,8 +74,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
         f"{found}, {how} from {camera.source}: left of {camera.apart.before:.3f}",
         camera.apart.after,
         UNIT,
-        warn=MIXED,
-        low_is_bad=False,
+        warn_above=MIXED,
         remedy="Set the same exposure, white balance and picture profile by hand on all cameras, or film a colour "
         "chart (calibration.colour.chart).",
     )

@@ -22,7 +22,7 @@ def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
         nothing = (
             "The model shows nothing solid in the box: see that it holds the subject and poses are right."
         )
-        return [note(low, "nothing solid is seen in the box", verdict="warn", remedy=nothing)]
+        return [note(low, "nothing solid is seen in the box", remedy=nothing)]
     badly_seen = (
         "Most of the subject is badly seen or badly explained: let more cameras see it from further apart, sweep it "
         "closer, and check rig, clocks and flow in the report."
@@ -39,4 +39,4 @@ def confidence_rows(confidence: dict[str, Any]) -> list[HealthRow]:
 
 
 def _share(check: str, share: float, most: float, remedy: str) -> HealthRow:
-    return row(check, 100 * share, "%", warn=100 * most, low_is_bad=False, remedy=remedy)
+    return row(check, 100 * share, "%", warn_above=100 * most, remedy=remedy)

@@ -34,7 +34,6 @@ def health(checks: dict[str, FlowChecks], given: bool = False) -> list[HealthRow
             note(
                 "gaps in the clips",
                 f"{text} (of {total} pairs); no flow across them",
-                verdict="warn",
                 remedy="Frames were dropped while filming: use faster cards, or a lower resolution.",
             )
         )
@@ -46,7 +45,6 @@ def _consistent(checks: dict[str, FlowChecks]) -> HealthRow:
     return row(
         f"consistent share of what can be followed, worst camera ({camera})",
         value,
-        "",
         warn=0.7,
         fail=0.3,
         remedy="Most of the flow contradicts itself: film with a higher frame rate, a shorter shutter "
@@ -66,7 +64,6 @@ def _of_motion(moving: dict[str, FlowChecks], given: bool) -> list[HealthRow]:
         row(
             f"consistent share of what moves, worst camera ({camera})",
             value,
-            "",
             warn=0.7,
             remedy="The motion is too fast, blurred or without texture, or much of it is hidden in the frame before: "
             "raise the frame rate or give the subject more texture.",
@@ -77,10 +74,8 @@ def _of_motion(moving: dict[str, FlowChecks], given: bool) -> list[HealthRow]:
         row(
             f"what warping leaves of the difference between frames, worst camera ({camera})",
             value,
-            "",
-            warn=0.8,
-            fail=1.05,
-            low_is_bad=False,
+            warn_above=0.8,
+            fail_above=1.05,
             remedy="Following the flow does not lead to the previous frame: frames are out of order, or the "
             "light flickers; lock the exposure.",
         )
@@ -97,9 +92,7 @@ def _of_motion(moving: dict[str, FlowChecks], given: bool) -> list[HealthRow]:
         row(
             f"share of moving pixels beyond 1/8 of the width, worst camera ({camera})",
             value,
-            "",
-            warn=0.05,
-            low_is_bad=False,
+            warn_above=0.05,
             remedy="The subject moves too far between frames for this flow: raise the frame rate, or set "
             "flow.method: raft."
             if not given
@@ -112,9 +105,7 @@ def _of_motion(moving: dict[str, FlowChecks], given: bool) -> list[HealthRow]:
             row(
                 f"share of what moves with too little texture to be followed, worst camera ({camera})",
                 value,
-                "",
-                warn=0.4,
-                low_is_bad=False,
+                warn_above=0.4,
                 remedy="Plain skin or cloth slides through unseen: give the subject texture (a pattern, make-up "
                 "dots) or more light; its flow counts less.",
             )
@@ -133,8 +124,7 @@ def _of_cameras(checks: dict[str, FlowChecks]) -> list[HealthRow]:
                 f"change of brightness from one frame to the next where nothing moves, worst camera ({camera})",
                 100 * (value or 0.0),
                 "%",
-                warn=3.0,
-                low_is_bad=False,
+                warn_above=3.0,
                 remedy="A change of brightness reads as motion: lock the exposure, and avoid lamps that flicker.",
             )
         )
@@ -146,8 +136,7 @@ def _of_cameras(checks: dict[str, FlowChecks]) -> list[HealthRow]:
                 f"movement of the whole picture from frame to frame, worst camera ({camera})",
                 value,
                 "px",
-                warn=SHAKE_PX,
-                low_is_bad=False,
+                warn_above=SHAKE_PX,
                 remedy="The fixed camera shakes: weigh the tripod down, keep away from it, and switch stabilisation "
                 "off.",
             )
@@ -156,9 +145,7 @@ def _of_cameras(checks: dict[str, FlowChecks]) -> list[HealthRow]:
 
 
 def _worst(
-    checks: dict[str, FlowChecks],
-    value: Callable[[FlowChecks], float | None],
-    choose: Callable,
+    checks: dict[str, FlowChecks], value: Callable[[FlowChecks], float | None], choose: Callable
 ) -> tuple[str, float | None]:
     """The camera with the worst value, and the value."""
     camera = choose(checks, key=lambda name: value(checks[name]) or 0.0)

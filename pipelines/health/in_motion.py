@@ -35,8 +35,7 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> list[HealthRow]:
             f"change where the model is empty, worst camera ({name})",
             100 * share,
             "%",
-            warn=100 * MOST_UNREACHABLE,
-            low_is_bad=False,
+            warn_above=100 * MOST_UNREACHABLE,
             remedy=f"Much of what changes in {name} is not in the box, at rest or in motion: keep people, shadows and "
             "other moving things out of the picture, keep the subject near where it rests, and let two cameras see all "
             "of its way so that the box is made larger.",
@@ -49,8 +48,7 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> list[HealthRow]:
                 "moving surface that is seen from one side only",
                 100 * fmean(alone),
                 "%",
-                warn=100 * MOST_ALONE,
-                low_is_bad=False,
+                warn_above=100 * MOST_ALONE,
                 remedy="What only one camera sees, or several from one place, moves at a depth that is a guess, and "
                 "other views show it wrong: add cameras (four, around the subject), or move them apart so that each "
                 "side of the subject is in two pictures.",
@@ -62,8 +60,7 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> list[HealthRow]:
             f"pictures by which the motion fits better at another time, worst camera ({name})",
             shift,
             "pictures",
-            warn=MOST_SHIFT,
-            low_is_bad=False,
+            warn_above=MOST_SHIFT,
             remedy=f"The clock of {name} disagrees with those of the other cameras: film with sound and clap a few "
             "times near the middle, or flash a light.",
         )

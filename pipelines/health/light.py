@@ -107,7 +107,6 @@ def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) ->
                 f"lamps seen by {name}",
                 f"flicker by {100 * light.flicker.depth:.0f} % on mains of {lamp_hz // 2} Hz, "
                 f"seen {light.flicker.seen_hz:.2f} times a second",
-                verdict="warn",
                 remedy=f"{source}: set the shutter to 1/{lamp_hz // 2} or 1/{lamp_hz} s, or light without mains lamps.",
             )
         )
@@ -117,11 +116,11 @@ def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) ->
 def _light_row(check: str, change: str, left: float | None, remedy: str) -> HealthRow:
     """A change of light: healthy where gains make up for it, so that no more is left than a steady clip may change."""
     if left is None:
-        return note(check, f"{change}; test pictures stay as they were filmed", verdict="warn", remedy=remedy)
+        return note(check, f"{change}; test pictures stay as they were filmed", remedy=remedy)
     share = 100 * (2**left - 1)
     if left <= EXPOSURE_STOPS:
         return note(check, f"{change}; gains make up for it: {share:.1f} % is left")
-    return note(check, f"{change}; gains leave {share:.0f} %", verdict="warn", remedy=remedy)
+    return note(check, f"{change}; gains leave {share:.0f} %", remedy=remedy)
 
 
 def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
@@ -132,7 +131,7 @@ def raw_rows(name: str, sidecar: dict[str, Any]) -> list[HealthRow]:
     def say(check: str, found: list[dict[str, Any]], text: str, remedy: str = "") -> None:
         if found:
             words = f"{len(found)} of {len(files)} files {text}: {places([f['source'] for f in found])}"
-            rows.append(note(f"{check}, {name}", words, verdict="warn" if remedy else "ok", remedy=remedy))
+            rows.append(note(f"{check}, {name}", words, remedy=remedy))
 
     shot = [f for f in files if f["as_shot"] is not None]
     usual = np.median([f["as_shot"] for f in shot], axis=0) if shot else np.ones(3)
@@ -188,7 +187,6 @@ def exposure_rows(name: str, stops: Mapping[str, float | None]) -> list[HealthRo
         note(
             f"exposure of photos, {name}",
             f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {places(off)}",
-            verdict="warn",
             remedy="Set shutter, ISO and aperture by hand and lock them for the whole set.",
         )
     ]

@@ -32,22 +32,22 @@ def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
     rows += _inverted(made) + _screens(made)
     name, empty = _worst(made, lambda m: float(np.mean([f.area < LEAST_SUBJECT for f in m.facts])))
     rows.append(
-        _at_most(
-            f"pictures without a subject ({name})", empty, "of the camera's", most=MOST_EMPTY,
+        row(
+            f"pictures without a subject ({name})", empty, "of the camera's", warn_above=MOST_EMPTY,
             remedy=f"The mattes of {name} are nearly all empty: look at scene/mattes/{name}, and check the method.",
         )
     )  # fmt: skip
     name, area = _worst(made, lambda m: float(np.median([f.area for f in m.facts])))
     rows.append(
-        _at_most(
-            f"subject's share of the picture ({name})", area, "", most=MOST_AREA,
+        row(
+            f"subject's share of the picture ({name})", area, "", warn_above=MOST_AREA,
             remedy=f"The mattes of {name} are nearly all subject: look at scene/mattes/{name}; white is the subject.",
         )
     )  # fmt: skip
     name, holes = _worst(made, lambda m: float(np.median([f.holes for f in m.facts])))
     rows.append(
-        _at_most(
-            f"holes in mattes ({name})", 100 * holes, "% of the subject", most=100 * MOST_HOLES,
+        row(
+            f"holes in mattes ({name})", 100 * holes, "% of the subject", warn_above=100 * MOST_HOLES,
             remedy=f"The subject has holes in scene/mattes/{name}, and the model will: close them, or use another "
             "method (the subject may have the background's or the screen's colour).",
         )
@@ -55,8 +55,8 @@ def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
     name, rim = _worst(made, lambda m: _median([f.rim for f in m.facts]))
     if not np.isnan(rim):
         rows.append(
-            _at_most(
-                f"rim of the background's colour ({name})", 100 * rim, "% of the edge", most=100 * MOST_RIM,
+            row(
+                f"rim of the background's colour ({name})", 100 * rim, "% of the edge", warn_above=100 * MOST_RIM,
                 remedy=f"The mattes of {name} reach beyond the subject and the model gets a rim: shrink them by a "
                 "pixel or two.",
             )
@@ -64,8 +64,8 @@ def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
     name, spill = _worst(made, lambda m: np.nan if m.spill is None else m.spill)
     if not np.isnan(spill):
         rows.append(
-            _at_most(
-                f"screen's colour on the subject ({name})", 100 * spill, "%", most=100 * MOST_SPILL,
+            row(
+                f"screen's colour on the subject ({name})", 100 * spill, "%", warn_above=100 * MOST_SPILL,
                 remedy="The screen shines on the subject, or they share a colour: move the subject away from the "
                 "screen, light it from behind, or use a screen of another colour.",
             )
@@ -73,9 +73,9 @@ def matte_health(mattes: SceneMattes, method: str) -> list[HealthRow]:
     name, hidden = _worst(made, lambda m: np.nan if m.hidden is None else m.hidden)
     if not np.isnan(hidden):
         rows.append(
-            _at_most(
+            row(
                 f"subject's places without a lasting background ({name})", 100 * hidden, "% of what it covers",
-                most=100 * MOST_HIDDEN,
+                warn_above=100 * MOST_HIDDEN,
                 remedy="The subject hides its background for most of the clip, so the clean plate may show it and its "
                 "mattes have holes: let the clips run on over the empty scene, or use a program (capture.mattes: "
                 "{method: command, ...}).",
@@ -92,7 +92,6 @@ def _inverted(made: Mapping[str, CameraMattes]) -> list[HealthRow]:
         note(
             "mattes' black and white",
             f"swapped: {', '.join(swapped)}",
-            verdict="warn",
             remedy="They are white around and darker inside and were inverted: save the subject white, or say so "
             "(capture.mattes.inverted: true, or false if that is wrong).",
         )
@@ -132,7 +131,3 @@ def _worst(made: Mapping[str, CameraMattes], value: Callable[[CameraMattes], flo
 def _median(values: Sequence[float | None]) -> float:
     known = [v for v in values if v is not None]
     return float(np.median(known)) if known else float("nan")
-
-
-def _at_most(check: str, value: float, unit: str, *, most: float, remedy: str) -> HealthRow:
-    return row(check, value, unit, warn=most, low_is_bad=False, remedy=remedy)

@@ -28,7 +28,6 @@ def sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
         row(
             f"points that {name} shares with the sweep",
             None if c.inliers is None else float(c.inliers),
-            "",
             warn=100.0,
             fail=30.0,
             remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
@@ -36,7 +35,6 @@ def sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
         row(
             f"share of the picture that {name}'s points cover",
             d.get("inlier_area"),
-            "",
             warn=0.2,
             remedy=f"All points of {name} lie in one corner: film sweep pictures of what it sees elsewhere.",
         ),
@@ -46,7 +44,6 @@ def sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
             row(
                 f"share of {name}'s matches with the sweep that fit one pose",
                 d["verified"] / d["matches"],
-                "",
                 warn=0.25,
                 remedy=f"The sweep looks different to {name}: take a few sweep pictures with the same device, or "
                 "from beside it, with the same exposure and white balance.",
@@ -58,8 +55,7 @@ def sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
                 f"position of {name}, standard deviation",
                 100 * c.position_std / distance,
                 "% of distance",
-                warn=0.5,
-                low_is_bad=False,
+                warn_above=0.5,
                 remedy=f"Focal length and distance trade off: film a board (capture.board.clips.{name}).",
             )
         )
@@ -68,9 +64,7 @@ def sweep_rows(name: str, c: RigCamera) -> list[HealthRow]:
             row(
                 f"distance of {name} against its place sideways, ratio of the standard deviations",
                 along / across,
-                "",
-                warn=10.0,
-                low_is_bad=False,
+                warn_above=10.0,
                 remedy=f"Focal length and distance of {name} trade off: fix the focal length by a board "
                 f"(capture.board.clips.{name}).",
             )
@@ -86,17 +80,15 @@ def joint_rows(rig: BoardRig, check: RigCheck | None) -> list[HealthRow]:
             "reprojection error of the board rig, robust",
             rig.solution.sigma_px,
             "px",
-            warn=1.0,
-            fail=4.0,
-            low_is_bad=False,
+            warn_above=1.0,
+            fail_above=4.0,
             remedy="Move the board slowly and rest it often, use a flat, rigid print, and sync the cameras.",
         ),
         row(
             "time between views that count as one, largest",
             rig.gap_ms[1],
             "ms",
-            warn=50.0,
-            low_is_bad=False,
+            warn_above=50.0,
             remedy="The cameras do not expose together: move the board slowly, or rest it.",
         ),
         note("board views that do not fit", dropped),
@@ -118,8 +110,7 @@ def joint_rows(rig: BoardRig, check: RigCheck | None) -> list[HealthRow]:
             "held-out lengths on the board, error of the median",
             check.error_percent,
             "%",
-            warn=0.5,
-            low_is_bad=False,
+            warn_above=0.5,
             remedy="The pictures fit but the millimetres do not: check square_m, calibrate each camera with a board "
             "of its own (capture.board.clips), and move the joint board nearer and farther.",
         ),
@@ -127,8 +118,7 @@ def joint_rows(rig: BoardRig, check: RigCheck | None) -> list[HealthRow]:
             "held-out lengths on the board, far against near",
             abs(check.near_to_far_percent),
             "%",
-            warn=1.0,
-            low_is_bad=False,
+            warn_above=1.0,
             remedy="Lengths depend on the distance: a focal length is wrong. Film the joint board at distances of "
             "one to two, so that it can be refined, or calibrate each camera again.",
         ),
@@ -151,8 +141,7 @@ def _clock_rows(rig: BoardRig) -> list[HealthRow]:
                 f"{name}'s clock against {first}'s, by the board's motion: {1e3 * delay_s:+.0f} ms",
                 1e3 * abs(float(delay_s)),
                 "ms",
-                warn=max(LATE_MS, 3e3 * float(std_s)),
-                low_is_bad=False,
+                warn_above=max(LATE_MS, 3e3 * float(std_s)),
                 remedy="The board's views fit only when the clocks are shifted by this: sync the joint clips (sound, "
                 "or true times in capture.timestamps; a table that was used is late by this), or rest the board and "
                 "keep only the rests.",
@@ -163,8 +152,7 @@ def _clock_rows(rig: BoardRig) -> list[HealthRow]:
             "uneven times of single pictures of the joint clips, standard deviation",
             1e3 * timing.lag_std_s,
             "ms",
-            warn=LATE_MS,
-            low_is_bad=False,
+            warn_above=LATE_MS,
             remedy="A camera hands out pictures late and unevenly (webcams do): record in the camera, or let the "
             "board rest. The times were allowed for here; moving scenes will suffer.",
         )
@@ -184,8 +172,7 @@ def _prior_rows(rig: BoardRig) -> list[HealthRow]:
                     f"focal length of {name}, joint views ({found:.0f} px) against its calibration ({mean:.0f} px)",
                     abs(found - mean) / std,
                     "standard deviations",
-                    warn=PRIOR_STDS,
-                    low_is_bad=False,
+                    warn_above=PRIOR_STDS,
                     remedy=f"The calibration of {name} is not what it claims: same zoom, focus and stabilisation in "
                     f"all clips? Film capture.board.clips.{name} again.",
                 )
@@ -204,7 +191,6 @@ def graph_rows(graph: tuple[Link, ...], rig: Rig) -> list[HealthRow]:
             row(
                 f"corners that {name} shares with {other}, its strongest link",
                 float(best.shared),
-                "",
                 warn=GOOD_LINK,
                 fail=WEAK_LINK,
                 remedy=f"Hold the board where {name} and {other} both see it, for longer.",
@@ -216,7 +202,6 @@ def graph_rows(graph: tuple[Link, ...], rig: Rig) -> list[HealthRow]:
                 note(
                     f"links of {name}",
                     f"{name} hangs on one link, to {other}",
-                    verdict="warn",
                     remedy=f"Hold the board where {name} and a camera other than {other} both see it.",
                 )
             )
@@ -228,7 +213,6 @@ def graph_rows(graph: tuple[Link, ...], rig: Rig) -> list[HealthRow]:
                 note(
                     f"{link.a} and {link.b}",
                     "face each other: no side of a board is seen by both",
-                    verdict="warn" if alone else "ok",
                     remedy="Use a board printed on both sides, or the sweep." if alone else "",
                 )
             )
@@ -264,8 +248,7 @@ def route_rows(
                     f"{what} of {name}, sweep against board",
                     value,
                     "deg" if what == "turn" else "% of distance",
-                    warn=warn,
-                    low_is_bad=False,
+                    warn_above=warn,
                     remedy=f"The two routes to {name} disagree: was it touched between the clips, or is its focal "
                     "length wrong?",
                 )
@@ -283,8 +266,7 @@ def bump_row(name: str, bump: Bump | None) -> HealthRow:
         check,
         bump.moved_px,
         "px",
-        warn=BUMP_PX,
-        low_is_bad=False,
+        warn_above=BUMP_PX,
         remedy=f"{name} moved at {int(minutes):02d}:{seconds:04.1f} of its clip: use only what was filmed before or "
         "after (capture.range_s), fix the tripod, switch stabilisation off.",
     )
@@ -300,8 +282,7 @@ def scale_rows(found: list[Scale], used: Scale, unmeasured_board: bool = False) 
                     f"scale: {one.source} against {other.source}",
                     100 * abs(other.factor / one.factor - 1),
                     "%",
-                    warn=100 * AGREEMENT,
-                    low_is_bad=False,
+                    warn_above=100 * AGREEMENT,
                     remedy="Two measures of length disagree: measure the squares and the distance again.",
                 )
             )
@@ -317,4 +298,4 @@ def scale_rows(found: list[Scale], used: Scale, unmeasured_board: bool = False) 
         f"Lengths are not metres: {board}, or give calibration.rig.known_distance_m, or calibration.rig.given_unit of "
         "a given calibration."
     )
-    return [*rows, note("scale", ARBITRARY.source, verdict="warn", remedy=remedy)]
+    return [*rows, note("scale", ARBITRARY.source, remedy=remedy)]

@@ -36,25 +36,30 @@ class HealthRow:
 def row(
     check: str,
     value: float | None,
-    unit: str,
+    unit: str = "",
     *,
     warn: float | None = None,
     fail: float | None = None,
-    low_is_bad: bool = True,
+    warn_above: float | None = None,
+    fail_above: float | None = None,
     remedy: str,
 ) -> HealthRow:
-    """Judge a value: at a bound is still fine, beyond it is not; not measured is a warning."""
+    """Judge a value: at a bound is still fine, beyond it is not; not measured is a warning.
+
+    A low value is bad (`warn`, `fail`), or a high one (`warn_above`, `fail_above`).
+    """
+    sign = -1.0 if warn_above is fail_above is None else 1.0
+    warn, fail = (warn, fail) if sign < 0 else (warn_above, fail_above)
     if value is None or value != value:
         return HealthRow(check, None, unit, warn, fail, "warn", f"not measured. {remedy}")
-    sign = -1.0 if low_is_bad else 1.0
     beyond = [bound is not None and sign * value > sign * bound for bound in (fail, warn)]
     verdict: Verdict = "fail" if beyond[0] else "warn" if beyond[1] else "ok"
     return HealthRow(check, float(value), unit, warn, fail, verdict, "" if verdict == "ok" else remedy)
 
 
-def note(check: str, value: str, *, verdict: Verdict = "ok", remedy: str = "") -> HealthRow:
-    """A row that states something in words (for example which cue gave the clocks)."""
-    return HealthRow(check, value, "", None, None, verdict, remedy)
+def note(check: str, value: str, *, verdict: Verdict | None = None, remedy: str = "") -> HealthRow:
+    """A row that states something in words (which cue gave the clocks); a warning where there is a remedy."""
+    return HealthRow(check, value, "", None, None, verdict or ("warn" if remedy else "ok"), remedy)
 
 
 def worst(verdicts: Iterable[Verdict | None]) -> Verdict | None:

@@ -60,7 +60,7 @@ def mask_rows(without: Sequence[str]) -> list[HealthRow]:
     if not without:
         return []
     text = f"{len(without)} pictures have none: {_some(without)}"
-    return [note("masks", text, verdict="warn", remedy="What moves in them is matched: add their masks.")]
+    return [note("masks", text, remedy="What moves in them is matched: add their masks.")]
 
 
 def board_bend_rows(model: SweepModel, board: Intrinsics) -> list[HealthRow]:
@@ -77,7 +77,6 @@ def board_bend_rows(model: SweepModel, board: Intrinsics) -> list[HealthRow]:
         note(
             "lens correction in the camera",
             f"the sweep's pictures bend by {of_sweep:+.1f} %, the board's by {of_board:+.1f} %",
-            verdict="warn",
             remedy="The camera corrects its lens in one mode only: switch the correction off, or film the board in the "
             "mode of the sweep (capture.board.clips.static).",
         )
@@ -97,9 +96,8 @@ def board_focal_row(model: SweepModel, board: Intrinsics) -> HealthRow:
         "focal length against the board",
         100 * abs(focals[0] / board.K[0, 0] - 1) if focals else None,
         "%",
-        warn=EXIF_WARN,
-        fail=EXIF_BAD,
-        low_is_bad=False,
+        warn_above=EXIF_WARN,
+        fail_above=EXIF_BAD,
         remedy=FOCAL_REMEDY,
     )
 
@@ -110,7 +108,6 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
         row(
             "registered share of the sweep",
             r["registered"] / r["given"],
-            "",
             warn=0.8,
             fail=0.4,
             remedy=f"{r['registered']} of {r['given']} pictures; missing: {_some(r['unregistered'])}. A small "
@@ -120,9 +117,8 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
             "mean reprojection error",
             r["mean_reprojection_px"],
             "px",
-            warn=1.0,
-            fail=2.0,
-            low_is_bad=False,
+            warn_above=1.0,
+            fail_above=2.0,
             remedy="Something moved during the sweep, or the lens changed: keep the scene at "
             "rest, lock focus and zoom.",
         ),
@@ -136,7 +132,6 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
         row(
             "points of the poorest picture",
             float(min(counts.values(), default=0)),
-            "",
             warn=100.0,
             fail=30.0,
             remedy=f"Weak texture in {_some([n for n, p in counts.items() if p < 100])}: "
@@ -161,7 +156,6 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
             note(
                 "one model",
                 f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures",
-                verdict="warn",
                 remedy=f"The largest is used; apart from it stand {joined}. Film pictures that join them.",
             )
         )
@@ -171,7 +165,6 @@ def _registered(r: dict[str, Any]) -> list[HealthRow]:
             note(
                 "bundle adjustment",
                 "not converged: it stopped while the error still fell",
-                verdict="warn",
                 remedy="Something leaves the model loose (focal and distance, a flat scene): film a board "
                 "(capture.board.clips.static), or from more sides.",
             )
@@ -187,7 +180,6 @@ def _texture(r: dict[str, Any]) -> HealthRow:
     return row(
         "pictures with enough features",
         1 - len(starved) / max(1, r["given"] - len(skipped)),
-        "",
         warn=0.9,
         remedy=f"Fewer than {enough:.0f} features in {_some(starved)}: blank walls, dark or blurred pictures. Put "
         "textured things (posters, newspapers, rugs) there for the sweep, give light, walk slowly.",
@@ -204,17 +196,14 @@ def _pairs(r: dict[str, Any]) -> list[HealthRow]:
             "strong pairs that contradict the model",
             100 * len(wrong) / max(1, pairs["strong_pairs"]),
             "%",
-            warn=5.0,
-            low_is_bad=False,
+            warn_above=5.0,
             remedy=f"Views of different sides are matched as one: {listed}. Repeated things (tiles, equal "
             "chairs, both sides of a sign) do that: add things that are unique (posters, coded targets).",
         ),
         row(
             "pictures in which something moves",
             len(moving) / max(1, r["registered"]),
-            "",
-            warn=0.1,
-            low_is_bad=False,
+            warn_above=0.1,
             remedy=f"Matches that stay together do not fit the camera's motion in {_some(moving)}: empty the scene "
             "for the sweep, or mask what moves (calibration.static_poses.masks).",
         ),
@@ -222,8 +211,7 @@ def _pairs(r: dict[str, Any]) -> list[HealthRow]:
             "pairs matched on a static overlay",
             100 * pairs["watermark_share"],
             "%",
-            warn=5.0,
-            low_is_bad=False,
+            warn_above=5.0,
             remedy="A logo, a time stamp or dirt on the lens is the same in every picture: switch it off, crop it, or "
             "mask it (calibration.static_poses.masks).",
         ),
@@ -245,8 +233,7 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
                 f"focal length against EXIF{which}",
                 percent,
                 "%",
-                warn=EXIF_WARN,
-                low_is_bad=False,
+                warn_above=EXIF_WARN,
                 remedy=f"EXIF says {start['focal_px']:.0f} px, the pictures say {focal:.0f} px"
                 f"{CROP if percent > EXIF_BAD else '. '}{FOCAL_REMEDY}",
             )
@@ -259,8 +246,7 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
                 "scatter of focal lengths between cameras",
                 100 * max(abs(ratio / middle - 1) for ratio in many),
                 "%",
-                warn=5.0,
-                low_is_bad=False,
+                warn_above=5.0,
                 remedy="Intrinsics of several cameras or zooms are unstable, too few pictures fix each: keep one "
                 "camera at one zoom for the sweep.",
             )
@@ -269,22 +255,20 @@ def _lenses(model: SweepModel) -> list[HealthRow]:
     middle += "(capture.board.clips.static)."
     if r["adjustment"] is not None and r["adjustment"]["principal_point_put_back"]:
         text = "left the middle by more than 5 % of the width and was put back"
-        rows.append(note("principal point", text, verdict="warn", remedy=f"The sweep does not fix {middle}"))
+        rows.append(note("principal point", text, remedy=f"The sweep does not fix {middle}"))
     rows += [
         row(
             "principal point off the middle",
             max((100 * principal_point_off(c) for c in cameras), default=0.0),
             "% of the width",
-            warn=5.0,
-            low_is_bad=False,
+            warn_above=5.0,
             remedy=f"The pictures were cropped, or the sweep does not fix {middle}",
         ),
         row(
             "field of view",
             max((field_of_view_deg(c) for c in cameras if c.model == "OPENCV"), default=0.0),
             "deg",
-            warn=110.0,
-            low_is_bad=False,
+            warn_above=110.0,
             remedy="So wide a lens needs a fisheye model: film a board with it (capture.board.clips.static), or use "
             "the camera's linear mode.",
         ),
@@ -311,9 +295,7 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
         row(
             "share of points on one plane",
             plane_share(model),
-            "",
-            warn=0.9,
-            low_is_bad=False,
+            warn_above=0.9,
             remedy="The scene is flat, which leaves the focal length poorly fixed: film a board with the same "
             "settings (capture.board.clips.static), or bring depth into view.",
         ),
@@ -321,8 +303,7 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
             "residuals by row of the picture",
             fits.rows_px,
             "px",
-            warn=0.3,
-            low_is_bad=False,
+            warn_above=0.3,
             remedy="Errors depend on the row: a rolling shutter in motion. Move slowly, use a short shutter and a mode "
             "with fast readout, or take still photos.",
         ),
@@ -332,7 +313,6 @@ def _residuals(model: SweepModel) -> list[HealthRow]:
             note(
                 "one focal length for all pictures",
                 f"two groups, {100 * (zooms.ratio - 1):.0f} % apart",
-                verdict="warn",
                 remedy=f"{_some(zooms.short)} want a shorter focal length than {_some(zooms.long)}: two zooms or two "
                 "devices. Keep one zoom, or save photos with their EXIF data, which tell them apart.",
             )
@@ -350,7 +330,6 @@ def loop_rows(model: SweepModel) -> list[HealthRow]:
         row(
             "pictures of the same place that share points",
             share,
-            "",
             warn=0.2,
             remedy=f"The path comes back, but {a} and {b} share no point: the loop is not closed and the model may "
             "have drifted. Film the overlap again slowly, or give more time (calibration.static_poses.time_minutes).",
@@ -368,8 +347,7 @@ def _agreement(r: dict[str, Any]) -> list[HealthRow]:
                 "largest turn between two mappers",
                 max(apart.values(), default=None),
                 "deg",
-                warn=APART_DEG,
-                low_is_bad=False,
+                warn_above=APART_DEG,
                 remedy=f"{compared['against']} and {compared['name']} disagree by more than {APART_DEG} degrees on "
                 f"{len(beyond)} pictures: {_some(beyond)}. Few or wrong matches there: film more overlap and texture.",
             )
@@ -382,9 +360,9 @@ def _gps(r: dict[str, Any]) -> list[HealthRow]:
     if gps is None or not gps["places"]:
         return []
     if gps["why"] is not None:
-        disagrees = "std_m" in gps
-        remedy = "GPS contradicts the pictures: wait for a fix before the first photo." if disagrees else ""
-        return [note("GPS", f"not used: {gps['why']}", verdict="warn" if disagrees else "ok", remedy=remedy)]
+        contradicts = "GPS contradicts the pictures: wait for a fix before the first photo."
+        remedy = contradicts if "std_m" in gps else ""
+        return [note("GPS", f"not used: {gps['why']}", remedy=remedy)]
     off = sorted(gps["off_m"].values())
     median = off[len(off) // 2]
     far = [n for n, metres in gps["off_m"].items() if metres > 3 * gps["std_m"]]
@@ -393,14 +371,12 @@ def _gps(r: dict[str, Any]) -> list[HealthRow]:
             "distance of GPS places from the model",
             median,
             "m",
-            warn=3 * gps["std_m"],
-            low_is_bad=False,
+            warn_above=3 * gps["std_m"],
             remedy=f"GPS off by {median:.0f} m: wait for a fix under open sky; scale from GPS is then a guess.",
         ),
         row(
             "share of GPS places that agree",
             gps["agreeing"] / gps["places"],
-            "",
             warn=0.8,
             remedy=f"GPS is off by up to {off[-1]:.0f} m at {_some(far)}; these were left out of the scale.",
         ),
@@ -424,7 +400,7 @@ def _time(r: dict[str, Any]) -> list[HealthRow]:
     if not said:
         return []
     remedy = "Give more time (calibration.static_poses.time_minutes), or use fewer or smaller pictures."
-    return [note("time for the sweep", "; ".join(said), verdict="warn", remedy=remedy)]
+    return [note("time for the sweep", "; ".join(said), remedy=remedy)]
 
 
 def _some(names: Sequence[Any]) -> str:

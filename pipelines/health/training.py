@@ -21,9 +21,7 @@ def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
             row(
                 RESTARTED,
                 float(metrics["restarts"]),
-                "",
-                warn=0.0,
-                low_is_bad=False,
+                warn_above=0.0,
                 remedy="Steps were too large and were made smaller (down to "
                 f"{metrics['rate']:.2g} times); the result may stand. Lower reconstruct.learning_rate as much, and "
                 "look at poses and clocks in the report if it happens again.",
@@ -34,9 +32,7 @@ def restart_rows(metrics: Mapping[str, Any]) -> list[HealthRow]:
             row(
                 "key times at which training the motion made it worse",
                 float(metrics["keys_left"]),
-                "",
-                warn=0.0,
-                low_is_bad=False,
+                warn_above=0.0,
                 remedy="Their motion was left as it was before: cameras contradict one another there. Look at poses "
                 "and clocks in the report, and at what comes into view or leaves it at these times.",
             )
@@ -53,9 +49,7 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
         row(
             f"{CONTRADICTED}, worst camera ({worst})",
             contradicted[worst],
-            "",
-            warn=MOSTLY_CONTRADICTED,
-            low_is_bad=False,
+            warn_above=MOSTLY_CONTRADICTED,
             remedy="The flow of such a camera does not count in training, so the motion rests on colours alone there. "
             "Run again with --force flow, or film with a higher frame rate and more texture; of a data set that brings "
             "its flow look at the direction, the order and the size of its vectors.",
@@ -73,8 +67,7 @@ def late_rows(found: Mapping[str, Any] | None) -> list[HealthRow]:
             f"{LATE} ({name}, {1000 * offset_s:+.0f} ms)",
             abs(found["pictures"]),
             "pictures",
-            warn=0.0,
-            low_is_bad=False,
+            warn_above=0.0,
             remedy=f"Training took the pictures of {name} {abs(1000 * offset_s):.0f} ms "
             f"{'later' if offset_s > 0 else 'earlier'} than sync says, to a quarter of a picture. Set its lag in "
             "calibration.sync.av_lag_s or true times in capture.timestamps, or clap near the middle of the scene.",

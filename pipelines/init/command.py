@@ -33,12 +33,11 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
         InputError: There is no such folder, a scene.yaml is there already, or nothing in the folder can be used.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name the folder with the raw files")
+        raise InputError("folder-missing", f"{folder}: no such folder; name the folder with the raw files")
     path = folder / SCENE
     if path.exists() and not force:
-        raise InputError(
-            f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
-        )
+        text = f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
+        raise InputError("file-exists", text)
     name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", folder.resolve().name).strip("-")[:100] or "scene"
     dataset = guess_format(folder)
     if dataset is not None:
@@ -50,16 +49,18 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
     if roles.sweep is None and not roles.cameras:
         seen = [f"  {file}: {why}" for file, why in roles.left.items()] or ["  nothing"]
         raise InputError(
+            "folder-without-clips",
             f"{folder}: nothing that can be used; expected a sweep (a clip from a moving camera, or a folder of at "
-            f"least {FEWEST_PHOTOS} photos), or clips of fixed cameras. Seen:\n" + "\n".join(seen)
+            f"least {FEWEST_PHOTOS} photos), or clips of fixed cameras. Seen:\n" + "\n".join(seen),
         )
     for line in (f"found in {folder}", *_page(roles)):
         talk.say(line)
     if roles.sweep is None and not roles.joint and roles.given is None:
         raise InputError(
+            "rig-without-source",
             f"{folder}: clips of fixed cameras alone do not tell where the cameras are; film a sweep of the scene at "
             "rest, or a board that several cameras see at once, or put a calibration of all of them at the size that "
-            "was filmed into the folder; nothing was written"
+            "was filmed into the folder; nothing was written",
         )
     _write(path, scene_yaml(name, roles, "tiny" if shutil.which("nvidia-smi") is None else "fast"))
     talk.say(f"wrote {path}; look through it, then: devrf-pipeline check {path}", style="bold")

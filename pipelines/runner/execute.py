@@ -96,18 +96,17 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
         run.talk.error(str(error), error.code)
         return code_of(error)
     except KeyboardInterrupt:
-        run.talk.error("stopped; finished stages are kept, the next run goes on from there")
+        run.talk.error("stopped; finished stages are kept, the next run goes on from there", "stopped")
         return STOPPED
     except Exception as error:
         logger.debug("%s", "".join(traceback.format_exception(error)))
         if is_disk_full(error):
-            run.talk.error(disk_full_message(run.run_dir, "the run", 0))
+            run.talk.error(disk_full_message(run.run_dir, "the run", 0), "disk-full")
         elif is_no_memory(error):
-            run.talk.error(
-                f"not enough memory to go on ({first_line(error)}); close other programs, then run again"
-            )
+            what = f"not enough memory to go on ({first_line(error)}); close other programs, then run again"
+            run.talk.error(what, "no-memory")
         else:
-            run.talk.error(unexpected(run, error))
+            run.talk.error(unexpected(run, error), "unexpected")
         return FAILED
 
 
@@ -134,7 +133,7 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
                 left.append(stage.name)
                 continue
             if late is not None:
-                run.talk.error(late)
+                run.talk.error(late, "out-of-time")
                 return FAILED
             does = "taken from the cache" if from_cache else "runs"
             run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
@@ -171,7 +170,8 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
     what = ", ".join(counts) or "nothing changed, no stage executed"
     run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
     if left:
-        run.talk.error(f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes")
+        what = f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes"
+        run.talk.error(what, "out-of-time")
         return FAILED
     return DONE
 
@@ -195,7 +195,8 @@ def _judge(run: Run, now: Standing) -> int | None:
     failed = "\n".join(f"{row.check}: {row.remedy}" for row in now.health if row.verdict == "fail")
     run.talk.error(
         f"{now.stage.name}: its own check refused the result:\n{failed}\n"
-        "The result is kept; mend the cause, or go on with --allow-unhealthy"
+        "The result is kept; mend the cause, or go on with --allow-unhealthy",
+        "stage-unhealthy",
     )
     return UNHEALTHY
 
@@ -246,14 +247,14 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
         rows = context.health if context is not None else []
         if isinstance(error, KeyboardInterrupt):
             raise
-        code, message = explain(run, stage, error, written, free)
+        code, of_error, message = explain(run, stage, error, written, free)
         if logs:
             message += f"\nlog: {', '.join(map(str, logs))}"
         run.talk.health(stage.name, rows)
         run.talk.event("stage_failed", stage=stage.name, code=code, logs=[str(log) for log in logs])
-        run.talk.error(message)
+        run.talk.error(message, of_error)
         if not isinstance(error, OutOfTime):
-            remember_error(run.run_dir, stage.name, message, code)
+            remember_error(run.run_dir, stage.name, message, code, of_error)
         return code
 
 

@@ -1,4 +1,4 @@
-"""What is said when a stage fails, and the exit code."""
+"""What is said when a stage fails, which error it is, and the exit code."""
 
 import errno
 import logging
@@ -23,38 +23,36 @@ NO_MEMORY = (
 logger = logging.getLogger(__name__)
 
 
-def explain(run: Run, stage: Stage, error: BaseException, written: int, free: int | None) -> tuple[int, str]:
-    """Exit code and message of a stage's failure; the trace goes to the log."""
+def explain(
+    run: Run, stage: Stage, error: BaseException, written: int, free: int | None
+) -> tuple[int, str, str]:
+    """Exit code, the error's code and message of a stage's failure; the trace goes to the log."""
     name = stage.name
     if isinstance(error, OutOfTime):
-        return (
-            FAILED,
-            f"{name}: {error} (budget.time_minutes); run again to go on, or give it more time",
-        )
+        what = f"{name}: {error} (budget.time_minutes); run again to go on, or give it more time"
+        return FAILED, error.code, what
     trace = "".join(traceback.format_exception(error))
     logger.debug("%s", trace)
     if is_disk_full(error) or (free is not None and free < NO_ROOM and not isinstance(error, HealthError)):
-        return FAILED, f"{name}: {disk_full_message(run.run_dir, name, written)}"
-    if isinstance(error, HealthError):
-        return UNHEALTHY, f"{name}: {error}"
+        return FAILED, "disk-full", f"{name}: {disk_full_message(run.run_dir, name, written)}"
     if isinstance(error, DevrfError):
-        return FAILED, f"{name}: {error}"
+        return UNHEALTHY if isinstance(error, HealthError) else FAILED, error.code, f"{name}: {error}"
     if is_no_memory(error):
         budget, on_gpu = run.config.budget.gpu_memory_gb, not isinstance(error, MemoryError)
         bounded = budget is not None and run.device == "cuda" and on_gpu
         remedy = f"raise budget.gpu_memory_gb ({budget:g})" if bounded else "close other programs"
-        return FAILED, (
-            f"{name}: not enough memory ({first_line(error)}); {remedy}, or use "
-            "--preset tiny, or lower reconstruct.image_scale, reconstruct.rays or reconstruct.resolution"
-        )
-    if isinstance(error, SystemExit):
+        what = f"{name}: not enough memory ({first_line(error)}); {remedy}, or use --preset tiny, or lower "
         return (
             FAILED,
-            f"{name}: a library ended the program (exit {error.code}); see devrf.log in {run.run_dir}",
+            "no-memory",
+            what + "reconstruct.image_scale, reconstruct.rays or reconstruct.resolution",
         )
+    if isinstance(error, SystemExit):
+        what = f"{name}: a library ended the program (exit {error.code}); see devrf.log in {run.run_dir}"
+        return FAILED, "library-ended-program", what
     if run.talk.loudness == "verbose":
         run.talk.err.print(trace, markup=False)
-    return FAILED, f"{name}: {unexpected(run, error)}"
+    return FAILED, "unexpected", f"{name}: {unexpected(run, error)}"
 
 
 def unexpected(run: Run, error: BaseException) -> str:

@@ -73,8 +73,9 @@ class Lock:
         """
         if self._me is None or _holder(self._path) != self._me:
             raise DevrfError(
+                "folder-lock-lost",
                 f"{self._path}: is no longer this run's (it was removed, or taken over by another run); "
-                "nothing more is written here; run again when no other run works in this folder"
+                "nothing more is written here; run again when no other run works in this folder",
             )
 
     def release(self) -> None:
@@ -143,8 +144,9 @@ class Lock:
 
     def _busy(self, holder: dict[str, Any] | None) -> InputError:
         return InputError(
+            "folder-busy",
             f"{self._path.parent}: another run ({_named(holder)}) works in this folder; wait for it, stop it, or "
-            "use another output"
+            "use another output",
         )
 
     def _beat(self) -> None:

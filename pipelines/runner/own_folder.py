@@ -32,13 +32,15 @@ def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:
         folder = run_dir / name
         if folder.is_dir() and not folder.is_symlink() and not _is_of_a_run(folder):
             raise InputError(
+                "folder-exists",
                 f"output: {run_dir}: holds a folder {name} that no run has made, and a run would replace it; name "
-                "another folder (output: in scene.yaml), or move it away"
+                "another folder (output: in scene.yaml), or move it away",
             )
     for path in _written(run_dir, stages):
         if path.is_symlink():
             raise InputError(
-                f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link"
+                "folder-holds-link",
+                f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link",
             )
 
 

@@ -231,9 +231,9 @@ def last_error(run_dir: Path, stage: str) -> str | None:
         return None
 
 
-def remember_error(run_dir: Path, stage: str, message: str, code: int) -> None:
+def remember_error(run_dir: Path, stage: str, message: str, code: int, error: str) -> None:
     """Leave the reason of a failure for `status` and the report."""
     try:
-        write_json(error_path(run_dir, stage), {"message": message, "code": code})
+        write_json(error_path(run_dir, stage), {"message": message, "code": code, "error": error})
     except OSError:
         pass  # no room to remember it; it has been said

@@ -123,7 +123,7 @@ def check_choice(config: "SceneConfig", stages: Sequence[Stage], choice: Choice)
                     "reconstruct from: add one, or run with --until flow"
                 )
     if mistakes:
-        raise InputError("\n".join(mistakes))
+        raise InputError("stages-misnamed", "\n".join(mistakes))
 
 
 def check_reads(run: Run, remedy: str | None = None) -> None:
@@ -140,8 +140,9 @@ def check_reads(run: Run, remedy: str | None = None) -> None:
         missing = [name for name in stage.reads if name in unmade and name not in made]
         if missing:
             raise InputError(
+                "stage-not-made",
                 f"{stage.name} reads {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} "
-                f"not made yet; {remedy or f'run without --from, or --from {unmade[0]}'}"
+                f"not made yet; {remedy or f'run without --from, or --from {unmade[0]}'}",
             )
 
 

@@ -242,18 +242,17 @@ class _Supervisor:
         log = f"; log: {run_dir}/{LOG_FILE}" if run_dir else ""
         code = FAILED
         if self._too_much is not None:
-            message = f"{self._too_much}; finished stages are kept"
+            of_error, message = "no-memory", f"{self._too_much}; finished stages are kept"
         elif self._kill_at is not None:
-            code, message = STOPPED, "stopped"
+            code, of_error, message = STOPPED, "stopped", "stopped"
             if run_dir:
                 message += "; finished stages are kept, the next run goes on from there"
         elif os.WIFEXITED(status):  # not by Python, which would have left the stage first
-            code_of_library = os.WEXITSTATUS(status)
-            message = (
-                f"a library ended the program (exit code {code_of_library}); finished stages are kept{log}"
-            )
+            left, of_error = os.WEXITSTATUS(status), "library-ended-program"
+            message = f"a library ended the program (exit code {left}); finished stages are kept{log}"
         else:
             sign = signal.Signals(os.WTERMSIG(status))
+            of_error = "library-crashed" if sign in CRASHES else "program-killed"
             why = "a native library crashed" if sign in CRASHES else "someone ended it"
             if sign == signal.SIGKILL:
                 why = f"out of memory, or someone killed it; it had taken {self._peak / GB:.1f} GB"
@@ -263,18 +262,18 @@ class _Supervisor:
         talk = Talk()
         talk.err.show_cursor()  # a bar had hidden it
         if not run_dir:
-            talk.error(message)
+            talk.error(message, of_error)
             return code
         folder = Path(str(run_dir))
         try:
             with Workspace(folder), log_file(folder):  # entering it clears away what is half made
                 talk.events = Events(folder, str(self._facts.get("run")))
-                talk.error(message)
+                talk.error(message, of_error)
                 talk.event("run_finished", code=code)
                 if stage and code == FAILED:
-                    remember_error(folder, str(stage), message, code)
+                    remember_error(folder, str(stage), message, code, of_error)
         except DevrfError:
-            talk.error(message)
+            talk.error(message, of_error)
         return code
 
 

@@ -48,10 +48,11 @@ class Workspace:
         except OSError as error:
             self.release()
             if is_disk_full(error):
-                raise DiskFullError(disk_full_message(self.run_dir, "the run", 0)) from error
+                raise DiskFullError("disk-full", disk_full_message(self.run_dir, "the run", 0)) from error
             raise InputError(
+                "folder-unwritable",
                 f"output: {self.run_dir}: cannot be written ({error.strerror or error}); "
-                "choose another folder (output: in scene.yaml) or make it writable"
+                "choose another folder (output: in scene.yaml) or make it writable",
             ) from error
         except BaseException:
             self.release()

@@ -33,16 +33,9 @@ FORMATS_AT_REST = ("blender", "llff", "colmap")
 PAIRS = {"intri": "extri", "extri": "intri", "intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 
 
-def _from_raw_files(config: "SceneConfig") -> str | None:
-    return NO_RAW_FILES if config.kind == "dataset" else None
-
-
-def _from_the_sweep(config: "SceneConfig") -> str | None:
-    return {"dataset": NO_RAW_FILES, "cameras": NO_SWEEP}.get(config.kind)
-
-
-def _from_fixed_cameras(config: "SceneConfig") -> str | None:
-    return {"dataset": NO_RAW_FILES, "sweep": NO_CAMERAS}.get(config.kind)
+def _unless(**reasons: str) -> Callable[["SceneConfig"], str | None]:
+    """A stage that applies to all kinds of scene but some."""
+    return lambda config: reasons.get(config.kind)
 
 
 def _where_something_moves(config: "SceneConfig") -> str | None:
@@ -51,16 +44,8 @@ def _where_something_moves(config: "SceneConfig") -> str | None:
     return NO_CAMERAS if config.kind == "sweep" else None
 
 
-def _where_rest_is_known(config: "SceneConfig") -> str | None:
-    return NO_SWEEP if config.kind == "cameras" else None
-
-
 def _where_rest_is_known_and_something_moves(config: "SceneConfig") -> str | None:
     return NO_SWEEP if config.kind == "cameras" else _where_something_moves(config)
-
-
-def _always(config: "SceneConfig") -> str | None:
-    return None
 
 
 def _truth(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
@@ -110,6 +95,11 @@ PRINTED_BOARD = tuple(  # how the board looks; its clips are read by ingest alon
     )
 )
 
+TRAINING = tuple(
+    f"reconstruct.{key}"
+    for key in ("resolution", "rays", "canonical_iterations", "learning_rate", "adapt", "seed")
+)
+
 STAGES = (
     Stage(
         name="ingest",
@@ -126,28 +116,28 @@ STAGES = (
             "capture.white",
             "calibration.sync.method",
         ),
-        applies=_from_raw_files,
+        applies=_unless(dataset=NO_RAW_FILES),
         run=_glue("ingest"),
     ),
     Stage(
         name="static_poses",
         reads=("ingest",),
         config_keys=("calibration.static_poses", "capture.static", *PRINTED_BOARD),
-        applies=_from_the_sweep,
+        applies=_unless(dataset=NO_RAW_FILES, cameras=NO_SWEEP),
         run=_glue("static_poses"),
     ),
     Stage(
         name="sync",
         reads=("ingest",),
         config_keys=("calibration.sync",),
-        applies=_from_fixed_cameras,
+        applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
         run=_glue("sync"),
     ),
     Stage(
         name="rig",
         reads=("ingest", "static_poses", "sync"),
         config_keys=(*PRINTED_BOARD, "capture.board.metric", "capture.rest", "calibration.rig"),
-        applies=_from_fixed_cameras,
+        applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
         run=_glue("rig"),
         inputs=_beside_given,
     ),
@@ -155,7 +145,7 @@ STAGES = (
         name="colour",
         reads=("ingest", "static_poses", "sync", "rig"),
         config_keys=("calibration.colour", "capture.rest"),
-        applies=_from_raw_files,
+        applies=_unless(dataset=NO_RAW_FILES),
         run=_glue("colour"),
     ),
     Stage(
@@ -173,7 +163,7 @@ STAGES = (
             "reconstruct.image_scale",
             "evaluate.holdout_every",
         ),
-        applies=_always,
+        applies=_unless(),
         run=_glue("scene"),
         inputs=_matte_program,
         refers=True,
@@ -192,14 +182,9 @@ STAGES = (
         reads=("scene",),
         config_keys=(  # the other keys of `reconstruct` are about the motion, or the scene's
             "preset",
-            "reconstruct.resolution",
-            "reconstruct.rays",
-            "reconstruct.canonical_iterations",
-            "reconstruct.learning_rate",
-            "reconstruct.adapt",
-            "reconstruct.seed",
+            *TRAINING,
         ),
-        applies=_where_rest_is_known,
+        applies=_unless(cameras=NO_SWEEP),
         run=_glue("canonical"),
     ),
     Stage(
@@ -207,15 +192,10 @@ STAGES = (
         reads=("sync", "scene", "flow", "canonical"),
         config_keys=(  # all of `reconstruct` but image_scale, which is the scene's
             "preset",
-            "reconstruct.resolution",
-            "reconstruct.rays",
-            "reconstruct.canonical_iterations",
+            *TRAINING,
             "reconstruct.motion_iterations",
             "reconstruct.fine_tuning_iterations",
             "reconstruct.key_times",
-            "reconstruct.learning_rate",
-            "reconstruct.adapt",
-            "reconstruct.seed",
         ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
@@ -224,7 +204,7 @@ STAGES = (
         name="evaluate",
         reads=("ingest", "static_poses", "sync", "rig", "scene", "canonical", "deformation"),
         config_keys=("evaluate.lpips_weights", "reconstruct.seed"),
-        applies=_where_rest_is_known,
+        applies=_unless(cameras=NO_SWEEP),
         run=_glue("evaluate"),
         inputs=_truth,
     ),
@@ -232,7 +212,7 @@ STAGES = (
         name="render",
         reads=("scene", "canonical", "deformation"),
         config_keys=("preset",),
-        applies=_where_rest_is_known,
+        applies=_unless(cameras=NO_SWEEP),
         run=_glue("render"),
     ),
     Stage(
@@ -251,7 +231,7 @@ STAGES = (
             "render",
         ),
         config_keys=("name", "preset"),
-        applies=_where_rest_is_known,
+        applies=_unless(cameras=NO_SWEEP),
         run=_glue("report"),
         quotes_stamps=True,
     ),

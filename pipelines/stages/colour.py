@@ -100,7 +100,7 @@ class _Job:
             try:
                 charts[name] = read_chart(path, self.base.before_matching(name, None))
             except DevrfError as error:
-                raise type(error)(f"calibration.colour.chart.{name}: {error}") from error
+                raise type(error)(error.code, f"calibration.colour.chart.{name}: {error}") from error
         own = charts.pop(self.reference, None)  # missing only where there are no charts at all
         return [] if own is None else [chart_pairs(self.reference, own, n, c) for n, c in charts.items()]
 

@@ -61,9 +61,8 @@ def run(context: StageContext) -> None:
             "samples whose motion leads out of the box",
             100 * metrics["left_box_share"],
             "%",
-            warn=100 * OFTEN_LEFT,
-            fail=100 * MOSTLY_LEFT,
-            low_is_bad=False,
+            warn_above=100 * OFTEN_LEFT,
+            fail_above=100 * MOSTLY_LEFT,
             remedy="The subject moves out of the box around the scene at rest: keep it nearer to where it "
             "rests, or let the fixed cameras see all of its way so that the box is made larger.",
         )

@@ -162,8 +162,7 @@ def health(metrics: dict[str, Any], scene: Scene) -> list[HealthRow]:
                     f"{AGAINST_TRUTH}, {name}",
                     metrics["truth"][name],
                     unit,
-                    warn=limit,
-                    low_is_bad=False,
+                    warn_above=limit,
                     remedy="The calibration of this simulated session is worse than usual.",
                 )
             )

@@ -62,7 +62,7 @@ def refuse_damaged(frames: FrameSet) -> None:
         and camera.frames[-1].index + 1 < max(LEAST_LEFT, LEAST_LEFT_SHARE * (camera.announced_frames or 0))
     ]
     if damaged:
-        raise CaptureError("\n".join(damaged))
+        raise CaptureError("clip-too-damaged", "\n".join(damaged))
 
 
 def file_ranges(
@@ -106,14 +106,9 @@ def health(frames: FrameSet) -> list[HealthRow]:
                 f"{camera.source} is damaged: what is there is used, and the scene ends with it; copy the file from "
                 "the camera again to have all of it."
             )
-            rows.append(note(f"end of {name}", camera.ended_early, verdict="warn", remedy=remedy))
+            rows.append(note(f"end of {name}", camera.ended_early, remedy=remedy))
         rows += [
-            note(
-                f"{fault.check}, {name}",
-                fault.found,
-                verdict="warn",
-                remedy=f"{camera.source}: {fault.remedy}",
-            )
+            note(f"{fault.check}, {name}", fault.found, remedy=f"{camera.source}: {fault.remedy}")
             for fault in camera.faults
         ]
         if camera.notes:
@@ -129,7 +124,6 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
         row(
             "pictures of the sweep",
             float(len(sweep.used)),
-            "",
             warn=20.0,
             fail=float(FEWEST_SWEEP_PICTURES),
             remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
@@ -137,7 +131,6 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
         row(
             "sharp share of the sweep",
             float(is_sharp.mean()),
-            "",
             warn=0.8,
             fail=0.3,
             remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred ({places(blurred)}). Walk "
@@ -146,7 +139,7 @@ def _sweep(sweep: CameraFrames) -> list[HealthRow]:
     ]
     if sizes:
         remedy = f"{sweep.source}: keep one camera in one mode (size and orientation) for the whole sweep."
-        rows.append(note("sizes in the sweep", sizes[0], verdict="warn", remedy=remedy))
+        rows.append(note("sizes in the sweep", sizes[0], remedy=remedy))
     return rows
 
 
@@ -159,7 +152,6 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
         row(
             f"frames of a moving camera, fewest ({fewest})",
             float(len(cameras[fewest].used)),
-            "",
             warn=10.0,
             fail=2.0,
             remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
@@ -167,10 +159,8 @@ def _moving(cameras: dict[str, CameraFrames]) -> list[HealthRow]:
         row(
             f"share of frames dropped while filming, worst camera ({worst})",
             gaps[worst],
-            "",
-            warn=0.02,
-            fail=0.5,
-            low_is_bad=False,
+            warn_above=0.02,
+            fail_above=0.5,
             remedy=f"{cameras[worst].source}: {_gaps(cameras[worst])}. Use a faster card, or a lower resolution or bit "
             "rate.",
         ),
@@ -200,7 +190,6 @@ def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:
         f"exposure between cameras, {bright} against {dark}",
         stops[bright] - stops[dark],
         "stops",
-        warn=0.7,
-        low_is_bad=False,
+        warn_above=0.7,
         remedy="Mixed exposure: set the same exposure, gain and white balance by hand on all cameras.",
     )

@@ -30,7 +30,6 @@ def run(context: StageContext) -> None:
             note(
                 "report: files that could not be read",
                 names,
-                verdict="warn",
                 remedy="Run the stages that wrote them again with --force.",
             )
         )

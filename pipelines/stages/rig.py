@@ -29,14 +29,7 @@ from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import registered_at_once
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health.board import board_rows
-from devrf.pipelines.health.rig import (
-    bump_row,
-    graph_rows,
-    joint_rows,
-    route_rows,
-    scale_rows,
-    sweep_rows,
-)
+from devrf.pipelines.health.rig import bump_row, graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
 from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.stage import StageContext
@@ -93,20 +86,23 @@ class _Job:
         if method == "given" and (self.given is None or self.given.rig is None):
             what = "names no file" if self.given is None else "holds intrinsics only"
             raise InputError(
+                "rig-without-poses",
                 f"calibration.rig.method is given, but calibration.rig.given {what}; expected the poses of all "
-                "cameras; film a sweep or a board and set method to auto"
+                "cameras; film a sweep or a board and set method to auto",
             )
         if method == "sweep" and not self.has_sweep:
             raise InputError(
-                "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board"
+                "sweep-missing",
+                "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board",
             )
         if method == "board":
             missing = [name for name in self.moving if name not in joint]
             if self.spec is None or len(joint) < MIN_CAMERAS or missing:
                 raise InputError(
+                    "rig-without-source",
                     "the rig needs a sweep (capture.static), a board that the cameras see at once "
                     "(capture.board.joint_clips) or a calibration file (calibration.rig.given); "
-                    + (f"no joint clip of {', '.join(missing)}" if joint else "none of them is there")
+                    + (f"no joint clip of {', '.join(missing)}" if joint else "none of them is there"),
                 )
         return method
 
@@ -127,7 +123,7 @@ class _Job:
         sizes = {name: (c.width, c.height) for name, c in self.moving.items()}
         found = given_calibration(self.context.config, self.context.scene_dir, sizes)
         for n in () if found is None else found.notes:
-            self.rows.append(note(n.check, n.text, verdict="warn" if n.remedy else "ok", remedy=n.remedy))
+            self.rows.append(note(n.check, n.text, remedy=n.remedy))
         return found
 
     def from_sweep(self) -> Rig:
@@ -175,18 +171,14 @@ class _Job:
         return rig
 
     def _together(
-        self,
-        swept: SweepRig,
-        cameras: dict[str, RigCamera],
-        names: list[str],
-        progress: Progress,
+        self, swept: SweepRig, cameras: dict[str, RigCamera], names: list[str], progress: Progress
     ) -> tuple[dict[str, RigCamera], tuple[Link, ...]] | None:
         """Both routes compared, then one adjustment of both; None where the joint clips cannot be used."""
         try:
             seen, board = self._board_rig(names, progress)
         except HealthError as error:
             remedy = "Hold the board where several cameras see it; the sweep alone was used."
-            self.rows.append(note("rig from the board", str(error), verdict="warn", remedy=remedy))
+            self.rows.append(note("rig from the board", str(error), remedy=remedy))
             return None
         ours = {n: c.camera for n, c in cameras.items()}
         joint = adjust_together(swept.solution, swept.index, ours, board)
@@ -196,7 +188,7 @@ class _Job:
         if not same:
             remedy = "Film the joint clips again, with the cameras where they are now."
             text = "the sweep's; the board's does not fit it"
-            self.rows.append(note("rig", text, verdict="warn", remedy=remedy))
+            self.rows.append(note("rig", text, remedy=remedy))
             return None
         self.rows.append(note("rig", "sweep and board adjusted together"))
         source = f"board seen at once by {', '.join(names)}"
@@ -308,8 +300,9 @@ class _Job:
         found = self._register(model, self.given.intrinsics, self.context.progress).cameras
         if len(found) < 3:
             raise InputError(
+                "rig-given-untied",
                 "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "
-                "set calibration.rig.method to sweep"
+                "set calibration.rig.method to sweep",
             )
         names = list(found)
         sweep_from_given = similarity(
@@ -330,9 +323,8 @@ class _Job:
                 * miss
                 / max(float(np.median([c.details["median_distance"] for c in found.values()])) / unit, 1e-9),
                 "% of distance",
-                warn=1.0,
-                fail=5.0,
-                low_is_bad=False,
+                warn_above=1.0,
+                fail_above=5.0,
                 remedy="The given calibration does not fit what the cameras see: a camera was moved since.",
             )
         )
@@ -342,10 +334,7 @@ class _Job:
 def _clock(board: BoardRig, name: str) -> dict[str, float]:
     """What has to be added to a camera's times to have the first camera's clock, for rig.json."""
     n = board.views.names.index(name)
-    return {
-        "delay_ms": 1e3 * board.delay_s[name],
-        "delay_std_ms": 1e3 * float(board.solution.delay_std_s[n]),
-    }
+    return {"delay_ms": 1e3 * board.delay_s[name], "delay_std_ms": 1e3 * float(board.solution.delay_std_s[n])}
 
 
 def _scaled(c: RigCamera, factor: float) -> RigCamera:

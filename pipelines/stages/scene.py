@@ -98,8 +98,7 @@ def _views(scene: Scene) -> list[HealthRow]:
             check,
             100 * behind([frame.camera for frame in scene.static], scene.points),
             "%",
-            warn=100 * most,
-            low_is_bad=False,
+            warn_above=100 * most,
             remedy="The y and z axes of the poses seem to be turned round: OpenCV and COLMAP have y down and z "
             "forward, nerfstudio, Blender and LLFF y up and z backward; convert the poses.",
         )
@@ -129,7 +128,6 @@ def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
             row(
                 "frames of the shortest training camera",
                 float(min(counts.values(), default=0)),
-                "",
                 warn=5.0,
                 fail=2.0,
                 remedy="The clips hardly overlap: film longer, or widen capture.range_s.",
@@ -140,7 +138,6 @@ def health(bounds: "Bounds", scene: Scene) -> list[HealthRow]:
                 note(
                     "what moves",
                     "not found in two cameras at once",
-                    verdict="warn",
                     remedy="The box is a guess from the view axes: check that something moves in all views.",
                 )
             )

@@ -121,7 +121,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
         return [note("cue", "the table of times")]
     if all(clock.basis.startswith("the clips' own") for clock in others.values()):
         remedy = "Check that the cameras are synchronised by hardware, else clap and use method auto."
-        return [note("cue", "none; the clips' own times", verdict="warn", remedy=remedy)]
+        return [note("cue", "none; the clips' own times", remedy=remedy)]
     worst = min(others, key=lambda name: others[name].confidence)
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
@@ -134,8 +134,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
                 f"standard deviation, worst camera ({vague})",
                 1e3 * others[vague].std_s,
                 "ms",
-                warn=UNSURE_FRAMES * step_ms,
-                low_is_bad=False,
+                warn_above=UNSURE_FRAMES * step_ms,
                 remedy="A quarter of a frame or more is unsure, and shifting whole frames would add up to "
                 f"{step_ms / 2:.0f} ms: give all cameras sound, and clap.",
             )
@@ -146,8 +145,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Health
                 "largest contradiction between pairs of cameras",
                 1e3 * result.loop_s,
                 "ms",
-                warn=2.0 if cues == ["audio"] else 100.0,
-                low_is_bad=False,
+                warn_above=2.0 if cues == ["audio"] else 100.0,
                 remedy=f"{_worst_loop(result)}: clap in the middle, equally far from all cameras.",
             )
         )
@@ -173,8 +171,7 @@ def _cues(result: SyncResult) -> list[HealthRow]:
                 f"{other} against sound, {names}",
                 1e3 * abs(worst.difference_s),
                 "ms",
-                warn=1e3 * worst.limit_s,
-                low_is_bad=False,
+                warn_above=1e3 * worst.limit_s,
                 remedy=f"{names}: {other} and sound differ by {1e3 * worst.difference_s:+.0f} ms. If it is the same "
                 "in every take, it is the camera's lag between sound and pictures: set calibration.sync.av_lag_s: "
                 f"{{{worst.second}: {worst.difference_s:.3f}}}. Else film a clap that the cameras also see.",
@@ -187,7 +184,7 @@ def _cues(result: SyncResult) -> list[HealthRow]:
             "on one side of it, or give true times in capture.timestamps."
         )
         value = f"step of {1e3 * jump.step_s:+.0f} ms at {jump.at_s:.1f} s"
-        rows.append(note(f"jump of the clock, {names}", value, verdict="warn", remedy=remedy))
+        rows.append(note(f"jump of the clock, {names}", value, remedy=remedy))
     return rows
 
 
@@ -205,7 +202,6 @@ def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
             note(
                 "drift",
                 value,
-                verdict="warn" if wrong_base else "ok",
                 remedy=f"{worst}'s file declares a wrong rate (29.97 declared as 30 is 1000 ppm): its times are "
                 "stretched to fit; copy the original file from the camera, without conversion."
                 if wrong_base

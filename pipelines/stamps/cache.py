@@ -159,13 +159,15 @@ def check_cache(cache: Cache, run_dir: Path) -> None:
         foreign = not (folder / CACHE_TAG).exists() and next(folder.iterdir(), None)
         if foreign:
             raise InputError(
+                "folder-exists",
                 f"{where}: holds something else ({foreign.name}), and old things are removed from a cache; name a new "
-                "or an empty folder"
+                "or an empty folder",
             )
     elif folder.exists():
-        raise InputError(f"{where}: is a file; name a folder")
+        raise InputError("folder-is-file", f"{where}: is a file; name a folder")
     if run_dir == folder or run_dir in folder.parents or folder in run_dir.parents:
-        raise InputError(f"{where}: lies in the run folder {run_dir}, or holds it; name a folder beside it")
+        text = f"{where}: lies in the run folder {run_dir}, or holds it; name a folder beside it"
+        raise InputError("cache-inside-run", text)
 
 
 def _used(entry: Path) -> None:

@@ -122,9 +122,8 @@ def file_digest(path: Path) -> str:
     except OSError as error:
         if error.errno != errno.EIO:
             raise
-        raise InputError(
-            f"{path}: cannot be read to its end ({error.strerror}); copy it from another disk"
-        ) from None
+        text = f"{path}: cannot be read to its end ({error.strerror}); copy it from another disk"
+        raise InputError("file-unreadable", text) from None
     return digest.hexdigest()
 
 
@@ -151,7 +150,8 @@ def _entry(path: Path) -> list:
             taken = 0
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk"
+            "file-unreadable",
+            f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk",
         ) from error
     return [*seen, taken, digest]
 

@@ -31,15 +31,15 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
     """
     if not job.run_dir.is_dir():
         raise InputError(
+            "run-missing",
             f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run), then or "
-            "meanwhile view it"
+            "meanwhile view it",
         )
     try:
         import viser  # noqa: F401 (whether it is there)
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"view needs the extra `viewer` ({error.name} is not installed): {INSTALL}"
-        ) from None
+        text = f"view needs the extra `viewer` ({error.name} is not installed): {INSTALL}"
+        raise InputError("package-missing", text) from None
     _check_free(host, port)
     working = is_held(job.run_dir)
     if working:
@@ -61,7 +61,8 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
         try:
             site = Site(job.config, job.run_dir, device, host, port)
         except OSError as error:
-            raise DevrfError(f"--port {port}: cannot be served ({error.strerror or error})") from None
+            text = f"--port {port}: cannot be served ({error.strerror or error})"
+            raise DevrfError("port-unusable", text) from None
         try:
             shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
             talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
@@ -76,16 +77,16 @@ def _check_free(host: str, port: int) -> None:
     try:
         _free(host, port)
     except socket.gaierror as error:
-        raise InputError(
-            f"--host {host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
-        ) from None
+        text = f"--host {host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
+        raise InputError("host-unknown", text) from None
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            raise InputError(
-                f"--host {host}: no address of this machine; expected one, such as 127.0.0.1, or 0.0.0.0 for all"
-            ) from None
+            text = (
+                f"--host {host}: no address of this machine; expected such as 127.0.0.1, or 0.0.0.0 for all"
+            )
+            raise InputError("host-elsewhere", text) from None
         what = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
-        raise InputError(f"--port {port}: {what}; try --port {_free(host, 0)}") from None
+        raise InputError("port-unusable", f"--port {port}: {what}; try --port {_free(host, 0)}") from None
 
 
 def _free(host: str, port: int) -> int:

@@ -101,7 +101,7 @@ def load(run_dir: Path, found: Found, device: str, before: Loaded) -> Loaded:
     try:
         scene = read_scene(run_dir / "scene")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DevrfError(f"{run_dir / 'scene'}: cannot be read ({error})") from None
+        raise DevrfError("scene-unreadable", f"{run_dir / 'scene'}: cannot be read ({error})") from None
     points = _points(run_dir, scene)
     if found.rest is None and found.rest_training is None:
         return Loaded(found, scene.in_box_frame(), None, *points)

@@ -40,13 +40,11 @@ def views_of(scene: Scene, names: Sequence[str] = ()) -> list[Camera]:
         known = {f.camera_name: f.camera for f in scene.dynamic}
         missing = [name for name in names if name not in known]
         if missing:
-            raise InputError(
-                f"--path between: no camera {', '.join(missing)}; expected some of {', '.join(known) or 'none'}"
-            )
+            text = f"--path between: no camera {', '.join(missing)}; expected some of {', '.join(known) or 'none'}"
+            raise InputError("camera-unknown", text)
         if len(set(names)) < 2:
-            raise InputError(
-                f"--path between:{','.join(names)}: one camera is named; expected two or more, or none for all"
-            )
+            text = f"--path between:{','.join(names)}: one camera; expected two or more, or none for all"
+            raise InputError("cameras-too-few", text)
         return [known[name] for name in names]
     fixed = list(fixed_cameras(scene).values())
     if len(fixed) < 2:

@@ -53,10 +53,8 @@ class TimeCurve:
         else:
             at = np.arange(count) / fps
             if not self.ping_pong and at[-1] > length + 1e-6:
-                raise InputError(
-                    f"--seconds {count / fps:g}: at --speed {self.speed:g} the clip lasts {length:.3g} s; leave out "
-                    "one of the two, or let time run back with --ping-pong"
-                )
+                text = f"--seconds {count / fps:g}: at --speed {self.speed:g} the clip lasts {length:.3g} s"
+                raise InputError("film-too-long", f"{text}; leave out one of the two, or add --ping-pong")
         there = at % (2 * length) if self.ping_pong else at
         return np.interp(np.minimum(there, 2 * length - there), marks, times)
 
@@ -97,13 +95,10 @@ def parse_time(text: str, option: str, t0_s: float, t1_s: float) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise InputError(
-            f"{option} {text}: expected a share of the clip such as 0.5, or seconds such as 1.2s"
-        )
+        expected = "expected a share of the clip such as 0.5, or seconds such as 1.2s"
+        raise InputError("option-malformed", f"{option} {text}: {expected}")
     time = (value - t0_s) / (t1_s - t0_s) if in_seconds and t1_s > t0_s else value
     if not -1e-6 <= time <= 1 + 1e-6:
-        raise InputError(
-            f"{option} {text}: outside the clip; expected 0 to 1, or {t0_s:.3f}s to {t1_s:.3f}s on the first "
-            "camera's clock"
-        )
+        expected = f"expected 0 to 1, or {t0_s:.3f}s to {t1_s:.3f}s on the first camera's clock"
+        raise InputError("option-out-of-range", f"{option} {text}: outside the clip; {expected}")
     return float(min(max(time, 0.0), 1.0))

@@ -52,17 +52,11 @@ def surface_of(field: Field, level: float, march: March) -> Surface:
     """
     grid = field.opacity_grid(field.shape).numpy()
     if not grid.max() > level > grid.min():
-        raise ReconstructError(
-            f"nothing solid found at level {level:g}: the model's opacity lies between {grid.min():.3g} and "
-            f"{grid.max():.3g} here; give another --level, or look at the model with render"
-        )
+        raise _nothing(level, f"the model's opacity lies between {grid.min():.3g} and {grid.max():.3g} here")
     vertices, faces = march(grid, level)
     vertices, faces, crumbs = _without_crumbs(vertices, faces)
     if not len(faces):
-        raise ReconstructError(
-            f"nothing solid found at level {level:g}: only {crumbs} crumbs of less than three voxels; give another "
-            "--level, or look at the model with render"
-        )
+        raise _nothing(level, f"only {crumbs} crumbs of less than three voxels")
     lo, span = field.aabb[0].numpy(), (field.aabb[1] - field.aabb[0]).numpy()
     place = torch.from_numpy((lo + vertices / (np.array(grid.shape) - 1) * span).astype(np.float32))
     place = place.to(field.canonical.density.device)
@@ -111,6 +105,11 @@ def apart(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"]) -> Float[np.
     """Distances between two meshes: from vertices of each, spread over it, to the nearest vertex of the other."""
     some = [p[np.linspace(0, len(p) - 1, min(COMPARED, len(p))).astype(int)] for p in (a, b)]
     return np.concatenate([KDTree(b).query(some[0])[0], KDTree(a).query(some[1])[0]])
+
+
+def _nothing(level: float, why: str) -> ReconstructError:
+    text = f"nothing solid found at level {level:g}: {why}; give another --level, or look at the model with render"
+    return ReconstructError("model-without-surface", text)
 
 
 def _box(field: Field, x: Float[Tensor, "n 3"]) -> Float[np.ndarray, "n 3"]:

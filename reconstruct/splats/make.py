@@ -18,6 +18,7 @@ from devrf.reconstruct.splats.moving import moved
 from devrf.reconstruct.splats.sample import sample
 
 ROUNDS = 4  # of fitting, through all pictures
+SEED = 0  # of everything that is drawn
 LOOKING = 0.4  # of the whole time
 STILL = 0.25  # of its mean standard deviation: a splat that never goes farther does not move
 FAINTEST = 0.02  # opacity below which a splat is left out
@@ -55,7 +56,6 @@ def make_splats(
     progress: Progress = no_progress,
     *,
     rounds: int = ROUNDS,
-    seed: int = 0,
 ) -> Splats:
     """About `count` splats of a model, and where they are at some times.
 
@@ -66,19 +66,18 @@ def make_splats(
         times: In [0, 1], in order; None where nothing moves.
         progress: To be called with (fraction done, short text).
         rounds: Of fitting; 0: they stay as they were sampled.
-        seed: Of everything that is drawn.
     Raises:
         ReconstructError: The model shows no surface.
     """
     behind = behind_of(scene).to(model.rest.canonical.density.device)
     placed, others = look_around(scene, model, lambda done, text: progress(LOOKING * done, text))
-    gaussians = sample(placed, count, seed)
+    gaussians = sample(placed, count, SEED)
 
     def fitting(done: float, text: str) -> None:
         progress(LOOKING + (1 - LOOKING) * done, text)
 
     if rounds:
-        gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, seed, fitting)
+        gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, SEED, fitting)
     return along(model, gaussians.only(gaussians.logits.sigmoid() > FAINTEST), times, behind)
 
 

@@ -56,7 +56,7 @@ def test_the_box_holds_what_moves_and_not_much_more():
     surface = BALL + RADIUS * surface / np.linalg.norm(surface, axis=1, keepdims=True)
     assert (np.abs(in_box(bounds, surface)) <= bounds.aabb[1] + 1e-9).all()
     assert (bounds.size < 4 * 2 * RADIUS).all()
-    assert "visual hull" in bounds.basis
+    assert "4 cameras" in bounds.basis  # the visual hull, not the points
     assert bounds.kind == "inward"
     assert bounds.points_outside is not None and bounds.points_outside > 0.95
     assert np.abs(bounds.aabb).max() == pytest.approx(1.0)

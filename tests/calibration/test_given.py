@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.given import Given, read_given
@@ -80,15 +81,13 @@ def test_names_are_matched(
 
 def test_names_that_do_not_match_are_listed(tmp_path: Path) -> None:
     RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(("a", "b", "c")), True)
-    with pytest.raises(
-        InputError, match=r"has no camera cam0, cam1; it has a, b, c, the capture has cam0, cam1"
-    ):
+    with refused("camera-missing", "no camera cam0, cam1;", "a, b, c", "has cam0, cam1", kind=InputError):
         read(tmp_path / "Calib.toml", ("cam0", "cam1"))
 
 
 def test_a_missing_name_is_not_taken_for_a_renamed_one(tmp_path: Path) -> None:
     RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(("cam0", "cam1")), True)
-    with pytest.raises(InputError, match=r"has no camera cam2; it has cam0, cam1"):
+    with refused("camera-missing", "no camera cam2;", "it has cam0, cam1", kind=InputError):
         read(tmp_path / "Calib.toml", ("cam1", "cam2"))
 
 
@@ -99,12 +98,12 @@ def test_a_smaller_clip_scales_the_calibration(tmp_path: Path) -> None:
     whole, half = cameras()["cam1"], rig_of(given).cameras["cam1"].camera
     points = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (20, 3))
     np.testing.assert_allclose(half.project(points), whole.project(points) / 2, rtol=0, atol=1e-12)
-    assert "calibrated at 640x480, scaled by 0.5 to the clip's 320x240" in [n.text for n in given.notes]
+    assert any(all(w in n.text for w in ("640x480", "0.5", "320x240")) for n in given.notes)
 
 
 def test_a_cropped_clip_is_refused(tmp_path: Path) -> None:
     own_rig(tmp_path / "rig.json")
-    with pytest.raises(InputError, match=r"'cam0' is calibrated at 640x480, its clip is 632x480.*cropped"):
+    with refused("picture-size-wrong", "'cam0'", "640x480", "632x480", kind=InputError):
         read(tmp_path / "rig.json", size=(632, 480))
 
 
@@ -118,8 +117,8 @@ def without_size(folder: Path, apart: float = 1.0) -> Path:
 
 def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path) -> None:
     given = read(without_size(tmp_path))
-    assert "the file has no picture size; taken as the clip's, 640x480" in [n.text for n in given.notes]
-    with pytest.raises(InputError, match=r"principal point at 320, 240, its clip is 320x240"):
+    assert any("640x480" in n.text for n in given.notes)
+    with refused("principal-point-outside", "320, 240", "320x240", kind=InputError):
         read(tmp_path / "intri.yml", size=(320, 240))
 
 
@@ -128,13 +127,13 @@ def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
     for name in ("intri.yml", "extri.yml"):
         assert rig_of(read(tmp_path / name)).cameras["cam2"].camera.K[0, 0] == 502
     (tmp_path / "intri.yml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="intri.yml: not a text file"):
+    with refused("file-damaged", "intri.yml", kind=InputError):
         read(tmp_path / "extri.yml")
     (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\nK_cam0: 1\n")
-    with pytest.raises(InputError, match="intri.yml: names is None"):
+    with refused("entry-wrong", "intri.yml", "names is None", kind=InputError):
         read(tmp_path / "extri.yml")
     (tmp_path / "intri.yml").unlink()
-    with pytest.raises(InputError, match=r"expected intri.yml beside it"):
+    with refused("file-missing", "intri.yml", kind=InputError):
         read(tmp_path / "extri.yml")
 
 
@@ -164,7 +163,7 @@ def test_a_file_a_camera_in_a_folder_or_by_name(ending: str, tmp_path: Path) -> 
         given = read_given(source, list(NAMES), dict.fromkeys(NAMES, SIZE))
         assert given.rig is None
         assert {n: k.K[0, 2] for n, k in given.intrinsics.items()} == dict.fromkeys(NAMES, 320.0)
-    with pytest.raises(InputError, match=r"notes.xml: has no camera_matrix.*'cam0'"):
+    with refused("entry-missing", "notes.xml", "camera_matrix", "'cam0'", kind=InputError):
         read_given({"cam0": tmp_path / "notes.xml"}, ["cam0"], {"cam0": SIZE})
 
 
@@ -210,7 +209,7 @@ def test_an_arbitrary_scale_stays_so_or_is_measured(tmp_path: Path) -> None:
 def test_cameras_on_top_of_each_other_are_refused(tmp_path: Path) -> None:
     other = replace(cameras()["cam1"], cam_from_world=cameras()["cam0"].cam_from_world)
     own_rig(tmp_path / "rig.json", cam1=other)
-    with pytest.raises(InputError, match=r"'cam0' and 'cam1' have the same pose"):
+    with refused("poses-equal", "'cam0'", "'cam1'", kind=InputError):
         read(tmp_path / "rig.json")
 
 
@@ -222,7 +221,7 @@ def test_pictures_of_a_camera_that_moved_are_refused(tmp_path: Path) -> None:
     names = {1: "a/000.png", 2: "a/001.png", 3: "b.png"}
     images = {n: replace(image, name=names[n]) for n, image in model.images.items()}
     write_model(folder, Model(model.cameras, images, {}))
-    with pytest.raises(InputError, match=r"the 2 images of 'a' stand at different places"):
+    with refused("camera-not-fixed", "2 images of 'a'", kind=InputError):
         read(tmp_path, ("a", "b"))
     images[2] = replace(images[1], name=names[2])
     write_model(folder, Model(model.cameras, images, {}))
@@ -232,5 +231,5 @@ def test_pictures_of_a_camera_that_moved_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "text"), [("rig.json", "nonsense"), ("rig.json", "{}"), ("rig", " {}")])
 def test_a_damaged_rig_is_named(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match="not a rig.json"):
+    with refused("file-damaged", "rig.json", kind=InputError):
         read(tmp_path / name)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
+from tests.refused import refused
 
 from devrf.calibration.intrinsics import from_vector, guess
 from devrf.calibration.sweep.devices import device_groups
@@ -108,14 +109,14 @@ def test_masks_by_any_of_a_pictures_names(tmp_path, name):
 
 
 def test_bad_masks_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"IMG_1.png: 100x100, the picture IMG_1.jpg is 200x100"):
+    with refused("mask-size-wrong", "IMG_1.png", "100x100", "IMG_1.jpg", "200x100", kind=InputError):
         masked(tmp_path, "IMG_1.png", half(100))
-    with pytest.raises(InputError, match=r"IMG_1.png: ignores the whole picture.*invert the mask"):
+    with refused("mask-ignores-all", "IMG_1.png", kind=InputError):
         masked(tmp_path, "IMG_1.png", np.zeros((100, 200), dtype=np.uint8))
     (tmp_path / "masks" / "IMG_1.png").unlink()
-    with pytest.raises(InputError, match=r"no mask of the sweep's 2 pictures; expected.*IMG_1.jpg.png"):
+    with refused("mask-missing", "2 pictures", "IMG_1.jpg.png", kind=InputError):
         masked(tmp_path, "other.png", half())
-    with pytest.raises(InputError, match=r"no such folder; check calibration.static_poses.masks"):
+    with refused("folder-missing", "calibration.static_poses.masks", kind=InputError):
         prepare_masks(tmp_path / "nowhere", {}, {}, tmp_path)
 
 
@@ -166,7 +167,7 @@ def test_local_metres_of_known_distances():
     assert metres["b"] - metres["a"] == pytest.approx([0.0, 1852.9, 10.0], abs=0.5)
     assert (metres["c"] - metres["a"])[:2] == pytest.approx([1267.2, 0.0], abs=0.5)
     assert set(metres) == {"a", "b", "c"} and std_m["a"] == USUAL_STD_M
-    assert "3 of 4 pictures have a place, need 6" in why_not(metres, std_m, 4)
+    assert all(w in str(why_not(metres, std_m, 4)) for w in ("3 of 4", "6"))
 
 
 def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
@@ -187,7 +188,7 @@ def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
     assert check_raw_files(config, tmp_path) == []
     sweep = extract_folder(tmp_path / "in", tmp_path / "ingest", "static", "sweep", "in")
     (tmp_path / "out").mkdir()
-    with pytest.raises(InputError, match=r"IMG_1.jpg.png: 30x40, the picture IMG_1.jpg is 60x40"):
+    with refused("mask-size-wrong", "IMG_1.jpg.png", "30x40", "IMG_1.jpg is", "60x40", kind=InputError):
         recover_sweep(
             tmp_path / "ingest",
             sweep,

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.refused import refused
 
 from devrf.calibration.truth import (
     Clock,
@@ -151,5 +152,5 @@ def test_read_truth(tmp_path):
     np.testing.assert_allclose(truth.static[0], pose)
     assert truth.clocks["cam0"] == Clock(0.5, 3.0)
     path.write_text('{"static": [[1, 2]]}')
-    with pytest.raises(InputError, match="ground_truth.json"):
+    with refused("file-damaged", "ground_truth.json", kind=InputError):
         read_truth(path)

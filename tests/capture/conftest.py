@@ -60,7 +60,10 @@ def make_clip(tmp_path: Path) -> MakeClip:
                         frame.color_range = flagged
                 frame.pts, frame.time_base = round(time_s / TIME_BASE), TIME_BASE
                 container.mux(video.encode(frame))
-            container.mux(video.encode(None))
+            if len(pictures):
+                container.mux(video.encode(None))
+            else:
+                container.start_encoding()  # a header by itself
             if audio is not None and sound is not None:
                 for start in range(0, len(sound) - 1023, 1024):
                     block = sound[None, start : start + 1024].astype(np.float32)

@@ -1,4 +1,4 @@
-"""Data sets that are wrong in one way each: the message names file, value, expectation and remedy."""
+"""Data sets that are wrong in one way each: the error has its code and names file and value."""
 
 import json
 from collections.abc import Callable
@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset, write_dataset
@@ -74,31 +75,30 @@ TRANSFORMS = {
 
 @pytest.mark.parametrize("name", TRANSFORMS)
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "refusal"),
     [
-        (pose(2, 0, 3, float("nan")), r"frames\[2\] .*not finite.*remove the picture"),
-        (mirrored, r"frames\[2\] .*mirror.*determinant -1.000, expected 1.*wrong way"),
-        (pose(2, 0, 0, 7.0), r"frames\[2\] .*not rigid.*expected 1, 1, 1"),
-        (entry(1, transform_matrix=[[1, 2], [3, 4]]), r"frames\[1\] .*shape \[2, 2\]; expected 4 rows"),
-        (entry(1, transform_matrix="no"), r"frames\[1\].transform_matrix is 'no'"),
-        (entry(1, file_path="gone"), r"gone: picture not found.*copy it"),
-        (entry(1, file_path=3), r"frames\[1\].file_path is 3; expected the path"),
-        (entry(1, fl_x=-5.0), r"frames\[1\] .*focal length is -5.0.*above 0"),
-        (entry(1, cx="left"), r"frames\[1\] .*cx is 'left'; expected a number"),
-        (entry(1, w=17), r"picture is \d+x\d+, .*frames\[1\] .* says 17x"),
-        (entry(1, frame_index=-1), r"frame_index is -1; expected a whole number"),
-        (lambda meta: meta.update(frames=[]), "no frames listed"),
-        (lambda meta: meta.update(frames={"a": 1}), "no frames listed"),
-        (lambda meta: meta["frames"].__setitem__(0, 5), r"frames\[0\] is 5; expected an object"),
-        (lambda meta: meta.update(devrf_scene={"near": 1}), "devrf_scene is damaged"),
+        (pose(2, 0, 3, float("nan")), ("pose-not-finite", "frames[2]")),
+        (mirrored, ("pose-mirrored", "frames[2]", "determinant -1.000")),
+        (pose(2, 0, 0, 7.0), ("pose-not-rigid", "frames[2]")),
+        (entry(1, transform_matrix=[[1, 2], [3, 4]]), ("pose-wrong", "frames[1]", "[2, 2]")),
+        (entry(1, transform_matrix="no"), ("entry-wrong", "frames[1].transform_matrix is 'no'")),
+        (entry(1, file_path="gone"), ("picture-missing", "gone")),
+        (entry(1, file_path=3), ("entry-wrong", "frames[1].file_path is 3")),
+        (entry(1, fl_x=-5.0), ("entry-wrong", "frames[1]", "focal length is -5.0")),
+        (entry(1, cx="left"), ("entry-wrong", "frames[1]", "cx is 'left'")),
+        (entry(1, w=17), ("picture-size-wrong", "frames[1]", "17x")),
+        (entry(1, frame_index=-1), ("entry-wrong", "frame_index is -1")),
+        (lambda meta: meta.update(frames=[]), ("pictures-none",)),
+        (lambda meta: meta.update(frames={"a": 1}), ("pictures-none",)),
+        (lambda meta: meta["frames"].__setitem__(0, 5), ("entry-wrong", "frames[0] is 5")),
+        (lambda meta: meta.update(devrf_scene={"near": 1}), ("entry-wrong", "devrf_scene")),
     ],
 )
-def test_transforms(folders, name: Any, change, says):
+def test_transforms(folders, name: Any, change, refusal):
     path = folders[name] / TRANSFORMS[name]
     edit(path, change)
-    with pytest.raises(CaptureError, match=says) as raised:
+    with refused(*refusal, folders[name], kind=CaptureError):
         read_dataset(name, folders[name])
-    assert str(folders[name]) in str(raised.value)
 
 
 @pytest.mark.parametrize("name", TRANSFORMS)
@@ -106,24 +106,24 @@ def test_transforms(folders, name: Any, change, says):
 def test_no_json(folders, name: Any, text):
     path = folders[name] / TRANSFORMS[name]
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(CaptureError, match=f"{path.name}: (not a JSON file|holds a list)"):
+    with refused("file-damaged", path, kind=CaptureError):
         read_dataset(name, folders[name])
 
 
 @pytest.mark.parametrize("name", ["devrf", "blender"])
-@pytest.mark.parametrize(("value", "says"), [(1.5, "time is 1.5"), ("now", "'now'"), (float("nan"), "nan")])
-def test_times_outside_0_1(folders, name: Any, value, says):
+@pytest.mark.parametrize("value", [1.5, "now", float("nan")])
+def test_times_outside_0_1(folders, name: Any, value):
     edit(folders[name] / TRANSFORMS[name], entry(3, time=value))
-    with pytest.raises(CaptureError, match=rf"frames\[3\] .*{says}.*in \[0, 1\]"):
+    with refused("entry-wrong", "frames[3]", f"time is {value!r}", "[0, 1]", kind=CaptureError):
         read_dataset(name, folders[name])
 
 
 def test_times_that_are_missing_or_no_numbers(folders):
     edit(folders["devrf"] / TRAIN, lambda meta: meta["frames"][3].pop("time"))
-    with pytest.raises(CaptureError, match=r"frames\[3\] .*no time"):
+    with refused("entry-missing", "frames[3]", "time", kind=CaptureError):
         read_dataset("devrf", folders["devrf"])
     edit(folders["nerfstudio"] / "transforms.json", entry(3, time="now"))
-    with pytest.raises(CaptureError, match=r"frames\[3\] .*time is 'now'"):
+    with refused("entry-wrong", "frames[3]", "time is 'now'", kind=CaptureError):
         read_dataset("nerfstudio", folders["nerfstudio"])
 
 
@@ -133,21 +133,21 @@ def test_a_monocular_set_in_motion_has_no_scene_at_rest(folders):
             e["time"] = n / len(meta["frames"])
 
     edit(folders["blender"] / "transforms_train.json", give_times)
-    with pytest.raises(CaptureError, match="a sweep of it at rest is needed"):
+    with refused("rest-missing", folders["blender"], kind=CaptureError):
         read_dataset("blender", folders["blender"])
 
 
 @pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
 @pytest.mark.parametrize(
-    ("kind", "says"),
+    ("kind", "refusal"),
     [
-        ("LA", "2 channels .grey and transparency.; expected grey, RGB or RGBA; save it"),
-        ("text", "not a picture"),
-        ("gone", "gone|picture not found|found images"),
-        ("small", r"picture is 20x20|picture is 20x20, .*says"),
+        ("LA", ("picture-kind-unread", "2 channels")),
+        ("text", ("picture-unreadable",)),
+        ("gone", ("picture-missing",)),
+        ("small", ("picture-size-wrong", "20x20")),
     ],
 )
-def test_pictures(folders, name: Any, kind, says):
+def test_pictures(folders, name: Any, kind, refusal):
     from PIL import Image
 
     victim = last_picture(folders[name])
@@ -158,7 +158,9 @@ def test_pictures(folders, name: Any, kind, says):
     else:
         size = (20, 20) if kind == "small" else Image.open(victim).size
         Image.new("LA" if kind == "LA" else "RGB", size).save(victim)
-    with pytest.raises(CaptureError, match=says):
+    if kind == "gone" and name == "llff":
+        refusal = ("count-mismatch", "found images")  # by the number of files: which is which is not known
+    with refused(*refusal, kind=CaptureError):
         read_dataset(name, folders[name])
 
 
@@ -168,7 +170,7 @@ def test_grey_pictures_are_read_and_said(folders, name: Any):
     cv2.imwrite(str(victim), np.ascontiguousarray(read_pixels(victim)[..., 0]))
     notes: list[str] = []
     read_dataset(name, folders[name], notes=notes)
-    assert any("1 grey pictures, read as RGB" in note for note in notes)
+    assert any("1 grey" in note and "RGB" in note for note in notes)
 
 
 def test_mixed_sizes_within_a_camera(folders):
@@ -179,7 +181,7 @@ def test_mixed_sizes_within_a_camera(folders):
         e |= {"w": 30, "h": 20}
 
     edit(folders["nerfstudio"] / "transforms.json", smaller)
-    with pytest.raises(CaptureError, match="000003.png: picture is 30x20, .* 'cam1' is 80x56"):
+    with refused("picture-size-wrong", "000003.png", "30x20", "'cam1'", "80x56", kind=CaptureError):
         read_dataset("nerfstudio", folders["nerfstudio"])
 
 
@@ -193,57 +195,57 @@ def test_one_focal_length_for_pictures_of_two_sizes(folders):
     edit(path, plain)
     victim = json.loads(path.read_text())["frames"][1]["file_path"] + ".png"
     cv2.imwrite(str(folders["blender"] / victim), np.zeros((20, 30, 3), np.uint8))
-    with pytest.raises(CaptureError, match="picture is 30x20.*share one camera_angle_x"):
+    with refused("picture-size-wrong", "30x20", "camera_angle_x", kind=CaptureError):
         read_dataset("blender", folders["blender"])
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "refusal"),
     [
         (
             lambda p: np.savez(p, flow=np.zeros((20, 30, 2)), mask=np.ones((20, 30))),
-            r"flow has shape \[20, 30, 2\]",
+            ("flow-size-wrong", "[20, 30, 2]"),
         ),
-        (lambda p: np.savez(p, flow=np.zeros((20, 30, 2))), "damaged or not a file of arrays"),
-        (lambda p: p.write_text("no zip"), "damaged or not a file of arrays"),
-        (lambda p: p.unlink(), "flow of .* not found, while the folder is there"),
+        (lambda p: np.savez(p, flow=np.zeros((20, 30, 2))), ("file-damaged",)),
+        (lambda p: p.write_text("no zip"), ("file-damaged",)),
+        (lambda p: p.unlink(), ("file-missing",)),
     ],
 )
-def test_flow_files(folders, damage, says):
+def test_flow_files(folders, damage, refusal):
     damage(folders["devrf"] / "dynamic_2views/train_flow/005_bwd.npz")
-    with pytest.raises(CaptureError, match=f"005_bwd.npz: {says}"):
+    with refused(*refusal, "005_bwd.npz", kind=CaptureError):
         read_dataset("devrf", folders["devrf"])
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "refusal"),
     [
-        (lambda t: t[:-1], "5 pictures in images, .*found images 6"),
-        (lambda t: t[:, :15], r"shape \[6, 15\]; expected one row of 17 numbers"),
-        (lambda t: np.where(np.arange(17) == 15, -1.0, t), "bounds of row 0 are .* expected 0 < near < far"),
-        (lambda t: np.where(np.arange(17) == 14, 0.0, t), r"row 0 .*height, width, focal are"),
-        (lambda t: np.where(np.arange(17) == 3, np.nan, t), r"row 0 .*not finite"),
-        (lambda t: np.where(np.isin(np.arange(17), (1, 6, 11)), -t, t), r"row 0 .*mirror"),
+        (lambda t: t[:-1], ("count-mismatch", "5 pictures", "images 6")),
+        (lambda t: t[:, :15], ("table-wrong", "[6, 15]", "17 numbers")),
         (
-            lambda t: np.where(np.arange(17) == 4, 3 * t, t),
-            r"000000.png: picture is .*expected the same shape",
+            lambda t: np.where(np.arange(17) == 15, -1.0, t),
+            ("entry-wrong", "bounds of row 0", "0 < near < far"),
         ),
+        (lambda t: np.where(np.arange(17) == 14, 0.0, t), ("entry-wrong", "row 0", "height, width, focal")),
+        (lambda t: np.where(np.arange(17) == 3, np.nan, t), ("pose-not-finite", "row 0")),
+        (lambda t: np.where(np.isin(np.arange(17), (1, 6, 11)), -t, t), ("pose-mirrored", "row 0")),
+        (lambda t: np.where(np.arange(17) == 4, 3 * t, t), ("picture-size-wrong", "000000.png")),
     ],
 )
-def test_llff_tables(folders, change, says):
+def test_llff_tables(folders, change, refusal):
     path = folders["llff"] / "poses_bounds.npy"
     np.save(path, change(np.load(path)))
-    with pytest.raises(CaptureError, match=says):
+    with refused(*refusal, kind=CaptureError):
         read_dataset("llff", folders["llff"])
 
 
 def test_llff_files(folders):
     path = folders["llff"] / "poses_bounds.npy"
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(CaptureError, match="poses_bounds.npy: .*expected a table of numbers"):
+    with refused("file-damaged", path, "dataset.format", kind=CaptureError):
         read_dataset("llff", folders["llff"])
     path.unlink()
-    with pytest.raises(CaptureError, match="poses_bounds.npy: no such file"):
+    with refused("file-missing", path, kind=CaptureError):
         read_dataset("llff", folders["llff"])
 
 
@@ -252,7 +254,7 @@ def test_llff_files(folders):
 def test_colmap_files_that_were_cut_off(folders, name, kept):
     path = folders["colmap"] / "sparse/0" / name
     path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(CaptureError, match=f"{name}: damaged or cut off.*copy it again"):
+    with refused("file-damaged", path, kind=CaptureError):
         read_dataset("colmap", folders["colmap"])
 
 
@@ -261,16 +263,16 @@ def test_colmap_text_that_is_none(folders):
     (folder / "cameras.bin").unlink()
     for text in ("1 PINHOLE 40", "1 PINHOLE 40 30 1 2 3", "1 NEW_MODEL 40 30 1 2 3", "a b c d e"):
         (folder / "cameras.txt").write_text(text)
-        with pytest.raises(CaptureError, match="cameras.txt: damaged"):
+        with refused("file-damaged", "cameras.txt", kind=CaptureError):
             read_dataset("colmap", folders["colmap"])
     (folder / "cameras.txt").write_text("")
-    with pytest.raises(CaptureError, match="its camera 1 is not in the model"):
+    with refused("camera-missing", "camera 1", kind=CaptureError):
         read_dataset("colmap", folders["colmap"])
 
 
 @pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
 def test_a_folder_of_another_format_and_none(tmp_path: Path, name: Any):
-    with pytest.raises(CaptureError, match="dataset.format|COLMAP model"):
+    with refused("folder-missing" if name == "devrf" else "file-missing", tmp_path, kind=CaptureError):
         read_dataset(name, tmp_path)
-    with pytest.raises(CaptureError, match="no such folder"):
+    with refused("folder-missing", tmp_path / "none", kind=CaptureError):
         read_dataset(name, tmp_path / "none")

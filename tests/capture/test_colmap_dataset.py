@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset
@@ -60,5 +61,5 @@ def test_colmap_text(tmp_path: Path, camera, K, lens):
 
 def test_colmap_lenses_that_are_not_read_are_named(tmp_path: Path):
     colmap_text(tmp_path, "FOV 48 32 40 41 23 15 .1")
-    with pytest.raises(CaptureError, match="lens model FOV is not read.*undistort"):
+    with refused("lens-unread", "FOV", kind=CaptureError):
         read_dataset("colmap", tmp_path)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -95,19 +96,22 @@ def test_nerfstudio_files_of_others_with_global_intrinsics(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "refusal"),
     [
-        (None, "file not found"),
-        ("{", "not a JSON file"),
-        ('{"frames": []}', "no frames"),
-        ('{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}', "no.png"),
-        ('{"camera_model": "FULL_OPENCV", "frames": [1]}', "FULL_OPENCV"),
+        (None, ("file-missing", "transforms.json")),
+        ("{", ("file-damaged", "transforms.json")),
+        ('{"frames": []}', ("pictures-none", "transforms.json")),
+        (
+            '{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}',
+            ("picture-missing", "no.png"),
+        ),
+        ('{"camera_model": "FULL_OPENCV", "frames": [1]}', ("lens-unread", "FULL_OPENCV")),
     ],
 )
-def test_bad_transforms_are_named(tmp_path, content, message):
+def test_bad_transforms_are_named(tmp_path, content, refusal):
     if content is not None:
         (tmp_path / "transforms.json").write_text(content)
-    with pytest.raises(CaptureError, match=message):
+    with refused(*refusal, kind=CaptureError):
         read_dataset("nerfstudio", tmp_path)
 
 
@@ -130,5 +134,5 @@ def test_blender_without_a_test_split_holds_out(data_dir):
 
 
 def test_a_folder_of_another_layout_says_what_was_expected(tmp_path):
-    with pytest.raises(CaptureError, match="dynamic_4views"):
+    with refused("folder-missing", "dynamic_4views", kind=CaptureError):
         read_dataset("devrf", tmp_path)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image, ImageOps
+from tests.refused import refused
 
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.courses import ROW_BANDS
@@ -49,9 +50,9 @@ def test_timing_tells_variable_rate_from_dropped_frames():
     assert timing(even).notes == () and timing(even).fps_mean == pytest.approx(30)
     dropped = timing(np.delete(even, [40, 41, 70]))
     assert dropped.missing_frames == 3 and not dropped.variable_rate
-    assert "3 frames missing in 2 gaps, after 1.30 s, 2.30 s" in dropped.notes[0]
+    assert all(n in dropped.notes[0] for n in ("3 frames", "2 gaps", "1.30 s, 2.30 s"))
     varying = timing(np.cumsum(np.random.default_rng(0).uniform(0.02, 0.05, 100)))
-    assert varying.variable_rate and "variable rate" in varying.notes[0]
+    assert varying.variable_rate and len(varying.notes) == 1
     assert not timing(np.round(even, 3)).variable_rate  # millisecond time base
     assert timing(np.array([1.0])).fps_mean is None
 
@@ -82,7 +83,7 @@ def test_exif_orientation_is_baked_once(tmp_path, orientation):
     if orientation == 1:
         assert written.read_bytes() == (tmp_path / "in" / "a.jpg").read_bytes()
     else:
-        assert "1 photos turned" in frames.notes[0] and probe_picture(written).turned is False
+        assert frames.notes[0].startswith("1 ") and probe_picture(written).turned is False
 
 
 def test_mixed_sizes_are_reported_and_transparency_kept(tmp_path):
@@ -94,7 +95,7 @@ def test_mixed_sizes_are_reported_and_transparency_kept(tmp_path):
     write_picture(folder / "3.png", rgba[:10])
     frames = extract_folder(folder, tmp_path, "static", "sweep", "in")
     assert [f.used for f in frames.frames] == [True, True, True, False]
-    assert "mixed sizes: 3 of 30x20 are used, 1 of 30x10" in frames.notes[0]
+    assert "3 of 30x20" in frames.notes[0] and "1 of 30x10" in frames.notes[0]
     np.testing.assert_array_equal(read_picture(tmp_path / "frames/static/000000.png"), rgba)
     assert not (tmp_path / "frames/static/000003.png").exists()
 
@@ -105,21 +106,19 @@ def test_a_sweep_may_mix_sizes_of_which_it_has_enough(tmp_path):
         upright = np.zeros((20, 30, 3) if i % 2 else (30, 20, 3), dtype=np.uint8)
         write_picture(tmp_path / "in" / f"{i}.png", upright)
     frames = extract_folder(tmp_path / "in", tmp_path, "static", "sweep", "in")
-    assert len(frames.used) == 10 and frames.notes[0].startswith(
-        "photos of several sizes, a camera each: 5 of"
-    )
+    assert len(frames.used) == 10 and "5 of" in frames.notes[0]
     board = extract_folder(tmp_path / "in", tmp_path / "b", "board_static", "board", "in")
     assert len(board.used) == 5  # one set of intrinsics
 
 
 def test_folders_without_photos(tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(InputError, match="no pictures in this folder .it holds: .txt"):
+    with refused("pictures-none", tmp_path, ".txt", kind=InputError):
         list_pictures(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
+    with refused("folder-missing", tmp_path / "nothing", kind=InputError):
         list_pictures(tmp_path / "nothing")
     (tmp_path / "a.heic").touch()
-    with pytest.raises(InputError, match="convert them to JPEG"):
+    with refused("picture-kind-unread", "HEIC", "JPEG", kind=InputError):
         list_pictures(tmp_path)
 
 
@@ -144,11 +143,9 @@ def test_clip_in_a_range_and_by_a_table_of_times(make_clip, pictures, tmp_path):
     times = FrameTimes(np.array([0, 1, 3, 20]), np.array([7.0, 7.5, 8.25, 30.0]))
     got = extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(), times)
     assert [(f.index, f.time_s) for f in got.frames.used] == [(0, 7.0), (1, 7.5), (3, 8.25)]
-    assert any("9 of 12 frames have no row" in n for n in got.frames.notes)
-    assert any("names frame 20, the clip has 12" in n for n in got.frames.notes)
-    with pytest.raises(
-        CaptureError, match="a.mp4: no frame between 5.00 and 6.00 s .it goes from 0.00 to 0.44"
-    ):
+    assert any("9 of 12 frames" in n for n in got.frames.notes)
+    assert any("frame 20" in n and "12" in n for n in got.frames.notes)
+    with refused("range-empty", "a.mp4", "5.00 and 6.00 s", "0.00 to 0.44", kind=CaptureError):
         extract_clip(path, tmp_path, "cam0", "camera", "a.mp4", Keep(range_s=(5.0, 6.0)))
 
 
@@ -187,7 +184,7 @@ def test_whole_session_on_disk_and_back(make_clip, pictures, tmp_path):
     }  # fmt: skip
     assert frames.joint == {"cam0": "cam0", "cam1": "joint_cam1"}
     assert list(sounds) == ["cam0"] and frames.cameras["cam0"].has_audio
-    assert frames.cameras["cam1"].notes == ("no sound track",)
+    assert len(frames.cameras["cam1"].notes) == 1 and not frames.cameras["cam1"].has_audio
     assert frames.cameras["cam0"].frames[0].time_s == pytest.approx(0.2)
     assert frames.cameras["cam0"].source == "cam0.mp4"
     for camera in frames.cameras.values():
@@ -196,7 +193,7 @@ def test_whole_session_on_disk_and_back(make_clip, pictures, tmp_path):
     assert again.start_s == pytest.approx(sounds["cam0"].start_s)
     assert read_motion(out, frames)["cam1"].shape == (11, 2)
     (out / "ingest.json").write_text("{}")
-    with pytest.raises(CaptureError, match="ingest.json"):
+    with refused("file-damaged", "ingest.json", kind=CaptureError):
         FrameSet.read(out)
     assert replace(frames.cameras["cam0"], frames=()).used == ()
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -87,13 +88,13 @@ def test_a_damaged_look_is_named(tmp_path):
     meta = read_json(path)
     meta["frames"][0]["colour_matrix"] = [[1, 0], [0, 1]]
     write_json(path, meta)
-    with pytest.raises(CaptureError, match=r"frames\[0\].*look.*colour_matrix"):
+    with refused("entry-wrong", "frames[0]", "colour_matrix", kind=CaptureError):
         read_transforms(path)
 
 
 def test_a_damaged_flat_field_is_named(tmp_path):
     np.save(tmp_path / "flat.npy", np.zeros((2, 2)))
-    with pytest.raises(CaptureError, match=r"flat.npy.*--force colour"):
+    with refused("file-damaged", "flat.npy", "--force colour", kind=CaptureError):
         Look(flat=tmp_path / "flat.npy").apply(picture())
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
+from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.photo_curve import declared_gamma
@@ -57,7 +58,7 @@ def test_photos_that_hold_linear_light_are_named(tmp_path):
     PICTURE.save(folder / "d.png", pnginfo=chunk)
     (fault,) = extract_folder(folder, tmp_path, "static", "sweep", "in").faults
     assert fault.check == "transfer curve"
-    assert fault.found == "2 of 4 photos name a gamma of 1, all are taken as sRGB: c.tif, d.png"
+    assert all(named in fault.found for named in ("2 of 4", "gamma of 1", "sRGB", "c.tif, d.png"))
 
 
 def test_photos_are_called_by_their_names(tmp_path):
@@ -67,7 +68,7 @@ def test_photos_are_called_by_their_names(tmp_path):
         write_picture(folder / f"IMG_{n + 7}.png", np.zeros((20 if n == 2 else 24, 32, 3), np.uint8))
     got = extract_folder(folder, tmp_path, "static", "sweep", "in")
     assert [frame.place for frame in got.frames] == [f"IMG_{n}.png" for n in (7, 8, 9, 10)]
-    assert "1 of 32x20 are not (IMG_9.png)" in got.notes[-1]
+    assert "1 of 32x20" in got.notes[-1] and "(IMG_9.png)" in got.notes[-1]
 
 
 def test_a_photo_that_breaks_off_is_named(tmp_path):
@@ -78,7 +79,5 @@ def test_a_photo_that_breaks_off_is_named(tmp_path):
         Image.fromarray(noise).save(folder / name)
     whole = (folder / "b.jpg").read_bytes()
     (folder / "b.jpg").write_bytes(whole[: 2 * len(whole) // 3])
-    with pytest.raises(
-        CaptureError, match="in/b.jpg: the picture does not decode; copy it from the camera again"
-    ):
+    with refused("picture-unreadable", "in/b.jpg", kind=CaptureError):
         extract_folder(folder, tmp_path, "static", "sweep", "in")

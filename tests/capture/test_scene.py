@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -37,13 +38,13 @@ def test_alpha_is_composited_and_hidden_colours_do_not_bleed(tmp_path, backgroun
 
 def test_a_picture_of_another_size_than_its_calibration_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((4, 6, 3), np.uint8))
-    with pytest.raises(CaptureError, match="6x4.*8x4"):
+    with refused("picture-size-wrong", "6x4", "8x4", kind=CaptureError):
         load_image(frame(tmp_path / "a.png", 8, 4), 1.0, "shell")
 
 
 def test_a_file_that_is_no_picture_is_named(tmp_path):
     (tmp_path / "a.png").write_text("hello")
-    with pytest.raises(CaptureError, match="a.png"):
+    with refused("picture-unreadable", "a.png", kind=CaptureError):
         load_image(frame(tmp_path / "a.png", 8, 4), 1.0, "shell")
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.pictures import write_picture
@@ -55,50 +56,51 @@ def test_all_problems_at_once(make_clip, pictures, tmp_path):
     )
     problems = preflight(session)
     for words in (
-        ("capture.static", "nothing", "no pictures"),
-        ("camera a", "missing.mp4", "no such file"),
-        ("camera b", "text.mp4", "it holds text"),
-        ("camera c", "zero.mp4", "empty"),
-        ("camera e", "good.mp4", "also the clip of camera d"),
+        ("capture.static", "nothing"),
+        ("camera a", "missing.mp4"),
+        ("camera b", "text.mp4"),
+        ("camera c", "zero.mp4"),
+        ("camera e", "good.mp4", "camera d"),
         ("board.clips.a", "missing_board.mp4"),
         ("joint_clips.a", "text.mp4"),
         ("timestamps", "t.csv", "camera, frame_index, time_s"),
     ):
         assert any(all(w in p for w in words) for p in problems), (words, problems)
     assert len(problems) == 8
-    assert preflight(CaptureSession()) == ["capture: neither static nor cameras; name at least one"]
+    (problem,) = preflight(CaptureSession())
+    assert "static" in problem and "cameras" in problem
 
 
 def test_broken_photo_is_named(tmp_path):
     write_picture(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
     (tmp_path / "b.jpg").write_text("not a photo")
     problems = preflight(CaptureSession(static=tmp_path))
-    assert len(problems) == 1 and "b.jpg" in problems[0] and "not a picture" in problems[0]
+    assert len(problems) == 1 and "b.jpg" in problems[0]
 
 
 def test_raw_photos_are_looked_into(tmp_path):
     (tmp_path / "a.dng").write_text("not a photo")
     (tmp_path / "b.nef").touch()
     (problem,) = preflight(CaptureSession(static=tmp_path))
-    assert "a.dng: not a RAW file that LibRaw reads" in problem and "(and 1 more)" in problem
+    assert "a.dng" in problem and problem.endswith("(and 1 more)")
 
 
 @pytest.mark.parametrize(
-    "rows, words",
+    "rows, refusal",
     [
-        ("cam0,0,1.0\ncam0,1,0.9\n", "time does not increase from frame 0 .1.000000 s. to frame 1"),
-        ("cam0,0,1.0\ncam0,0,2.0\n", "line 3: frame 0 of camera cam0 is given twice"),
-        ("cam0,zero,1.0\n", "line 2: frame_index 'zero'"),
-        ("cam0,0,nan\n", "line 2"),
-        ("cam0,-1,1.0\n", "line 2"),
-        ("cam0,0\n", "line 2"),
-        ("cam1,0,1.0\n", "no rows for camera cam0 .it has: cam1"),
+        ("cam0,0,1.0\ncam0,1,0.9\n", ("times-not-rising", "frame 0 (1.000000 s)", "frame 1")),
+        ("cam0,0,1.0\ncam0,0,2.0\n", ("entry-twice", "line 3", "frame 0", "camera cam0")),
+        ("cam0,zero,1.0\n", ("entry-wrong", "line 2", "frame_index 'zero'")),
+        ("cam0,0,nan\n", ("entry-wrong", "line 2", "nan")),
+        ("cam0,-1,1.0\n", ("entry-wrong", "line 2", "-1")),
+        ("cam0,0\n", ("entry-wrong", "line 2", "None")),
+        ("cam1,0,1.0\n", ("camera-missing", "camera cam0", "cam1")),
     ],
 )
-def test_wrong_tables_of_times(tmp_path, rows, words):
+def test_wrong_tables_of_times(tmp_path, rows, refusal):
     path = tmp_path / "t.csv"
     path.write_text(TABLE + rows)
-    with pytest.raises(InputError, match=words):
+    with refused(*refusal, kind=InputError):
         read_timestamps(path, ["cam0"])
 
 

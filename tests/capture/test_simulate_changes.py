@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.audio import read_sound
 from devrf.capture.camera import Camera
@@ -98,7 +99,7 @@ def test_what_is_clear_lets_through_and_what_shines_changes_nothing_around_it() 
 
 def test_only_a_sheet_is_cut(tmp_path: Path) -> None:
     options = SMALL.model_copy(update={"strip_m": 0.02})
-    with pytest.raises(InputError, match="strip_m 0.02.*sheet"):
+    with refused("options-contradict", "strip_m 0.02", "sheet", kind=InputError):
         simulate_session(tmp_path / "out", "column", size=(32, 24), options=options)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.media import MOST_THREADS, open_media, video_stream
@@ -41,7 +42,7 @@ def test_stored_turn_is_applied_once(make_clip, pictures, rotation):
     assert np.abs(rgb.astype(int) - expected).mean() < 6
     info = probe_video(path)
     assert (info.width, info.height) == (expected.shape[1], expected.shape[0])
-    assert info.rotation_deg == rotation % 360 and "turned" in info.notes[0]
+    assert info.rotation_deg == rotation % 360 and len(info.notes) == 1
 
 
 def test_unlabelled_small_pictures_are_bt601(make_clip):
@@ -72,45 +73,44 @@ def test_damage_in_the_middle_ends_the_clip_with_a_note(make_clip):
 
 
 @pytest.mark.parametrize(
-    "name, content, words",
+    "name, content, code",
     [
-        ("text.mp4", b"this is a shopping list\n" * 20, "it holds text"),
-        ("empty.mp4", b"", "empty"),
-        ("noise.mp4", bytes(range(128, 256)) * 40, "not a video"),
+        ("text.mp4", b"this is a shopping list\n" * 20, "file-is-text"),
+        ("empty.mp4", b"", "file-empty"),
+        ("noise.mp4", bytes(range(128, 256)) * 40, "file-not-video"),
     ],
 )
-def test_not_a_video(tmp_path, name, content, words):
+def test_not_a_video(tmp_path, name, content, code):
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(code, name, kind=InputError):
         probe_video(path)
-    assert name in str(caught.value)
 
 
 def test_index_cut_off(make_clip, pictures):
     path = make_clip("noindex.mp4", pictures)
     path.write_bytes(path.read_bytes()[:1500])
-    with pytest.raises(InputError, match="cut short"):
+    with refused("file-cut-short", "noindex.mp4", kind=InputError):
         probe_video(path)
 
 
 def test_missing_folder_and_sound_only(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
+    with refused("file-missing", "nothing.mp4", kind=InputError):
         probe_video(tmp_path / "nothing.mp4")
-    with pytest.raises(InputError, match="is a folder"):
+    with refused("file-is-folder", tmp_path, kind=InputError):
         probe_video(tmp_path)
     import wave
 
     with wave.open(str(tmp_path / "sound.wav"), "wb") as file:
         file.setparams((1, 2, 48_000, 0, "NONE", ""))
         file.writeframes(bytes(9600))
-    with pytest.raises(InputError, match="no video stream .it holds: audio"):
+    with refused("video-missing", "sound.wav", "audio", kind=InputError):
         probe_video(tmp_path / "sound.wav")
 
 
 def test_clip_without_frames(make_clip):
     path = make_clip("none.mp4", [])
-    with pytest.raises(InputError, match="none.mp4"):
+    with refused("video-missing", "none.mp4", kind=InputError):
         probe_video(path)
 
 

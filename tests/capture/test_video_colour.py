@@ -133,4 +133,4 @@ def test_an_hlg_clip_is_read_by_the_rule(make_clip):
     assert np.abs(frame.rgb.astype(int) - 100).max() <= 3
     assert np.abs(frame.stored_grey(64).astype(int) - 100).max() <= 3
     with VideoReader(path) as reader:
-        assert "HDR video (HLG)" in reader.info.notes[0]
+        assert "(HLG)" in reader.info.notes[0]

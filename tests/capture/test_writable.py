@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.writable import check_file, check_folder
@@ -16,13 +17,13 @@ def test_a_folder_that_is_missing_with_those_above_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("place", ["/proc/x", "/sys/x"])
 def test_folders_that_take_no_files_even_of_root(place: str) -> None:
-    with pytest.raises(InputError, match=f"--out {place}: cannot be written .* choose another folder"):
+    with refused("folder-unwritable", f"--out {place}", kind=InputError):
         check_folder(Path(place), "--out")
 
 
 def test_a_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match="file is a file"):
+    with refused("folder-unwritable", tmp_path / "file", kind=InputError):
         check_folder(tmp_path / "file" / "x", "--out")
-    with pytest.raises(InputError, match="is a folder; expected the name of a file"):
+    with refused("file-is-folder", tmp_path, kind=InputError):
         check_file(tmp_path, "--json")

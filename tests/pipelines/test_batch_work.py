@@ -83,7 +83,7 @@ def test_the_file_follows_the_rows_and_stops_nothing_where_it_cannot_be_written(
     shutil.rmtree(out)
     board.write()
     board.write()
-    assert not board.written and capsys.readouterr().err.count("cannot be written") == 1
+    assert not board.written and capsys.readouterr().err.count("[folder-unwritable]") == 1
 
 
 def worked(

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
 from devrf.calibration.boards.simulated import SIZE, SPEC, board_views
@@ -78,13 +79,13 @@ def test_a_clip_without_the_board_is_refused_once_it_is_needed(
 ) -> None:
     def find(name: str, files: list[Path], spec: BoardSpec, progress: Callable, required: bool) -> tuple:
         if required:
-            raise HealthError(f"board never seen in {name}")
+            raise HealthError("board-never-seen", f"board never seen in {name}")
         return [], spec
 
     monkeypatch.setattr(board_clips, "find_board", find)
     clips = BoardClips(tmp_path, frames, TOLD)
     assert clips.search("cam1", "joint_cam1", required=False).views == []
-    with pytest.raises(HealthError, match="never seen in joint_cam1.mp4 of camera 'cam1'"):
+    with refused("board-never-seen", "joint_cam1.mp4", "'cam1'", kind=HealthError):
         clips.search("cam1", "joint_cam1")
 
 
@@ -94,8 +95,6 @@ def test_a_clip_in_another_mode_is_refused_before_it_is_searched(
 ) -> None:
     small = replace(frames.cameras[entry], width=640, height=360)
     other = replace(frames, cameras=frames.cameras | {entry: small})
-    with pytest.raises(
-        InputError, match="is 640x360, camera 'cam0' films 1280x720; film the board in the same"
-    ):
+    with refused("board-clip-size", "640x360", "'cam0'", "1280x720", kind=InputError):
         BoardClips(tmp_path, other, TOLD).search("cam0", entry)
     assert searched == []

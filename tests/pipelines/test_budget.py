@@ -52,7 +52,7 @@ def test_fewer_pictures_at_once_where_memory_is_short_and_that_is_said(memory: i
     """A gigabyte whatever is done, and one for each picture; one is tried where none fits."""
     said: list[str] = []
     assert fitting(within(memory, said), GB, GB) == fits
-    assert len(said) == (fits < 8) and all(f"{fits} instead of 8 at once" in line for line in said)
+    assert len(said) == (fits < 8) and all(f"{fits} instead of 8" in line for line in said)
 
 
 def test_pairs_of_large_pictures_take_what_was_measured() -> None:

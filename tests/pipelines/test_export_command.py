@@ -1,6 +1,7 @@
 """Data sets through the command line: exported, run again from the export, and refused where they are wrong."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def written(folder: Path, name: str, path: Path, run: str) -> Path:
 def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Scene) -> None:
     folder = scene_yaml.parent
     early = devrf("export", scene_yaml, "--format", "devrf")
-    assert early.code == 2 and "has not been made yet" in early.err and "--until scene" in early.err
+    assert early.code == 2 and "--until scene" in early.err and "[stage-not-made]" in early.err
     assert devrf("run", scene_yaml, "--until", "flow", "--allow-unhealthy").code == 0
     for name in DATASET_FORMATS:
         result = devrf("export", scene_yaml, "--format", name)
@@ -50,7 +51,7 @@ def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Sc
     assert again.code == 0, again.said
     assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "given"
     twice = devrf("export", scene_yaml, "--format", "colmap", "--out", out)
-    assert twice.code == 2 and "holds an export to devrf" in twice.err
+    assert twice.code == 2 and f"--out {out}: " in twice.err
     strided = devrf(
         "run",
         folder / "again.yaml",
@@ -62,7 +63,7 @@ def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Sc
     )
     assert strided.code == 0, strided.said
     rows = json.loads((folder / "again/scene/health.json").read_text())["rows"]
-    assert any("dataset.frame_stride is 2: not used" in str(row["value"]) for row in rows)
+    assert any("dataset.frame_stride is 2" in str(row["value"]) for row in rows)
     assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "dis"
 
 
@@ -73,35 +74,37 @@ def test_an_export_is_not_written_through_a_link(devrf: Callable, tmp_path: Path
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "export").symlink_to(outside)
     result = devrf("export", scene, "--format", "nerfstudio")
-    assert result.code == 2 and "export is a link to" in result.err, result.said
+    assert result.code == 2 and f"{outside}" in result.err and "[folder-holds-link]" in result.err, (
+        result.said
+    )
     named = devrf("export", scene, "--format", "nerfstudio", "--out", tmp_path / "named")
-    assert "the scene has not been made yet" in named.err, named.said
+    assert "[stage-not-made]" in named.err, named.said
 
 
 def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
     result = devrf("export", scene_yaml, "--format", "nerfstudo")
-    assert result.code == 2 and "did you mean nerfstudio?" in result.err
+    assert result.code == 2 and "nerfstudio?" in result.err and "[option-unknown-value]" in result.err
 
 
 @pytest.mark.parametrize(
-    ("name", "file", "text", "says"),
+    ("name", "file", "text"),
     [
-        ("nerfstudio", "transforms.json", "{", "not a JSON file"),
-        ("devrf", "dynamic_2views/transforms_train.json", '{"frames": []}', "no frames listed"),
-        ("devrf", "dynamic_2views/train_flow/003_bwd.npz", "x", "damaged or not a file of arrays"),
-        ("colmap", "sparse/0/images.bin", "x", "damaged or cut off"),
-        ("llff", "poses_bounds.npy", "x", "expected a table of numbers"),
-        ("blender", "transforms_train.json", "[]", "holds a list"),
+        ("nerfstudio", "transforms.json", "{"),
+        ("devrf", "dynamic_2views/transforms_train.json", '{"frames": []}'),
+        ("devrf", "dynamic_2views/train_flow/003_bwd.npz", "x"),
+        ("colmap", "sparse/0/images.bin", "x"),
+        ("llff", "poses_bounds.npy", "x"),
+        ("blender", "transforms_train.json", "[]"),
     ],
 )
 def test_a_damaged_data_set_is_seen_before_anything_starts(
-    devrf: Callable, odd_scene: Scene, tmp_path: Path, name, file: str, text: str, says: str
+    devrf: Callable, odd_scene: Scene, tmp_path: Path, name, file: str, text: str
 ) -> None:
     write_dataset(name, odd_scene, tmp_path / "data", _flow_of_nothing)
     (tmp_path / "data" / file).write_text(text)
     result = devrf("run", written(tmp_path, name, tmp_path / "data", "run"))
     assert result.code == 2, result.said
-    assert says in result.err and Path(file).name in result.err and "Traceback" not in result.said
+    assert Path(file).name in result.err and "[inputs-unusable]" in result.err
     assert not (tmp_path / "run" / "scene").exists()
 
 
@@ -115,7 +118,7 @@ def test_a_picture_that_ends_early_is_seen_before_anything_starts(
     for choice in ((), ("--dry-run",)):
         result = devrf("run", scene, *choice)
         assert result.code == 2, result.said
-        assert str(picture) in result.err and "cannot be read" in result.err and "make it again" in result.err
+        assert str(picture) in result.err and "[inputs-unusable]" in result.err
     assert not (tmp_path / "run").exists()
 
 
@@ -126,7 +129,8 @@ def test_a_data_set_without_scene_yaml_says_who_writes_one(
         write_dataset(name, odd_scene, tmp_path / name, _flow_of_nothing)
         result = devrf("status", tmp_path / name)
         assert result.code == 2 and f"devrf-pipeline init {tmp_path / name}" in result.err
-    assert "no such file" in devrf("status", tmp_path / "nowhere" / "scene.yaml").err
+    nowhere = tmp_path / "nowhere" / "scene.yaml"
+    assert f"{nowhere}: " in devrf("status", nowhere).err
 
 
 def _flow_of_nothing(frame):
@@ -150,7 +154,7 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
     scene = tmp_path / "scene.yaml"
     scene.write_text(yaml.safe_dump(value))
     early = devrf("export", scene, "--format", "rig-anipose")
-    assert early.code == 2 and "run with --until rig" in early.err
+    assert early.code == 2 and "--until rig" in early.err and "[stage-not-made]" in early.err
     result = devrf("run", scene, "--until", "rig", "--verbose")
     assert result.code == 0, result.said
     assert "caliscope" in result.said and "cam0: 0" in result.said
@@ -165,7 +169,7 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
         for again, camera in zip(from_first(given.rig), from_first(rig), strict=True):
             np.testing.assert_allclose(again, camera, atol=1e-9, err_msg=name)
     wrong = devrf("export", scene, "--format", "rig-anipos")
-    assert wrong.code == 2 and "did you mean rig-anipose?" in wrong.err
+    assert wrong.code == 2 and "rig-anipose?" in wrong.err and "[option-unknown-value]" in wrong.err
     text = (tmp_path / "run/export/rig-anipose/README.txt").read_text()
     assert "metres" in text
 
@@ -189,15 +193,15 @@ def test_a_calibration_for_other_cameras_is_told_before_anything_starts(
         assert result.code == 2
         return " ".join(result.err.split())
 
-    assert "has no camera cam1, cam3; it has left_intrinsics" in check(str(source / "left_intrinsics.yml"))
+    assert "cam1, cam3; it has left_intrinsics" in check(str(source / "left_intrinsics.yml"))
     single = str(source / "left_intrinsics.yml")
-    assert "calibrated at 640x480, its clip is 1080x1920" in check({"cam1": single, "cam3": single})
-    assert "'nothing.yml': no such file" in check({"cam1": "nothing.yml", "cam3": single})
+    assert re.search("640x480.* 1080x1920", check({"cam1": single, "cam3": single}))
+    assert "'nothing.yml': " in check({"cam1": "nothing.yml", "cam3": single})
     qualisys = data_dir / "pose2sim_single/calibration/Calib.qca.txt"
     said = check(str(qualisys))
-    assert "Calib.qca.txt: camera 'cam1' is calibrated at 1088x1920, its clip is 1080x1920" in said
+    assert re.search("Calib.qca.txt: .*'cam1' .* 1088x1920.* 1080x1920", said)
     file = cv2.FileStorage(str(tmp_path / "lens.yml"), cv2.FILE_STORAGE_WRITE)
     file.write("camera_matrix", np.array([[1600.0, 0, 540], [0, 1600, 960], [0, 0, 1]]))
     file.release()
     lens = str(tmp_path / "lens.yml")
-    assert "holds intrinsics only" in check({"cam1": lens, "cam3": lens})
+    assert "calibration.rig.given: holds intrinsics only" in check({"cam1": lens, "cam3": lens})

@@ -1,6 +1,7 @@
 """`devrf-pipeline render` with options, on a run whose model is known."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -14,9 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests.pipelines.film_folder import AABB, RADIUS, TRAVEL, WORLD_PER_BOX, write_ball_run
+from tests.refused import refused
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.errors import InputError
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.pipelines import run_command
 from devrf.pipelines.console import Talk
@@ -129,13 +131,13 @@ def test_a_stopped_film_goes_on_and_a_finished_one_stays(scene: Path, capsys: py
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=60)[0]
-    assert process.returncode == 130 and "pictures: what was made is kept" in said, said
+    assert process.returncode == 130 and said.endswith("[stopped]\n"), said
     kept = {path: path.stat().st_mtime_ns for path in part.glob("colour/0*.png")}
     assert 2 <= len(kept) < 24 and not (part / "colour.mp4").exists()
     asked = {"path": "spiral", "size": "200x150", "seconds": 3.0, "fps": 8.0, "speed": 0.5}
     next(iter(kept)).write_bytes(b"cut off by a power cut")
     folder = film(scene, **asked)
-    assert f"going on: {len(kept)} of 24" in capsys.readouterr().out
+    assert f"{len(kept)} of 24" in capsys.readouterr().out
     assert about(folder)["rendered"] == 24 - len(kept) + 1
     assert len(decoded(folder / "colour.mp4")) == 24 and not part.exists()
     before = (folder / "film.json").stat().st_mtime_ns
@@ -159,54 +161,55 @@ def test_another_model_is_another_film(scene: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "refusal", "named"),
     [
-        ({"path": "orbt"}, "did you mean orbit?"),
-        ({"path": "still:cam9"}, "no such camera; expected one of cam0, cam1, cam2, witness"),
-        ({"path": "between:cam0"}, "one camera is named; expected two or more"),
-        ({"path": "between:cam0,cam0"}, "between:cam0,cam0: one camera is named; expected two or more"),
-        ({"path": "between:cam0,nobody"}, "no camera nobody"),
-        ({"path": "nothing.json"}, "--path nothing.json: no such file"),
-        ({"time": "1.5"}, "outside the clip; expected 0 to 1, or 1.000s to 3.000s"),
-        ({"time": "4s"}, "outside the clip"),
-        ({"time": "noon"}, "expected a share of the clip"),
-        ({"time": "0.5", "ping_pong": True}, "time stands still, which --ping-pong cannot change"),
-        ({"begin": "0.6", "end": "0.4"}, "the second is not after the first"),
-        ({"slow": "0.4"}, "expected two times"),
-        ({"speed": 1.0, "seconds": 9.0}, "the clip lasts 2 s; leave out one"),
-        ({"seconds": 0.0}, "--seconds 0: expected more than 0"),
-        ({"fps": 1000.0}, "--fps 1000: expected at least 0.1"),
-        ({"size": "641x360"}, "take 640x360, or --format png"),
-        ({"size": "9000x20"}, "sides of 16 to 8192"),
-        ({"size": "large"}, "expected WIDTHxHEIGHT"),
-        ({"path": "still:cam0", "size": "48x48"}, "pictures of cam0 are 48x36; take 48x36"),
-        ({"layers": "colour,normals"}, "expected some of colour,depth,flow,confidence"),
-        ({"format": "avi"}, "expected mp4, png, webp"),
-        ({"beside": "cam9"}, "no such camera in motion"),
-        ({"beside": "cam0", "layers": "depth"}, "true pictures have no depth"),
-        ({"fps": 200.0, "seconds": 200.0}, "at most 20000 are made"),
-        ({"format": "webp", "fps": 30.0, "seconds": 20.0}, "at most 500 are put into one"),
+        ({"path": "orbt"}, "option-unknown-value", " orbit?"),
+        ({"path": "still:cam9"}, "camera-unknown", "cam0, cam1, cam2, witness"),
+        ({"path": "between:cam0"}, "cameras-too-few", "between:cam0"),
+        ({"path": "between:cam0,cam0"}, "cameras-too-few", "between:cam0,cam0: "),
+        ({"path": "between:cam0,nobody"}, "camera-unknown", " nobody"),
+        ({"path": "nothing.json"}, "file-missing", "--path nothing.json: "),
+        ({"time": "1.5"}, "option-out-of-range", "0 to 1, or 1.000s to 3.000s"),
+        ({"time": "4s"}, "option-out-of-range", "4s"),
+        ({"time": "noon"}, "option-malformed", "noon"),
+        ({"time": "0.5", "ping_pong": True}, "option-misplaced", "--ping-pong"),
+        ({"begin": "0.6", "end": "0.4"}, "times-reversed", "--from 0.6 --to 0.4"),
+        ({"slow": "0.4"}, "option-malformed", "--slow 0.4: "),
+        ({"speed": 1.0, "seconds": 9.0}, "film-too-long", " 2 s; "),
+        ({"seconds": 0.0}, "option-out-of-range", "--seconds 0: expected more than 0"),
+        ({"fps": 1000.0}, "option-out-of-range", "--fps 1000: expected at least 0.1"),
+        ({"size": "641x360"}, "film-sides-odd", "640x360, or --format png"),
+        ({"size": "9000x20"}, "option-out-of-range", " 16 to 8192"),
+        ({"size": "large"}, "option-malformed", "WIDTHxHEIGHT"),
+        ({"path": "still:cam0", "size": "48x48"}, "film-other-shape", "cam0 are 48x36; take 48x36"),
+        ({"layers": "colour,normals"}, "option-unknown-value", "colour,depth,flow,confidence"),
+        ({"format": "avi"}, "option-unknown-value", "mp4, png, webp"),
+        ({"beside": "cam9"}, "camera-unknown", "--beside cam9: "),
+        ({"beside": "cam0", "layers": "depth"}, "option-misplaced", "--beside cam0: "),
+        ({"fps": 200.0, "seconds": 200.0}, "film-too-long", " 20000 "),
+        ({"format": "webp", "fps": 30.0, "seconds": 20.0}, "film-too-long", " 500 "),
     ],
 )
-def test_bad_options_are_told_before_anything_starts(made: Path, options: dict, says: str) -> None:
-    with pytest.raises(InputError, match=None) as error:
+def test_bad_options_are_told_before_anything_starts(
+    made: Path, options: dict, refusal: str, named: str
+) -> None:
+    with refused(refusal, named, kind=InputError):
         film(made, **options)
-    assert says in str(error.value)
     assert not (made.parent / "run" / "films").exists()
 
 
 def test_a_film_replaces_nothing_but_a_film(scene: Path) -> None:
-    for name, says in (("file", "is a file"), ("folder", "files that are no film")):
+    for name, refusal in (("file", "folder-unwritable"), ("folder", "folder-exists")):
         out = scene.parent / name
         if name == "file":
             out.write_text("")
         else:
             out.mkdir()
             (out / "diary.txt").write_text("")
-        with pytest.raises(InputError, match=says):
+        with refused(refusal, out, kind=InputError):
             film(scene, out=out)
     (scene.parent / "run" / "films").symlink_to(scene.parent)
-    with pytest.raises(InputError, match="films is a link to"):
+    with refused("folder-holds-link", scene.parent / "run" / "films", kind=InputError):
         film(scene)
 
 
@@ -223,15 +226,15 @@ def test_runs_that_are_not_whole_are_shown_as_such(scene: Path, capsys: pytest.C
     }
     (run / "canonical/health.json").write_text(json.dumps({"stage": "canonical", "rows": [row]}))
     shutil.rmtree(run / "deformation")
-    with pytest.raises(InputError, match="--speed: there is no motion in this run"):
+    with refused("scene-without-motion", "--speed: ", kind=InputError):
         film(scene, speed=0.5)
     folder = film(scene)
     said = capsys.readouterr().out
-    assert "canonical is unhealthy: loss" in said and "deformation is not made yet" in said
+    assert re.search("canonical .*: loss", said) and "deformation" in said
     assert "render_time" not in about(folder)["camera_path"][0]
     assert any("unhealthy" in note for note in about(folder)["notes"])
     shutil.rmtree(run / "canonical")
-    with pytest.raises(InputError, match="canonical is not made yet, so there is nothing to film"):
+    with refused("stage-not-made", run, "canonical", kind=InputError):
         film(scene)
 
 
@@ -247,10 +250,10 @@ def test_paths_that_leave_the_scene(scene: Path, capsys: pytest.CaptureFixture) 
 
     free = {"size": None, "fps": None, "seconds": None, "format": "png"}
     folder = film(scene, path=path_to((1.2, 0, 0.9), (0, 0, 1.5)), **free)
-    assert "1 of 2 pictures look from where no training camera looked from" in capsys.readouterr().out
-    assert about(folder)["notes"][-1].startswith("1 of 2 pictures look")
+    assert "1 of 2 pictures" in capsys.readouterr().out
+    assert about(folder)["notes"][-1].startswith("1 of 2 pictures")
     for place in ((0, 0, 0.05), (0, 0, 30.0)):
-        with pytest.raises(InputError, match="1 of 2 pictures cannot be rendered, the first is 1"):
+        with refused("film-path-blind", "1 of 2 ", "the first is 1 ", kind=InputError):
             film(scene, path=path_to((1.2, 0, 0.9), place), **free)
     assert AABB.max() == 1  # the ball is solid to 0.2 in the world
 
@@ -264,7 +267,7 @@ def test_a_full_disk_costs_no_picture(scene: Path, monkeypatch: pytest.MonkeyPat
         return draw(self, n)
 
     monkeypatch.setattr(Drawer, "draw", full)
-    with pytest.raises(DevrfError, match="No space left on device.*what was made is kept") as error:
+    with refused("folder-unwritable", "No space left on device") as error:
         film(scene, path="dolly")
     assert not isinstance(error.value, InputError)
     monkeypatch.undo()
@@ -273,5 +276,5 @@ def test_a_full_disk_costs_no_picture(scene: Path, monkeypatch: pytest.MonkeyPat
 
 def test_too_large_pictures_are_refused(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "allowed_bytes", lambda config: 1_000_000_000)
-    with pytest.raises(InputError, match="of memory, and 1 GB are allowed .*choose a smaller --size"):
+    with refused("film-needs-memory", "4096x4096", " 1 GB ", "--size", kind=InputError):
         film(made, size="4096x4096")

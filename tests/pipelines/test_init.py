@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.calibration.boards.guess import BoardGuess, board_pictures, guess_board
 from devrf.calibration.boards.spec import BoardSpec, dictionary
@@ -187,7 +188,7 @@ def test_photos_of_a_board_are_no_sweep() -> None:
     )  # fmt: skip
     assert names(roles.boards) == {"cam1": "intrinsics/int_cam1_img"} and list(roles.left) == ["photos"]
     roles = roles_of(photos("photos", MOVES, board=0.9))
-    assert roles.sweep is not None and any("photos: the board" in text for text in roles.doubts)
+    assert roles.sweep is not None and any(text.startswith("photos: ") for text in roles.doubts)
 
 
 def test_board_clips_are_joint_where_they_can_be() -> None:
@@ -247,26 +248,26 @@ def test_the_example_without_its_scene(devrf: Callable, tmp_path: Path) -> None:
         and board.squares == told.capture.board.squares
     )
     assert not board.metric  # nobody can see how large a square is
-    assert "scale is arbitrary" in result.out and "square_m" in result.out
+    assert "square_m" in result.out
     again = devrf("init", tmp_path)
-    assert again.code == 2 and "--force" in again.err
+    assert again.code == 2 and "--force" in again.err and "[file-exists]" in again.err
 
 
 def test_a_folder_of_nothing_is_named(tmp_path: Path, textures: Callable[[int], np.ndarray]) -> None:
-    def refused() -> str:
-        with pytest.raises(InputError, match="nothing that can be used") as error:
+    def said() -> str:
+        with refused("folder-without-clips", tmp_path, kind=InputError) as error:
             init(Talk("quiet"), tmp_path, None, False)
         assert not (tmp_path / "scene.yaml").exists()
         return str(error.value)
 
-    assert "Seen:\n  nothing" in refused()
+    assert said().count("\n") == 1  # nothing was seen
     for n in range(3):
         cv2.imwrite(str(tmp_path / f"{n}.jpg"), textures(n))
     (tmp_path / "cam0.mp4").write_text("This is no video.\n" * 50)
     write_video(tmp_path / "dark.mp4", [np.zeros((120, 160, 3), np.uint8)] * 12, 25.0)
-    said = refused()
-    for words in (".: 3 of the 8 photos", "cam0.mp4: not a video", "dark.mp4: black"):
-        assert words in said
+    told = said()
+    for words in (".: 3 of the 8 ", "cam0.mp4: ", "dark.mp4: "):
+        assert f"\n  {words}" in told
 
 
 def test_fixed_cameras_alone_are_placed_by_a_calibration_or_refused(
@@ -282,22 +283,17 @@ def test_fixed_cameras_alone_are_placed_by_a_calibration_or_refused(
         (tmp_path / name).write_text("".join(POSE2SIM.format(n, w, 240) for n, w in enumerate(widths)))
 
     calibrate("Calib_other.toml", 320, 400)
-    with pytest.raises(InputError, match="do not tell where the cameras are"):
+    with refused("rig-without-source", tmp_path, kind=InputError):
         init(Talk(), tmp_path, None, False)
     assert not (tmp_path / "scene.yaml").exists()
     said = capsys.readouterr().out
-    for words in (
-        "fixed camera cam0",
-        "no sound track: cam0, cam1",
-        "no sweep",
-        "camera 'cam1' is calibrated at",
-    ):
+    for words in ("fixed camera cam0", "sound track: cam0, cam1", "no sweep", "camera 'cam1'", "400x240"):
         assert words in said
     calibrate("Calib_rig.toml", 320, 320)
     init(Talk(), tmp_path, None, False)
     config = load_scene(tmp_path / "scene.yaml")
     assert config.calibration.rig.given == "Calib_rig.toml"
-    assert "# not used: Calib_other.toml: a calibration (Pose2Sim)" in (tmp_path / "scene.yaml").read_text()
+    assert "# not used: Calib_other.toml: " in (tmp_path / "scene.yaml").read_text()
 
 
 def test_a_calibration_in_metres_leaves_no_scale_unknown(tmp_path: Path) -> None:
@@ -307,7 +303,7 @@ def test_a_calibration_in_metres_leaves_no_scale_unknown(tmp_path: Path) -> None
         roles = roles_of(seen("cam0.mp4", board=0.3), seen("cam1.mp4"))  # the board lies in the scene
         take_calibration(tmp_path, files, roles)
         assert roles.metric is bool(files)
-        assert ("the scale stays arbitrary" in scene_yaml("x", roles, "fast")) is not bool(files)
+        assert ("arbitrary" in scene_yaml("x", roles, "fast")) is not bool(files)
 
 
 def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -320,8 +316,9 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
     monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError) as caught:
         init(Talk("quiet"), tmp_path, None, True)
+    assert caught.value.errno == errno.ENOSPC
     assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.yaml", "transforms_train.json"]
     assert (tmp_path / "scene.yaml").read_text() == "name: mine"
 
@@ -353,4 +350,4 @@ def test_a_folder_of_photos_is_a_sweep_and_a_table_gives_times(
     assert config.capture.static == "." and list(config.capture.cameras) == ["GX010", "GX011"]
     assert config.capture.timestamps == "times.csv"
     said = capsys.readouterr().out
-    assert "no calibration board" in said and "no sound track" not in said  # the table tells the times
+    assert "no calibration board" in said and "sound track" not in said  # the table tells the times

@@ -62,7 +62,7 @@ def test_a_run_tells_programs_what_happened(folder: Path) -> None:
 
 def test_a_failure_is_among_them(folder: Path) -> None:
     def fail(context: StageContext) -> None:
-        raise CaptureError("clip.mp4: damaged at 3.2 s")
+        raise CaptureError("file-damaged", "clip.mp4: damaged at 3.2 s")
 
     assert execute(job(folder, small_stages(second=fail))) == FAILED
     failed, error, finished = events_of(folder / "run")[-3:]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import Command
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats.datasets import read_dataset, write_dataset
@@ -41,22 +42,22 @@ def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
     said = mistakes(
         scene, json.dumps({"name": "x", "capture": {"static": "a.mp4", "cameras": {name: "b.mp4"}}})
     )
-    assert "capture.cameras" in said and ("no name for a camera" in said or "the run folder needs" in said)
+    assert "capture.cameras" in said
 
 
 def test_names_that_differ_only_in_case(scene: Path) -> None:
     cameras = {"cam": "a.mp4", "Cam": "b.mp4"}
     said = mistakes(scene, json.dumps({"name": "x", "capture": {"static": "s.mp4", "cameras": cameras}}))
-    assert "'cam' and 'Cam' differ only in case" in said
+    assert "'cam' and 'Cam' " in said
 
 
 @pytest.mark.parametrize(
-    ("output", "says"),
-    [("/", "root of a disk"), ("~", "home folder"), ("photos", "capture.static"), ("a\0b", "zero byte")],
-)  # fmt: skip
-def test_outputs_that_are_something_else(scene: Path, output: str, says: str) -> None:
+    ("output", "named"),
+    [("/", "output: "), ("~", "output: "), ("photos", "capture.static"), ("a\0b", "output: ")],
+)
+def test_outputs_that_are_something_else(scene: Path, output: str, named: str) -> None:
     (scene / "photos").mkdir()
-    assert says in mistakes(
+    assert named in mistakes(
         scene, json.dumps({"name": "x", "output": output, "capture": {"static": "photos"}})
     )
 
@@ -73,7 +74,7 @@ def test_a_folder_of_others_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "flow").mkdir()
     check_run_folder(tmp_path, stage_names())  # nothing in it
     (tmp_path / "flow" / "mine.npz").write_bytes(b"years of work")
-    with pytest.raises(InputError, match=r"holds a folder flow that no run has made.*name another folder"):
+    with refused("folder-exists", tmp_path, " flow ", "output", kind=InputError):
         check_run_folder(tmp_path, stage_names())
     (tmp_path / "flow" / "stamp.json").write_text("damaged, but a run's")
     check_run_folder(tmp_path, stage_names())
@@ -96,14 +97,16 @@ def test_links_are_not_written_through(scene: Path, devrf: Command, name: str) -
     link = scene / "run" / name
     link.parent.mkdir(parents=True)
     link.symlink_to(target)
-    with pytest.raises(InputError, match="is a link to .*outside.*remove the link"):
+    with refused("folder-holds-link", link, target, kind=InputError):
         check_run_folder(scene / "run", stage_names())
     if name in (".lock", "devrf.log"):
         (scene / "scene.yaml").write_text(
             json.dumps({"name": "x", "output": "run", "capture": {"static": "a.mp4"}})
         )
         result = devrf("run", scene, "--until", "ingest")
-        assert result.code == 2 and "is a link" in result.err, result.said
+        assert result.code == 2 and f"{link} " in result.err and "[folder-holds-link]" in result.err, (
+            result.said
+        )
     assert [path.name for path in outside.iterdir()] == ["precious"]
     assert (outside / "precious").read_text() == "precious"
 

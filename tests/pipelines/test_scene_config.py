@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.config.error import ConfigError
@@ -71,103 +73,106 @@ JOINT = f"{{cameras: {{a: cam0.mp4}}, board: {{{BOARD}, clips: {{static: cam1.mp
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("reconstruct: {resolutoin: 160}", "reconstruct.resolutoin: unknown key, did you mean resolution?"),
-        ("reconstrct: {}", "reconstrct: unknown key, did you mean reconstruct?"),
+        ("reconstruct: {resolutoin: 160}", "reconstruct.resolutoin: … resolution?"),
+        ("reconstrct: {}", "reconstrct: … reconstruct?"),
         ("calibration: {sync: {av_lag_s: 0.02}}", "calibration.sync.av_lag_s: 0.02; "),
-        ("calibration: {sync: {av_lag_s: {cam9: 0.02}}}", "calibration.sync.av_lag_s.cam9: no camera"),
+        ("calibration: {sync: {av_lag_s: {cam9: 0.02}}}", "calibration.sync.av_lag_s.cam9: "),
         ("calibration: {rig: {given: 3}}", "calibration.rig.given: 3; "),
-        ("reconstruct: {rays: 3}", "reconstruct.rays: 3; expected greater than or equal to 64"),
+        ("reconstruct: {rays: 3}", "reconstruct.rays: 3; … 64"),
         ("reconstruct: {rays: many}", "reconstruct.rays: 'many'; "),
         ("reconstruct: {rays: 100.5}", "reconstruct.rays: 100.5; "),
         ("reconstruct: {image_scale: .nan}", "reconstruct.image_scale: nan; "),
         ("reconstruct: {seed: true}", "reconstruct.seed: True; "),
-        ("flow: {method: raft}", "flow: weights is missing; method raft needs"),
-        ("flow: {method: farneback}", "flow: method 'farneback' is not known, expected dis, raft"),
-        ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' are of no use"),
-        ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': no such file"),
+        ("flow: {method: raft}", "flow: weights … method raft"),
+        ("flow: {method: farneback}", "flow: method 'farneback' … dis, raft"),
+        ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' "),
+        ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': "),
         ("calibration: {sync: {method: sound}}", "calibration.sync.method: 'sound'; "),
-        ("calibration: {sync: {method: timestamps}}", "capture.timestamps: is missing"),
-        ("calibration: {rig: {method: given}}", "calibration.rig.given: is missing"),
-        ("calibration: {rig: {method: board}}", "capture.board.joint_clips: is missing"),
-        ("calibration: {rig: {given: rig.json}}", "calibration.rig.given: 'rig.json': no such file"),
-        ("evaluate: [8]", "evaluate: [8]; expected a section with the keys holdout_every"),
-        ("evaluate: {lpips_weights: downlod}", "evaluate.lpips_weights: 'downlod': no such file"),
+        ("calibration: {sync: {method: timestamps}}", "capture.timestamps: "),
+        ("calibration: {rig: {method: given}}", "calibration.rig.given: "),
+        ("calibration: {rig: {method: board}}", "capture.board.joint_clips: "),
+        ("calibration: {rig: {given: rig.json}}", "calibration.rig.given: 'rig.json': "),
+        ("evaluate: [8]", "evaluate: [8]; … holdout_every"),
+        ("evaluate: {lpips_weights: downlod}", "evaluate.lpips_weights: 'downlod': "),
         ("budget: {memory_gb: 0}", "budget.memory_gb: 0; "),
-        ("dataset: {format: devrf, path: .}", "capture: does not go with dataset"),
-        ("output: static.mp4", "output: 'static.mp4' is capture.static too"),
+        ("dataset: {format: devrf, path: .}", "capture: … dataset"),
+        ("output: static.mp4", "output: 'static.mp4' … capture.static"),
     ],
 )
 def test_one_mistake(folder: Path, line: str, expected: str) -> None:
     text = GOOD.replace("output: runs/kuka", "") if line.startswith("output") else GOOD
     (found,) = mistakes(folder, text + line)
-    assert found.startswith(f"scene.yaml: {expected}"), found
+    first, _, then = expected.partition("… ")  # between them words
+    assert found.startswith(f"scene.yaml: {first}") and then in found, found
 
 
 @pytest.mark.parametrize(
     ("capture", "expected"),
     [
-        ("{static: statik.mp4}", "capture.static: 'statik.mp4': no such file"),
-        ("{cameras: {cam0: cam0.mp4}}", "capture.static: is missing, and without a sweep"),
+        ("{static: statik.mp4}", "capture.static: 'statik.mp4': "),
+        ("{cameras: {cam0: cam0.mp4}}", "capture.static: "),
         ("{static: static.mp4, cameras: {cam0: gone.mp4}}", "capture.cameras.cam0: 'gone.mp4'"),
-        ("{static: static.mp4, cameras: {0: cam0.mp4}}", "capture.cameras.0: the key 0 is no text"),
+        ("{static: static.mp4, cameras: {0: cam0.mp4}}", "capture.cameras.0: … 0 "),
         ("{static: static.mp4, cameras: {a/b: cam0.mp4}}", "capture.cameras: 'a/b'"),
-        ("{static: static.mp4, cameras: {static: cam0.mp4}}", "capture.cameras: 'static' is a name that"),
+        ("{static: static.mp4, cameras: {static: cam0.mp4}}", "capture.cameras: 'static' "),
         ("{static: static.mp4, cameras: {a: cam0.mp4, A: cam1.mp4}}", "capture.cameras: 'a' and 'A'"),
         ("{static: static.mp4, cameras: {a: cam0.mp4, b: cam0.mp4}}", "capture.cameras: 2 of them"),
-        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [b]}", "capture.test_cameras.b: no camera"),
-        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [a]}", "capture.cameras: every camera"),
-        ("{static: static.mp4, test_cameras: {a: cam0.mp4}}", "capture.cameras: every camera"),
-        ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; expected [from, to]"),
+        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [b]}", "capture.test_cameras.b: "),
+        ("{static: static.mp4, cameras: {a: cam0.mp4}, test_cameras: [a]}", "capture.cameras: … test camera"),
+        ("{static: static.mp4, test_cameras: {a: cam0.mp4}}", "capture.cameras: … test camera"),
+        ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; "),
         ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; "),
-        ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': no such file"),
+        ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': "),
         (
             "{static: static.mp4, mattes: {method: command, command: [a], timeout_s: 0}}",
             "capture.mattes.timeout_s: 0; ",
         ),
-        ("{static: static.mp4, mattes: background}", "capture.mattes: background needs fixed cameras"),
+        ("{static: static.mp4, mattes: background}", "capture.mattes: background "),
         ("{static: static.mp4, mattes: {method: keying}}", "capture.mattes.method: 'keying'; "),
-        ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder is missing"),
-        ("{static: static.mp4, mattes: {method: command}}", "capture.mattes: command is missing"),
-        ("{static: static.mp4, mattes: {method: chroma, command: [a]}}", "capture.mattes: command is for method"),
+        ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder "),
+        ("{static: static.mp4, mattes: {method: command}}", "capture.mattes: command … method: command"),
+        ("{static: static.mp4, mattes: {method: chroma, command: [a]}}", "capture.mattes: command … chroma"),
         ("{static: static.mp4, mattes: {method: chroma, colour: green}}", "capture.mattes.colour: 'green'; "),
-        ("{static: static.mp4, mattes: {method: chroma, color: auto}}", "capture.mattes.color: unknown key, did"),
-        ("{static: static.mp4, mattes: 3}", "capture.mattes: 3; expected a section with the keys method"),
-        ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board: square_m is missing"),
-        ("{static: static.mp4, board: {squares: [8, 6], square_m: 1}}", "capture.board: marker_m is missing"),
+        ("{static: static.mp4, mattes: {method: chroma, color: auto}}", "capture.mattes.color: … colour?"),
+        ("{static: static.mp4, mattes: 3}", "capture.mattes: 3; … method"),
+        ("{static: static.mp4, board: {squares: [8, 6]}}", "capture.board: square_m … charuco"),
+        ("{static: static.mp4, board: {squares: [8, 6], square_m: 1}}", "capture.board: marker_m … charuco"),
         ("{static: static.mp4, board: {squares: [1, 6], square_m: 2, marker_m: 1}}", "capture.board.squares: [1, 6]; "),
         (f"{{static: static.mp4, board: {{{BOARD}, dictionary: 5X5}}}}", "capture.board.dictionary: '5X5'; "),
-        (f"{{static: static.mp4, board: {{{BOARD}, type: aruco_grid}}}}", "capture.board: separation_m is missing"),
+        (f"{{static: static.mp4, board: {{{BOARD}, type: aruco_grid}}}}", "capture.board: separation_m … aruco_grid"),
         (
             f"{{static: static.mp4, board: {{{BOARD}, type: aruco_grid, separation_m: 1}}}}",
-            "capture.board: square_m is not for a board of type aruco_grid",
+            "capture.board: square_m … aruco_grid",
         ),
         (
             "{static: static.mp4, board: {squares: [8, 6], square_m: 1, marker_m: 2}}",
-            "capture.board: marker_m 2.0 is not smaller than square_m 1.0",
+            "capture.board: marker_m 2.0 … square_m 1.0",
         ),
         (
             f"{{static: static.mp4, cameras: {{cam0: cam0.mp4}}, board: {{{BOARD}, clips: {{cam1: cam1.mp4}}}}}}",
-            "capture.board.clips.cam1: no camera has this name, did you mean cam0?",
+            "capture.board.clips.cam1: … cam0?",
         ),
-        (JOINT, "capture.board.clips.static: no camera has this name"),
+        (JOINT, "capture.board.clips.static: "),
         (JOINT.replace("clips: {static: cam1.mp4}, ", "").replace("{a:", "{b: cam1.mp4, a:", 1),
-         "capture.board.joint_clips: has no clip of b"),
-        ("{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}", "capture.white.cam1: no camera"),
+         "capture.board.joint_clips: … b"),
+        ("{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}", "capture.white.cam1: "),
         ("{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}", "capture.raw.white_balance: [2, 1, 0, 1]; "),
-        ("{static: static.mp4, raw: {white_balance: camera}}", "capture.raw.white_balance: 'camera'; expected 'auto'"),
-        ("{}", "capture: names no material"),
-        ("null", "capture: is missing"),
+        ("{static: static.mp4, raw: {white_balance: camera}}", "capture.raw.white_balance: 'camera'; … 'auto'"),
+        ("{}", "capture: "),
+        ("null", "capture: … dataset"),
     ],
 )  # fmt: skip
 def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> None:
     (found,) = mistakes(folder, f"name: x\ncapture: {capture}")
-    assert found.startswith(f"scene.yaml: {expected}"), found
+    first, _, then = expected.partition("… ")  # between them words
+    assert found.startswith(f"scene.yaml: {first}") and then in found, found
 
 
 @pytest.mark.parametrize("key", GONE)
 def test_keys_that_are_gone_are_named_so(folder: Path, key: str) -> None:
     """As one mistake; a name in the table is no key."""
-    assert mistakes(folder, GOOD, (f"{key}=1",)) == [f"--set {key}: is no longer a key: {GONE[key]}"]
+    (found,) = mistakes(folder, GOOD, (f"{key}=1",))
+    assert found.startswith(f"--set {key}: ") and found.endswith(GONE[key])
 
 
 def test_every_mistake_at_once(folder: Path) -> None:
@@ -187,19 +192,19 @@ calibration: {static_poses: {check_seed: true}}
     keys += " reconstruct.rays flow flow.preset calibration.static_poses.check_seed"
     told = {f"scene.yaml: {key}" for key in keys.split()}
     assert {":".join(line.split(":")[:2]) for line in found if line.startswith("scene.yaml")} == told
-    assert "--set evaluate.holdout: unknown key, did you mean holdout_every?" in found
-    assert any(line.startswith("--set nonsense: expected key=value") for line in found) and len(found) == 13
+    assert any(re.fullmatch(r"--set evaluate.holdout: .* holdout_every\?", line) for line in found)
+    assert any(line.startswith("--set nonsense: ") for line in found) and len(found) == 13
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("name: [1, 2\npreset: fast", "line 2"),
-        ("name: a\nname: b", "scene.yaml: line 2, column 1: key 'name' is given twice (first in line 1)"),
-        ("reconstruct: {rays: 100, rays: 200}", "key 'rays' is given twice"),
-        ("", "scene.yaml: is empty"),
-        ("- a\n- b", "scene.yaml: holds a list"),
-        ("name: !!python/object:os.system x", "could not determine a constructor"),
+        ("name: a\nname: b", "scene.yaml: line 2, column 1: key 'name' "),
+        ("reconstruct: {rays: 100, rays: 200}", "key 'rays' "),
+        ("", "scene.yaml: "),
+        ("- a\n- b", "scene.yaml: "),
+        ("name: !!python/object:os.system x", "python/object"),
         ("\x00", "scene.yaml: "),
     ],
 )
@@ -210,7 +215,7 @@ def test_not_a_scene_file(folder: Path, text: str, expected: str) -> None:
 
 def test_missing_scene_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("name: x")
-    with pytest.raises(InputError, match="scen.yaml: no such file, did you mean scene.yaml?"):
+    with refused("configuration", "scen.yaml: ", " scene.yaml?", kind=InputError):
         load_scene(tmp_path / "scen.yaml")
 
 
@@ -259,26 +264,22 @@ def test_a_background_that_is_none(tmp_path: Path, written: str) -> None:
     "key", ["output", "capture.static", "cache.folder", "evaluate.truth", "flow.weights"]
 )
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "named"),
     [
-        ("a\0b", "holds a zero byte"),
-        ("x" * 300, "longer than 1000 characters, or a name in it than 255 bytes"),
-        ("x/" * 600, "longer than 1000 characters"),
-        ("~nobody-of-this-name/x", "no such user"),
-        ("\ud800", "holds half a character"),
+        ("a\0b", ""),
+        ("x" * 300, " 255 "),
+        ("x/" * 600, " 1000 "),
+        ("~nobody-of-this-name/x", "~"),
+        ("\ud800", ""),
     ],
 )
-def test_what_no_system_takes_as_a_path(folder: Path, key: str, text: str, says: str) -> None:
+def test_what_no_system_takes_as_a_path(folder: Path, key: str, text: str, named: str) -> None:
     lines = mistakes(folder, GOOD, (f"{key}={json.dumps(text)}",))
-    assert any(key in line and says in line and len(line) < 300 for line in lines), lines
+    assert any(key in line and named in line and len(line) < 300 for line in lines), lines
 
 
 def test_devices_pipes_and_loops_are_no_files(folder: Path) -> None:
     os.mkfifo(folder / "pipe")
     (folder / "loop").symlink_to("loop")
-    for name, says in (
-        ("pipe", "is a device or a pipe"),
-        ("/dev/zero", "is a device"),
-        ("loop", "cannot be read"),
-    ):
-        assert says in mistakes(folder, GOOD, (f"capture.static={name}",))[0]
+    for name in ("pipe", "/dev/zero", "loop"):
+        assert f"capture.static: '{name}'" in mistakes(folder, GOOD, (f"capture.static={name}",))[0]

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.refused import refused
 
-from devrf.capture.errors import DevrfError, FlowError, InputError
+from devrf.capture.errors import FlowError, InputError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.simulate.dataset import simulate_dataset
 from devrf.capture.simulate.dataset_options import DatasetOptions
@@ -129,7 +130,7 @@ def base(suite: tuple[Path, list[str], str], monkeypatch: pytest.MonkeyPatch) ->
 
     def lose(intact: Intact) -> Damage:
         def behind(context: StageContext) -> None:
-            raise FlowError("all flow is lost")
+            raise FlowError("flow-lost", "all flow is lost")
 
         return Damage(intact.config, "flow", behind)
 
@@ -155,23 +156,34 @@ def test_a_stage_that_fails_is_a_result(suite: tuple[Path, list[str], str], base
     assert "ERROR" in log and "all flow is lost" in log
 
 
-@pytest.mark.parametrize("fault", [TypeError("no such thing"), MemoryError(), OSError(errno.ENOSPC, "full")])
+@pytest.mark.parametrize(
+    ("fault", "refusal"),
+    [
+        (TypeError("no such thing"), "unexpected"),
+        (MemoryError(), "no-memory"),
+        (OSError(errno.ENOSPC, "full"), "disk-full"),
+    ],
+)
 def test_a_fault_of_the_program_or_the_machine_is_no_result(
-    suite: tuple[Path, list[str], str], base: Run, monkeypatch: pytest.MonkeyPatch, fault: Exception
+    suite: tuple[Path, list[str], str],
+    base: Run,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: Exception,
+    refusal: str,
 ) -> None:
     def behind(context: StageContext) -> None:
         raise fault
 
     broken = replace(AXES["flow_wrong"], damaging=lambda intact: Damage(intact.config, "flow", behind))
     monkeypatch.setitem(AXES, "broken", broken)
-    with pytest.raises(DevrfError, match="broken 1, seed 0: flow: "):
+    with refused(refusal, "broken 1, seed 0: flow: "):
         run_case(base, suite[0], "broken", 1.0, 0, read_scene(suite[0] / "undisturbed-0/seed0/run/scene"))
 
 
 def test_a_folder_that_another_run_holds_is_no_result(suite: tuple[Path, list[str], str], base: Run) -> None:
     lock = Lock(suite[0] / "undisturbed-0/seed0/run")
     lock.take()
-    with pytest.raises(InputError, match="another run"):
+    with refused("folder-busy", suite[0], kind=InputError):
         run_case(base, suite[0], "undisturbed", 0.0, 0)
     lock.release()
 

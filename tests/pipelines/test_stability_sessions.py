@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
@@ -98,7 +99,7 @@ def test_a_session_that_was_made_otherwise_is_not_taken_for_this_one(session: Pa
     other = replace(made(), options=made().options.model_copy(update={"noise": 0.1}))
     rendered(folder, other)
     assert is_rendered(folder, other) and not is_rendered(folder, made())
-    with pytest.raises(InputError, match="not the session that is rendered now.*give another --out"):
+    with refused("session-differs", folder, "--out", kind=InputError):
         of_the_suite(tmp_path, Talk("quiet"))
     assert not is_rendered(tmp_path / "none", made())
 
@@ -128,9 +129,9 @@ def test_a_session_of_another_version_of_the_simulator_is_not_compared_with_this
     with_code(folder / "ground_truth.json", code)
     for name, value in (("CAMERAS", 1), ("SIZE", (32, 24)), ("OPTIONS", made().options)):
         monkeypatch.setattr(f"devrf.pipelines.bench.stability.session.{name}", value)
-    with pytest.raises(InputError, match="another version of the simulator.*give another --out"):
+    with refused("session-outdated", folder, "--out", kind=InputError):
         of_the_suite(tmp_path, Talk("quiet"))
-    with pytest.raises(DoesNotApply, match="another version of the simulator"):
+    with refused("session-outdated", kind=DoesNotApply):
         damaged()
 
 
@@ -160,10 +161,12 @@ def test_what_the_simulator_cannot_make_does_not_apply(
     (tmp_path / "scene.yaml").write_text(REAL)
     filmed = load_scene(tmp_path / "scene.yaml", check_files=False)
     intact = Intact(filmed, tmp_path, odd_scene, tmp_path, 1.0, 0)
-    with pytest.raises(DoesNotApply, match="no simulated session"):
+    with refused("session-not-simulated", kind=DoesNotApply):
         AXES["gloss"].damaging(intact)
     too_much = Intact(load_scene(session), session.parent, odd_scene, tmp_path, 2.0, 0)
-    with pytest.raises(DoesNotApply, match="motion_scale"):  # four times as large is more than there is
+    with refused(
+        "option-out-of-range", "motion_scale", kind=DoesNotApply
+    ):  # four times as large is more than there is
         AXES["deformation"].damaging(too_much)
 
 
@@ -175,7 +178,7 @@ def test_without_the_renderer_only_what_is_rendered_already_applies(
     AXES["sweep_motion"].damaging(intact)
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     AXES["sweep_motion"].damaging(intact)
-    with pytest.raises(DoesNotApply, match="mitsuba, which is not installed"):
+    with refused("package-missing", "mitsuba", kind=DoesNotApply):
         AXES["sweep_motion"].damaging(replace(intact, severity=60.0))
 
 
@@ -184,14 +187,14 @@ def test_a_folder_that_cannot_be_written_ends_the_suite(
 ) -> None:
     (tmp_path / "file").write_text("no folder")
     intact = Intact(load_scene(session), session.parent, odd_scene, tmp_path / "file/seed0", 50.0, 0)
-    with pytest.raises(InputError, match="file"):
+    with refused("folder-unwritable", tmp_path / "file", kind=InputError):
         AXES["sweep_motion"].damaging(intact)
 
 
 def test_a_session_lies_there_until_another_is_whole(session: Path, tmp_path: Path) -> None:
     folder = tmp_path / "session"
     shutil.copytree(session.parent, folder)
-    with pytest.raises(InputError, match="--cameras 0"):
+    with refused("option-wrong", "--cameras 0", kind=InputError):
         rendered(folder, replace(made(), cameras=0))
     assert is_rendered(folder, made())
 
@@ -211,7 +214,7 @@ def test_cameras_draw_together_only_where_the_witness_stays(
     )
     intact = Intact(load_scene(folder / "scene.yaml"), folder, odd_scene, tmp_path / "axis/seed0", 75.0, 0)
     if count % 2:
-        with pytest.raises(DoesNotApply, match="odd number"):
+        with refused("witness-would-move", kind=DoesNotApply):
             AXES["spread"].damaging(intact)
         return
     AXES["spread"].damaging(intact)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from tests.pipelines.viewer_run import ViewerRun
 from tests.reconstruct.conftest import Ball, ball, rest  # noqa: F401 (fixtures)
+from tests.refused import refused
 from tests.waiting import wait_for
 
-from devrf.capture.errors import DevrfError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.runner.lock import LEASE_S, Lock, is_held
 from devrf.pipelines.viewer.site import Site
@@ -109,10 +109,10 @@ def test_what_is_damaged_is_named(run: ViewerRun, ball: Ball, rest: RestModel) -
     run.scene(ball.scene)
     run.rest(rest)
     (run.run_dir / "canonical/model.safetensors").write_bytes(b"half")
-    with pytest.raises(DevrfError, match="model.safetensors: cannot be read"):
+    with refused("file-damaged", "model.safetensors"):
         load(run.run_dir, look(run.run_dir), "cpu", Loaded())
     (run.run_dir / "scene/scene.json").write_text("{")
-    with pytest.raises(DevrfError, match="scene"):
+    with refused("file-damaged", run.run_dir / "scene" / "scene.json"):
         load(run.run_dir, look(run.run_dir), "cpu", Loaded())
 
 

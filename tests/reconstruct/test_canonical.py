@@ -183,7 +183,7 @@ def test_presets_take_single_numbers() -> None:
     for level, whole in zip(options.motion.levels, PRESETS["tiny"].motion.levels, strict=True):
         assert level == max(4, round(whole * ratio))
     assert sum(options.motion.iterations) == pytest.approx(10, abs=2)
-    with pytest.raises(ValueError, match="expected one of tiny, fast, reference"):
+    with pytest.raises(ValueError, match="'small'.* tiny, fast, reference"):
         preset("small")
 
 

@@ -42,7 +42,8 @@ def test_that_of_another_training_is_not_taken_up(tmp_path: Path, caplog: pytest
     caplog.set_level(logging.INFO)
     Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, 500, _log(), _state)
     assert Checkpoint(tmp_path / "state", "other").found(_log()) is None
-    assert "of another training" in caplog.text
+    (said,) = caplog.records
+    assert said.levelname == "INFO" and str(tmp_path / "state") in said.getMessage()
 
 
 def test_no_byte_of_it_can_change_unnoticed(tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_a_full_disk_leaves_the_one_before(
 
     monkeypatch.setattr(checkpoints, "save_file", full)
     checkpoint.keep(2, 500, _log(), _state)
-    assert "cannot be written" in caplog.text
+    assert str(tmp_path / "state") in caplog.text and "No space left on device" in caplog.text
     saved = Checkpoint(tmp_path / "state", "one").found(_log())
     assert saved is not None and saved.done == 1
     assert [path.name for path in tmp_path.iterdir()] == ["state"]
@@ -121,7 +122,7 @@ def test_what_stops_it_while_it_writes_leaves_nothing_half_made(
 
     def half(tensors: object, path: str, **_: object) -> None:
         Path(path).write_bytes(b"half")
-        raise stopped
+        raise stopped("disk-full", "no room")
 
     monkeypatch.setattr(checkpoints, "save_file", half)
     with pytest.raises(stopped):

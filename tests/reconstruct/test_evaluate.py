@@ -193,8 +193,7 @@ def test_scene_at_rest(scene, tmp_path):
     out = evaluate(replace(scene, dynamic=()), model(0.1)[0], NO_LPIPS, tmp_path)
     assert out["test"] == out["test_static"] and out["test"]["psnr"] == pytest.approx(20, abs=1e-3)
     assert out["test_moving"]["psnr"] is None
-    assert "nothing moves" in out["test_moving"]["why"]["psnr"]
-    assert "nothing moves" in out["static_baseline"]["test"]["why"]["psnr"]
+    assert out["test_moving"]["why"]["psnr"] == out["static_baseline"]["test"]["why"]["psnr"] != ""
 
 
 def test_no_test_camera(scene, tmp_path):
@@ -217,6 +216,6 @@ def test_lpips_where_weights_are_given(scene, tmp_path, data_dir):
     assert out["test"]["lpips_alex"] == pytest.approx(0, abs=1e-6)
     assert out["static_baseline"]["test"]["lpips_alex"] > 0.001
     assert out["test"]["lpips_vgg"] is None and "lpips_vgg_v0.1.npz" in out["test"]["why"]["lpips_vgg"]
-    assert "whole pictures" in out["test_moving"]["why"]["lpips_alex"]
+    assert out["test_moving"]["lpips_alex"] is None and out["test_moving"]["why"]["lpips_alex"]
     small = evaluate(scene, model(0.0)[0], alex, tmp_path / "small")
-    assert "fewer than 64 pixels" in small["test"]["why"]["lpips_alex"]
+    assert "64 pixels" in small["test"]["why"]["lpips_alex"]

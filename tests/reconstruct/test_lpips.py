@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.refused import refused
 
 from devrf.capture.errors import ReconstructError
 from devrf.reconstruct.lpips import Lpips
@@ -28,5 +29,5 @@ def test_reference_values(data_dir, net, far, near):
 
 def test_too_small_pictures_are_refused(data_dir):
     small = np.zeros((20, 80, 3), np.float32)
-    with pytest.raises(ReconstructError, match="80x20"):
+    with refused("picture-too-small", "80x20", kind=ReconstructError):
         Lpips("alex", data_dir / "weights")(small, small)

@@ -9,6 +9,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from tests.refused import refused
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
@@ -107,11 +108,13 @@ def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
     save_rest(rest, model.rest)
     assert model.motion is not None
     save_motion(motion, model.motion, 0.01)
-    for load, wrong in ((load_rest, motion), (load_motion, rest), (load_rest, tmp_path / "none.safetensors")):
-        with pytest.raises(ReconstructError, match=wrong.name):
+    for load, wrong, expected in ((load_rest, motion, "rest"), (load_motion, rest, "motion")):
+        with refused("model-wrong-kind", wrong, wrong.stem, expected, kind=ReconstructError):
             load(wrong)
+    with refused("file-missing", tmp_path / "none.safetensors", kind=ReconstructError):
+        load_rest(tmp_path / "none.safetensors")
     rest.write_bytes(rest.read_bytes()[:1000])
-    with pytest.raises(ReconstructError, match="rest.safetensors"):
+    with refused("file-damaged", rest, kind=ReconstructError):
         load_rest(rest)
 
 
@@ -123,10 +126,10 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     for name in ("canonical.density", "canonical.occupied", "shell.codes"):
         save_file(tensors | {name: tensors[name][..., :-1].contiguous()}, str(path), metadata=meta)
-        with pytest.raises(ReconstructError, match="do not fit together"):
+        with refused("file-damaged", path, kind=ReconstructError):
             load_rest(path)
     save_file({k: v for k, v in tensors.items() if k != "shell.low"}, str(path), metadata=meta)
-    with pytest.raises(ReconstructError, match="shell.low"):
+    with refused("file-damaged", path, "shell.low", kind=ReconstructError):
         load_rest(path)
 
 
@@ -150,7 +153,7 @@ def test_damaged_motion_is_refused(tmp_path: Path) -> None:
     }
     for parts in damaged.values():
         save_file(tensors | parts, str(path), metadata=meta)
-        with pytest.raises(ReconstructError, match="do not fit together"):
+        with refused("file-damaged", path, kind=ReconstructError):
             load_motion(path)
 
 

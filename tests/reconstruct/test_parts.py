@@ -150,7 +150,7 @@ def test_signs_of_gains() -> None:
     assert paired_gain([1.0, 2.0], [1.0, 2.0]).nothing
     one = paired_gain([5.0], [1.0])
     assert one.half is None and one.side() == 0
-    with pytest.raises(ValueError, match="2 and 1 values"):
+    with pytest.raises(ValueError, match="2 and 1"):
         paired_gain([1.0, 2.0], [1.0])
-    with pytest.raises(ValueError, match="0 and 0 values"):
+    with pytest.raises(ValueError, match="0 and 0"):
         paired_gain([], [])

@@ -59,7 +59,7 @@ def test_voxels_of_a_frustum_are_as_large_as_pixels() -> None:
     x, y, z = grid_shape(CUBE, options.resolution, options.planes)
     assert x == y and x * y == pytest.approx(128 * 72, rel=0.05)  # cells across the frustum, and pixels
     assert z / x == pytest.approx(offered.canonical.planes / grid_shape(CUBE, 192, 96)[0], rel=0.05)
-    assert decision is not None and "a pixel sees 1/96 of the frustum" in str(decision)
+    assert decision is not None and "1/96" in decision.reason
     large = [replace(camera.scaled(6.0), width=768) for camera in cameras]
     assert fewer_voxels(offered.canonical, large, CUBE, Ndc(0.64, 0.36)) == (offered.canonical, None)
 
@@ -86,13 +86,13 @@ def test_key_times_follow_how_much_ways_bend(acceleration: float) -> None:
 
 def test_a_short_straight_way_needs_two_key_times() -> None:
     keys, decision = fewer_keys({"cam0": _clip(_straight(19, 1.5), width=600)}, 20)
-    assert keys == 2 and str(decision).startswith("key times: 2 instead of 20 (")
+    assert keys == 2 and str(decision).startswith("key times: 2 instead of 20")
 
 
 def test_a_long_straight_way_is_followed_in_steps() -> None:
     keys, decision = fewer_keys({"cam0": _clip(_straight(20, 1.5), width=100)}, 20)
     assert keys == 20 * 1.5 / (FARTHEST * 100) + 1
-    assert "goes 6% of the picture's width in 4.0 pictures" in str(decision)
+    assert decision is not None and "6%" in decision.reason and "4.0 pictures" in decision.reason
 
 
 def test_what_is_slow_is_followed_over_more_pictures() -> None:

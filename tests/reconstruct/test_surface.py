@@ -8,6 +8,7 @@ import torch
 from tests.reconstruct.conftest import around, look_at
 from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
 from tests.reconstruct.test_ndc import _model as _planes
+from tests.refused import refused
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
@@ -63,7 +64,7 @@ def test_nothing_that_solid_is_said(model: DynamicModel) -> None:
     thin = field_at(model, None)
     canonical = thin.canonical.seen_with(0.5, 1e-3, 1e-3)
     canonical.density = canonical.density.clamp(max=-2.0 - canonical.shift)
-    with pytest.raises(ReconstructError, match=r"nothing solid found at level 0.5: the model's opacity lies"):
+    with refused("model-without-surface", "level 0.5", "--level", kind=ReconstructError):
         surface_of(Field(canonical), LEVEL, marching_cubes)
 
 

@@ -17,11 +17,7 @@ ACCURACY: dict[str, tuple[str, dict[str, str]]] = {
     ),
     "sync": (
         "Clocks from sound, light and motion against known offsets, on real captures and simulated ones.",
-        {
-            "flash": "accuracy.sync_flash",
-            "motion": "accuracy.sync_motion",
-            "sound": "accuracy.sync_sound",
-        },
+        {"flash": "accuracy.sync_flash", "motion": "accuracy.sync_motion", "sound": "accuracy.sync_sound"},
     ),
     "flow": (
         "Every method's error on pairs with truth, seconds per pair, and bytes per pixel on disk.",
@@ -59,9 +55,8 @@ def _add(group: typer.Typer, title: str, about: str, parts: Mapping[str, str]) -
         talk = talk_of(quiet)
         with errors_told(talk):
             if data is not None and not data.is_dir():
-                raise InputError(
-                    f"--data {data}: no such folder; name the folder that holds the captures' folders"
-                )
+                text = f"--data {data}: no such folder; name the folder that holds the captures' folders"
+                raise InputError("folder-missing", text)
             chosen = {name: parts[name] for name in names_of("--only", only or ",".join(parts), list(parts))}
             folder = out or Path(f"bench-{title}")
             check_places(folder, json)

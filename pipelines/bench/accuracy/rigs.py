@@ -76,7 +76,8 @@ def run_caliscope(work: Path, folder: Path, last: str, more: Mapping[str, Any], 
     config, scene_dir = configured(work, None, None)
     run = Run(config, scene_dir, STAGES, Choice(last=last), talk)
     if execute(run) != DONE:
-        raise CalibrationError(f"{folder.name}: a stage up to {last} failed; see {run.run_dir}/devrf.log")
+        text = f"{folder.name}: a stage up to {last} failed; see {run.run_dir}/devrf.log"
+        raise CalibrationError("stage-failed", text)
     return run
 
 
@@ -94,7 +95,7 @@ def _session(cases: Cases, name: str, folder: Path) -> list[Row]:
     sizes = {n: (k.width, k.height) for n, k in seen.start.items()}
     given = read_given(folder / "camera_array.toml", list(seen.views), sizes)
     if given.rig is None:
-        raise CalibrationError(f"{folder.name}/camera_array.toml holds no poses")
+        raise CalibrationError("rig-without-poses", f"{folder.name}/camera_array.toml holds no poses")
     reference = {n: c.camera for n, c in given.rig.cameras.items()}
     fit, held = hold_out(seen.views)
     ours = rig_from_board(fit, seen.spec, seen.start, seen.known)

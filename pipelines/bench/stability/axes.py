@@ -63,11 +63,7 @@ AXES = {
     ),
     # the sweep
     "sweep_pictures": Axis(
-        "sweep",
-        "pictures of the sweep",
-        "only every n-th",
-        (2.0, 3.0, 4.0, 6.0),
-        raw.fewer_sweep_pictures,
+        "sweep", "pictures of the sweep", "only every n-th", (2.0, 3.0, 4.0, 6.0), raw.fewer_sweep_pictures
     ),
     "sweep_coverage": Axis(
         "sweep",

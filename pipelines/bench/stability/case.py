@@ -94,11 +94,11 @@ class _Listener(Talk):
     def __init__(self) -> None:
         super().__init__("quiet")
         self.out = self.err = Console(quiet=True)
-        self.errors: list[str] = []
+        self.errors: list[tuple[str, str]] = []  # code and text
 
-    def error(self, text: str) -> None:
-        self.errors.append(text)
-        super().error(text)
+    def error(self, text: str, code: str) -> None:
+        self.errors.append((code, text))
+        super().error(text, code)
 
 
 def run_case(
@@ -140,14 +140,15 @@ def run_case(
         done.config, base.scene_dir, watched, Choice(last=LAST, allow_unhealthy=True), heard, base.device
     )
     code = execute(run)
+    of_error, text = heard.errors[-1] if heard.errors else ("", "")
     if code == STOPPED:
-        base.talk.error(heard.errors[-1])
+        base.talk.error(text, of_error)
         raise typer.Exit(code)
     if code == BAD_INPUT:  # never of a stage: another run holds the folder, or it may not be written
-        raise InputError(heard.errors[-1])
+        raise InputError(of_error, text)
     if code != DONE and not refusals:
-        raise DevrfError(f"{axis} {severity:g}, seed {seed}: {heard.errors[-1]}")
-    stopped = None if code == DONE else heard.errors[-1].partition("\nlog: ")[0]
+        raise DevrfError(of_error, f"{axis} {severity:g}, seed {seed}: {text}")
+    stopped = None if code == DONE else text.partition("\nlog: ")[0]
     cameras = _cameras(base, run, undisturbed)
     return _result(run.run_dir, axis, severity, seed, stopped, run.fresh, cameras), run.run_dir
 
@@ -245,7 +246,5 @@ def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: floa
         done.behind(context)
 
     return replace(
-        stage,
-        run=run,
-        inputs=lambda config, scene_dir: {**stage.inputs(config, scene_dir), "damage": file},
+        stage, run=run, inputs=lambda config, scene_dir: {**stage.inputs(config, scene_dir), "damage": file}
     )

@@ -114,11 +114,7 @@ def _standing_still(axes: Any, axis: Axis, results: Sequence[Result], undisturbe
 
 
 def _lines(
-    axes: Any,
-    places: Sequence[float],
-    results: Sequence[Result],
-    undisturbed: Sequence[Result],
-    value: Value,
+    axes: Any, places: Sequence[float], results: Sequence[Result], undisturbed: Sequence[Result], value: Value
 ) -> None:
     """The means over seeds as a line, seeds as dots; a level line at the undisturbed mean."""
     columns = [list(undisturbed), *([r for r in results if r.severity == p] for p in places)]

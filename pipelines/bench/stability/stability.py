@@ -60,15 +60,16 @@ def run_stability(
     talk, capture, until = base.talk, base.config.capture, time.monotonic() + 60 * minutes
     needs = "bench stability needs a test camera of what moves (capture.test_cameras, or the data set's test split)"
     if capture is not None and not capture.test_names:
-        raise InputError(f"{base.config.name}: no test camera is named; {needs}")
+        raise InputError("test-camera-missing", f"{base.config.name}: no test camera is named; {needs}")
     undisturbed, scenes = [], {}
     for seed in seeds:
         result, run_dir = run_case(base, out, UNDISTURBED, 0.0, seed)
         _tell(talk, result)
         if result.stopped is not None:
-            raise DevrfError(f"the undisturbed scene has no result: {result.stopped}")
+            raise DevrfError("stage-failed", f"the undisturbed scene has no result: {result.stopped}")
         if result.psnr_moving is None:
-            raise InputError(f"{base.config.name}: nothing moves in its test views; {needs}")
+            text = f"{base.config.name}: nothing moves in its test views; {needs}"
+            raise InputError("scene-without-motion", text)
         scenes[seed] = read_scene(run_dir / "scene")
         undisturbed.append(result)
     bar = bar_db(undisturbed)
@@ -145,12 +146,7 @@ def run_stability(
 
 
 def _forecast(
-    talk: Talk,
-    out: Path,
-    names: Sequence[str],
-    severities: int | None,
-    seeds: Sequence[int],
-    case_s: float,
+    talk: Talk, out: Path, names: Sequence[str], severities: int | None, seeds: Sequence[int], case_s: float
 ) -> None:
     """Say how long the suite will take: every case that is not there yet as long as the undisturbed one.
 

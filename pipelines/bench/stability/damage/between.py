@@ -80,7 +80,7 @@ def mattes_with_holes(intact: Intact) -> Damage:
     """Round holes in the subject's matte, so many percent of it, elsewhere in every picture that is trained on."""
     train = [frame for frame in intact.scene.frames if frame.split == "train"]
     if any(read_pixels(frame.path).shape[2] != 4 for frame in (train[0], train[-1])):
-        raise DoesNotApply("its pictures carry no alpha")
+        raise DoesNotApply("pictures-without-alpha", "its pictures carry no alpha")
 
     def spoil(scene: Scene) -> Scene:
         rng, folder = intact.rng, intact.folder / "pictures"
@@ -105,7 +105,7 @@ def mattes_with_holes(intact: Intact) -> Damage:
 def _wrong_clock(intact: Intact, change: Callable[[dict[str, float], np.ndarray], None]) -> Damage:
     """The last training camera's clock changed behind stage `sync`, given its frames' file times."""
     if intact.capture is None:
-        raise DoesNotApply("a data set has times, and no clocks")
+        raise DoesNotApply("clocks-missing", "a data set has times, and no clocks")
     name = intact.cameras[-1]
 
     def spoil(context: StageContext) -> None:

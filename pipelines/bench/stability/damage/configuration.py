@@ -21,7 +21,7 @@ def fewer_cameras(intact: Intact) -> Damage:
     """So many training cameras left out, those that stay spread over all."""
     count = len(intact.cameras) - int(intact.severity)
     if count < 1:
-        raise DoesNotApply(f"there are {len(intact.cameras)} training cameras")
+        raise DoesNotApply("cameras-too-few", f"there are {len(intact.cameras)} training cameras")
     last = len(intact.cameras) - 1
     keep = [intact.cameras[n] for n in np.linspace(0, last, count).round().astype(int)]
     capture = intact.capture

@@ -85,7 +85,5 @@ def with_capture(config: SceneConfig, **changes: object) -> SceneConfig:
 def behind_scene(intact: Intact, change: Callable[[Scene], Scene]) -> Damage:
     """Damage behind stage `scene`, which a data set has too."""
     return Damage(
-        intact.config,
-        "scene",
-        lambda context: write_scene(context.out, change(read_scene(context.out))),
+        intact.config, "scene", lambda context: write_scene(context.out, change(read_scene(context.out)))
     )

@@ -28,7 +28,8 @@ def fewer_sweep_pictures(intact: Intact) -> Damage:
     if intact.capture is not None:
         return _part_of_the_sweep(intact, lambda number, count: number % every == 0)
     if intact.scene.points is not None:
-        raise DoesNotApply("the sparse points of a data set name its pictures by their places")
+        text = "the sparse points of a data set name its pictures by their places"
+        raise DoesNotApply("sweep-points-placed", text)
 
     def thin(scene: Scene) -> Scene:
         train = [frame.path for frame in scene.static if frame.split == "train"]
@@ -127,10 +128,10 @@ def _with_sweep(intact: Intact, write: Callable[[Path, Path], None]) -> SceneCon
     """The sweep's clip written anew, if it is not there yet."""
     capture = intact.capture
     if capture is None or capture.static is None:
-        raise DoesNotApply("a data set brings no clip of its sweep")
+        raise DoesNotApply("sweep-clip-missing", "a data set brings no clip of its sweep")
     source = intact.config.path(intact.scene_dir, capture.static)
     if source.is_dir():
-        raise DoesNotApply("the sweep is a folder of photos, expected a clip")
+        raise DoesNotApply("sweep-is-photos", "the sweep is a folder of photos, expected a clip")
     target = intact.folder / "static.mp4"
     _written(intact, source, target, write)
     return with_capture(intact.config, static=str(target))
@@ -162,9 +163,10 @@ def _with_clips(
     """Clips of fixed cameras written anew, where they are not there yet."""
     capture = intact.capture
     if capture is None:
-        raise DoesNotApply("a data set brings no clips of its cameras")
+        raise DoesNotApply("camera-clips-missing", "a data set brings no clips of its cameras")
     if capture.timestamps is not None:
-        raise DoesNotApply("the times of the clips' pictures are in a file of their own")
+        text = "the times of the clips' pictures are in a file of their own"
+        raise DoesNotApply("timestamps-in-file", text)
     cameras = dict(capture.cameras)
     for name in names:
         source, target = intact.config.path(intact.scene_dir, cameras[name]), intact.folder / f"{name}.mp4"

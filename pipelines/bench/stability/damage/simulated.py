@@ -15,13 +15,7 @@ from devrf.capture.errors import InputError
 from devrf.capture.simulate.mitsuba import load_mitsuba
 from devrf.capture.simulate.session import check_arguments
 from devrf.capture.simulate.session_options import SessionOptions
-from devrf.pipelines.bench.stability.damage.intact import (
-    Damage,
-    Damaging,
-    DoesNotApply,
-    Intact,
-    with_capture,
-)
+from devrf.pipelines.bench.stability.damage.intact import Damage, Damaging, DoesNotApply, Intact, with_capture
 from devrf.pipelines.bench.stability.session import TRUTH, Simulated, is_rendered, rendered
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.simulate_command import session_code
@@ -57,7 +51,8 @@ def again(
             if not is_rendered(folder, made):
                 load_mitsuba()
         except (InputError, ValidationError) as error:
-            raise DoesNotApply(str(error)) from error
+            code = error.code if isinstance(error, InputError) else "option-out-of-range"
+            raise DoesNotApply(code, str(error)) from error
         rendered(folder, made, kept)  # a folder that cannot be written says nothing about the damage
         return Damage(_filmed_in(intact, folder))
 
@@ -71,7 +66,8 @@ def narrower(intact: Intact) -> Damage:
     of them and would move with them: other test views, which the undisturbed bar says nothing about.
     """
     if simulated(intact).cameras % 2:
-        raise DoesNotApply("the witness of an odd number of simulated cameras would move with them")
+        text = "the witness of an odd number of simulated cameras would move with them"
+        raise DoesNotApply("witness-would-move", text)
     return _NARROWER(intact)
 
 
@@ -94,10 +90,12 @@ def simulated(intact: Intact) -> Simulated:
     truth = intact.config.truth_path(intact.scene_dir) if whole else None
     found = None if truth is None else Simulated.of(truth)
     if found is None:
-        raise DoesNotApply("it is no simulated session with its sweep, whose truth says how to make it again")
+        text = "it is no simulated session with its sweep, whose truth says how to make it again"
+        raise DoesNotApply("session-not-simulated", text)
     if found.code != session_code():
         raise DoesNotApply(
-            "the session was rendered by another version of the simulator; render it anew with devrf-pipeline simulate"
+            "session-outdated",
+            "the session was rendered by another version of the simulator; render it anew with devrf-pipeline simulate",
         )
     return found
 
