@@ -6,13 +6,14 @@ both are on the first camera's clock.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from devrf.capture.arrays import ArrayError, read_npz
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.limits import TEXT_BYTES, check_bytes
@@ -77,6 +78,32 @@ def read_truth(path: Path) -> Truth:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         text = f"{path}: not a ground truth ({error!r}); expected poses of static and cams; see evaluate"
         raise InputError("file-damaged", text) from error
+
+
+def read_masks(path: Path, cameras: Sequence[str]) -> dict[str, Bool[np.ndarray, "frames h w"]]:
+    """What moves in truth in cameras' pictures, where that is known.
+
+    Args:
+        path: The ground truth; masks lie beside it, `<camera>_mask.npz`, with the array `mask` in the clip's order.
+            Where there is one camera, it may be called `witness_mask.npz`.
+        cameras: Names of the cameras.
+    Raises:
+        ArrayError: A file is damaged, or holds something else.
+    """
+    found = {}
+    for name in cameras:
+        files = [path.with_name(f"{name}_mask.npz")]
+        if len(cameras) == 1:
+            files.append(path.with_name("witness_mask.npz"))
+        file = next((file for file in files if file.is_file()), None)
+        if file is not None:
+            mask = read_npz(file, ("mask",))["mask"]
+            if mask.ndim != 3:
+                raise ArrayError(
+                    "mask-shape", f"{file}: mask has shape {mask.shape}, expected (pictures, height, width)"
+                )
+            found[name] = mask.astype(bool)
+    return found
 
 
 def compare_cameras(

@@ -1,10 +1,11 @@
 """Compare a model with pictures it was never trained on, and with what it would show if nothing moved.
 
 `test`: the moving scene's test pictures, every frame (the held-out sweep pictures where nothing moves).
-`test_static`: the held-out sweep pictures. `test_moving`: the moving scene's test pictures without the first
-time, only pixels near motion (`metrics.moving_pixels`). `static_baseline`: the same test pictures against
-the canonical model as if nothing moved: what motion must beat. PSNR is taken per picture and then averaged.
-No gain or offset is fitted.
+`test_static`: the held-out sweep pictures. `test_moving`: the moving scene's test pictures, only pixels that move: by
+the truth's masks, or where they differ from the same camera's own picture of what stands (`still_picture`), so that
+no model decides what counts. `test_rest`: the model at rest against that picture of what stands, where it is known.
+`static_baseline`: the same test pictures against the canonical model as if nothing moved: what motion must beat.
+PSNR is taken per picture and then averaged. No gain or offset is fitted.
 """
 
 import time as clock
@@ -14,20 +15,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
 from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
+from devrf.capture.resize import shrink
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.confidence_curve import curve, errors
 from devrf.reconstruct.error_map import confidence_picture, error_map
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
-from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, moving_pixels
+from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores
 from devrf.reconstruct.pictures import spread
+from devrf.reconstruct.still_picture import StillPicture, still_picture
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.confidence import Confidence
@@ -37,7 +40,8 @@ Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
 
 METRICS = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
 EXTRA_PICTURES = 12  # error maps and pictures at rest that are kept, spread over the views
-SAME_TIME = 1e-6
+LEAST_MOVING = 1e-3  # of the picture; of fewer moving pixels a picture has no score, which noise would decide
+NO_STILL = "no test camera that stands and has enough pictures; compare test with static_baseline.test"
 
 Scored = dict[str, float | None]
 
@@ -71,6 +75,7 @@ def evaluate(
     out: Path,
     progress: Progress = no_progress,
     confidence: "Confidence | None" = None,
+    masks: Mapping[str, Bool[np.ndarray, "frames h w"]] | None = None,
 ) -> dict[str, Any]:
     """Render and score all test pictures; see the module's text for the blocks of the result.
 
@@ -81,10 +86,11 @@ def evaluate(
         out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error,confidence}.png` into.
         progress: Told how far it is.
         confidence: Expected errors of the same model's pictures; None: nothing is said of them.
+        masks: What moves in truth in a camera's pictures, by their numbers in its file, of any size.
     Returns:
-        `test`, `test_static`, `test_moving`, `static_baseline`, `per_view`, `render_fps`; with `confidence` also
-        `confidence`: `test`, `test_static` and `test_moving`, expected errors against measured ones
-        (`confidence_curve.curve`), of the pictures that confidence is kept of.
+        `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `per_view`, `still_pictures`,
+        `render_fps`; with `confidence` also `confidence`: `test`, `test_static` and `test_moving`, expected errors
+        against measured ones (`confidence_curve.curve`), of the pictures that confidence is kept of.
     """
     scene = scene.in_box_frame()
     moving = sorted(
@@ -92,9 +98,17 @@ def evaluate(
     )
     still = [f for f in scene.static if f.split == "test"]
     session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), confidence)
-    first = min((f.time or 0.0 for f in moving), default=0.0)
+    names = sorted({f.camera_name for f in moving})
+    standing = {name: still_picture(scene, [f for f in moving if f.camera_name == name]) for name in names}
+    masks = masks or {}
     extra = spread(range(len(moving)), EXTRA_PICTURES)
-    views = [session.moving_view(f, first, n in extra) for n, f in enumerate(moving)]
+    views = [
+        session.moving_view(f, standing[f.camera_name], masks.get(f.camera_name), n in extra)
+        for n, f in enumerate(moving)
+    ]
+    at_rest = [
+        session.rest_view(next(f for f in moving if f.camera_name == n), s) for n, s in standing.items() if s
+    ]
     extra = spread(range(len(still)), EXTRA_PICTURES)
     still_views = [session.still_view(f, n in extra) for n, f in enumerate(still)]
 
@@ -109,7 +123,9 @@ def evaluate(
     parts = {
         name: [v[name] for v in later if v[name]["psnr"] is not None] for name in ("moving", "rest_moving")
     }
-    no_pixels = absent if not later else "no pixel differs from the scene at rest"
+    no_pixels = (
+        absent if not moving else NO_STILL if not (later or at_rest) else "nothing moves in the test views"
+    )
     why = {"test": absent, "test_moving": no_pixels, "test_static": nothing_held_out}
     curves = {name: curve(session.errors[name], why[name]) for name in why}
     if not scene.dynamic:
@@ -118,11 +134,16 @@ def evaluate(
         "test": test,
         "test_static": test_static,
         "test_moving": _block(parts["moving"], lpips, no_pixels),
+        "test_rest": _block([v["scores"] for v in at_rest], lpips, NO_STILL if moving else absent),
         "static_baseline": {
             "test": _block([v["rest_scores"] for v in views], lpips, absent),
             "test_moving": _block(parts["rest_moving"], lpips, no_pixels),
         },
         "per_view": [_row(view) for view in views + still_views],
+        "still_pictures": [
+            {key: view[key] for key in ("camera", "source", "known")} | view["scores"] | view["files"]
+            for view in at_rest
+        ],
         "render_fps": session.frames_per_second(),
         **({} if confidence is None else {"confidence": curves}),
     }
@@ -148,25 +169,27 @@ class _Session:
         self.seconds: list[float] = []
         self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
-    def moving_view(self, frame: PosedFrame, first: float, extra: bool) -> dict[str, Any]:
-        """Scores of a test picture of the moving scene, of the baseline, and of both near motion."""
+    def moving_view(
+        self, frame: PosedFrame, still: StillPicture | None, masks: np.ndarray | None, extra: bool
+    ) -> dict[str, Any]:
+        """Scores of a test picture of the moving scene, of the baseline, and of both where it moves."""
         true, camera = self._true(frame)
         rest = self._at_rest(camera)
         rendered, expected = self._timed(camera, frame.time, extra)
         true_features = self._features(true)
-        moved, still = Comparison(rendered, true), Comparison(rest, true)
+        moved, stood = Comparison(rendered, true), Comparison(rest, true)
         view = {
             **_identity(frame),
             "scores": _scored(moved.whole()) | self._lpips(rendered, true_features),
-            "rest_scores": _scored(still.whole()) | self._lpips(rest, true_features),
+            "rest_scores": _scored(stood.whole()) | self._lpips(rest, true_features),
             "moving": None,
             "rest_moving": None,
             "moving_share": None,
         }
-        if (frame.time or 0.0) > first + SAME_TIME:
-            where = moving_pixels(true, rest)
+        where = _moving(true, still, None if masks is None else masks[frame.index])
+        if where is not None and where.mean() >= LEAST_MOVING:
             view["moving"] = _scored(moved.part(where))
-            view["rest_moving"] = _scored(still.part(where))
+            view["rest_moving"] = _scored(stood.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
             if expected is not None:
                 self.errors["test_moving"].append(errors(expected, rendered, true, where))
@@ -178,6 +201,19 @@ class _Session:
             pictures["confidence"] = confidence_picture(expected)
         view["files"] = self._save(frame, pictures)
         return view
+
+    def rest_view(self, frame: PosedFrame, still: StillPicture) -> dict[str, Any]:
+        """Scores of the model at rest against what a test camera shows of what stands, where that is known."""
+        rest = self._at_rest(frame.camera.scaled(self.scene.image_scale))
+        pictures = {"still": np.where(still.known[..., None], still.picture, 0), "at_rest": rest}
+        files = self._save(frame, pictures)
+        return {
+            "camera": frame.camera_name,
+            "source": still.source,
+            "known": round(float(still.known.mean()), 5),
+            "scores": _scored(Comparison(rest, still.picture).part(still.known)),
+            "files": {"true": files["still"], "rendered": files["at_rest"]},
+        }
 
     def still_view(self, frame: PosedFrame, extra: bool) -> dict[str, Any]:
         """Scores of a held-out sweep picture."""
@@ -243,6 +279,15 @@ class _Session:
             write_png(path, exact.astype(np.uint8))
             files[kind] = path.relative_to(self.out).as_posix()
         return files
+
+
+def _moving(
+    true: np.ndarray, still: StillPicture | None, mask: np.ndarray | None
+) -> Bool[np.ndarray, "height width"] | None:
+    """Where a test picture moves: by the truth, or against what stands; None where neither is known."""
+    if mask is not None:
+        return shrink(mask.astype(np.float32), true.shape[1], true.shape[0]) > 0.5
+    return None if still is None else still.moving(true)
 
 
 def _scored(scores: Scores) -> Scored:

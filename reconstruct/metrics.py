@@ -1,4 +1,4 @@
-"""How close a rendered picture is to the true one: PSNR, SSIM, and where a scene moves.
+"""How close a rendered picture is to the true one: PSNR and SSIM.
 
 Pictures are float RGB [height, width, 3] in [0, 1]. The rendered one is taken as it is, neither rounded to
 8 bits nor clipped; no gain or offset is ever fitted.
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
-from scipy.ndimage import distance_transform_edt
 
 from devrf.capture.resize import filter_sides, window_weights
 
@@ -16,8 +15,6 @@ SMALLEST_MSE = 1e-10  # equal pictures count as 100 dB, so that means stay finit
 SSIM_TAPS = 11
 SSIM_SIGMA = 1.5
 SSIM_K1, SSIM_K2 = 0.01, 0.03
-MOVING_DIFFERENCE = 0.02  # of the full range, in at least one channel
-MOVING_REACH = 0.02  # of the picture's width
 
 Picture = Float[np.ndarray, "height width 3"]
 
@@ -88,17 +85,3 @@ def ssim_map(rendered: Picture, true: Picture) -> Float64[np.ndarray, "inner_hei
     return ((2 * mean_a * mean_b + c1) * (2 * covariance + c2)) / (
         (mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2)
     )
-
-
-def moving_pixels(true: Picture, at_rest: Picture) -> Bool[np.ndarray, "height width"]:
-    """Pixels near motion: within 2 % of the width of one where the two differ by more than 0.02.
-
-    The two pictures are the true one and the model's at rest; "differ" means in at least one channel, and
-    distances go from pixel centre to pixel centre. What the model at rest gets wrong counts too, so the
-    mask depends on the model, and is the same for the moving model and for the baseline it has to beat.
-    """
-    differs = np.abs(true - at_rest).max(axis=-1) > MOVING_DIFFERENCE
-    if not differs.any():
-        return differs
-    far = np.asarray(distance_transform_edt(~differs), dtype=np.float32)
-    return far <= np.float32(MOVING_REACH * true.shape[1])

@@ -53,6 +53,12 @@ class RayBatch:
         rays_o, rays_d, rgb, time, frame, pixel = (part[kept] for part in parts)
         return RayBatch(rays_o, rays_d, rgb, opacity, time, frame, pixel)
 
+    def joined(self, other: "RayBatch") -> "RayBatch":
+        """These rays and those of another set, whose pictures are numbered by themselves; without opacities."""
+        names = ("rays_o", "rays_d", "rgb", "time", "frame", "pixel")
+        parts = {name: torch.cat([getattr(self, name), getattr(other, name)]) for name in names}
+        return RayBatch(opacity=None, **parts)
+
 
 class RaySet:
     """All rays of a list of pictures, on one device.
@@ -86,6 +92,19 @@ class RaySet:
         self._fill(frames, cameras, pictures(), device)
         if mattes and len(mattes) == len(frames):
             self.opacity = torch.from_numpy(np.concatenate(mattes)).to(device)
+
+    @classmethod
+    def of_pictures(
+        cls,
+        frames: tuple[PosedFrame, ...],
+        image_scale: float,
+        pictures: Iterable[UInt8[np.ndarray, "_ _ 3"]],
+        device: str = "cpu",
+    ) -> "RaySet":
+        """Rays of frames' cameras through other pictures than theirs, which have the size of training."""
+        rays = cls.__new__(cls)
+        rays._fill(frames, [f.camera.scaled(image_scale) for f in frames], pictures, device)
+        return rays
 
     def _fill(
         self,

@@ -3,7 +3,7 @@
 One grid of density and colour over space contracted to a cube (kernels/background.py). Colours do not depend on
 the viewing direction: walls and furniture are behind the subject, and a third as many numbers buy resolution
 instead. Trained together with the scene at rest, then frozen. The inside of the cube's middle is the box's and
-stays empty here; so does space nearer to a camera than `near`, where nothing could have been photographed.
+stays empty here.
 """
 
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from devrf.reconstruct.canonical import EMPTY, shift_for
 from devrf.reconstruct.grids import grown, upsample, vertices
-from devrf.reconstruct.kernels.background import Surroundings, background, expand
+from devrf.reconstruct.kernels.background import Surroundings, background
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.occupancy import distance
 
@@ -23,7 +23,6 @@ SURFACE = 4.0  # raw density where a surface is known to be: fifty times as opaq
 STEPSIZE = 1.0  # at the box's surface, in units of a voxel inside it: about half a voxel outside
 ALPHA_THRESHOLD = 1e-2  # below, a vertex counts as empty
 ALPHA_THRESHOLD_INSIDE = 1e-3  # while nothing is known, everything is
-BLOCK = 1 << 17  # vertices whose distances to all cameras are computed at once
 
 
 class Shell:
@@ -60,14 +59,13 @@ class Shell:
         *,
         near: float,
         far: float,
-        centres: Float[Tensor, "F 3"],
         device: str,
         inside: bool = False,
     ) -> "Shell":
-        """Translucent grey surroundings, empty around camera centres and, unless `inside`, in the box."""
+        """Translucent grey surroundings, empty in the box unless `inside`."""
         grid = torch.zeros(size, size, size, 4, device=device)
         shell = Shell(aabb, grid, final=final, near=near, far=far, inside=inside)
-        shell.clear_around(centres)
+        shell.clear_inside()
         shell.rebuild_occupancy()
         return shell
 
@@ -105,19 +103,11 @@ class Shell:
         """Colour, transmittance left and per-point loss of segments outside the box."""
         return background(rays, self.surroundings(), closed, target, grid_grad, seen)
 
-    def clear_around(self, centres: Float[Tensor, "F 3"]) -> None:
-        """Empty the box's inside and everything nearer than `near` to a camera."""
-        y = vertices(CUBE, (self.size, self.size, self.size)).to(self.grid)
-        r = y.abs().amax(-1)
-        inside = (r < 1 - 2 * 4 / (self.size - 1)) & (not self.inside)
-        lo, hi = self.aabb.to(self.grid)
-        x = (expand(y) * (hi - lo) / 2 + (lo + hi) / 2).reshape(-1, 3)
-        centres = centres.to(x)
-        around = ((x > centres.amin(0) - self.near) & (x < centres.amax(0) + self.near)).all(-1)
-        blocked = torch.zeros(len(x), dtype=torch.bool, device=x.device)
-        for part in around.nonzero()[:, 0].split(BLOCK):
-            blocked[part] = torch.cdist(x[part], centres).amin(-1) < self.near
-        self.grid[..., 0][inside | blocked.reshape(r.shape)] = EMPTY
+    def clear_inside(self) -> None:
+        """Empty what the box holds; space near a camera may be filled: others see what stands there."""
+        if not self.inside:
+            r = vertices(CUBE, (self.size, self.size, self.size)).to(self.grid).abs().amax(-1)
+            self.grid[..., 0][r < 1 - 2 * 4 / (self.size - 1)] = EMPTY
 
     def start_from(self, free: Bool[Tensor, "N N N"], surface: Bool[Tensor, "N N N"]) -> None:
         """Take over what is known of empty space and of surfaces; `rebuild_occupancy` has to follow."""
@@ -140,7 +130,7 @@ class Shell:
             reachable.narrow(axis, self.size - 2, 2).fill_(True)
         return reachable
 
-    def refine(self, size: int, centres: Float[Tensor, "F 3"]) -> None:
+    def refine(self, size: int) -> None:
         """Interpolate onto more vertices; `rebuild_occupancy` has to follow."""
         self.grid = upsample(self.grid, (size, size, size))
-        self.clear_around(centres)
+        self.clear_inside()

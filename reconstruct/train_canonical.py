@@ -30,6 +30,7 @@ from devrf.reconstruct.losses import (
 )
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
+from devrf.reconstruct.plates import draw_with_plates, plates
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.rest_model import RestModel
@@ -60,10 +61,10 @@ def train_canonical(
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
 ) -> RestModel:
-    """Train on the sweep's training pictures.
+    """Train on the sweep's training pictures, and on what fixed training cameras show of what stands.
 
     Args:
-        scene: Its sweep is trained on.
+        scene: Its pictures are trained on.
         options: What can be chosen.
         device: cpu or cuda.
         progress: Told how far it is.
@@ -78,6 +79,7 @@ def train_canonical(
         raise ReconstructError("pictures-none", "no training pictures of the scene at rest")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
+    fixed, shares = plates(scene, device)
     generator = torch.Generator().manual_seed(options.seed)
     plain = plain_of(scene.background, device)
     aabb, hull = subject_box(
@@ -94,15 +96,15 @@ def train_canonical(
     saved = checkpoint.found(log)
     if saved is None and recipe.shell is not None:
         progress(READING, "coarse model")
-        coarse = train_coarse(scene, rays, options, device, generator, log, checkpoint.part("coarse"))
+        coarse = train_coarse(scene, rays, fixed, options, device, generator, log, checkpoint.part("coarse"))
         seen = visible(coarse, rays, SEEN_BATCHES, options.coarse_rays, generator)
-        hand_on(coarse, seen, recipe.canonical, recipe.shell, rays.centres)
+        hand_on(coarse, seen, recipe.canonical, recipe.shell)
         recipe.restart()
     begun = READING + (COARSE if options.box_search == "coarse" and plain is not None else 0.0)
     iteration = 0 if saved is None else recipe.take_up(saved, generator)
     while iteration < options.iterations:
         recipe.before(iteration)
-        parts = recipe.step(rays.draw(recipe.rays_now, generator), generator)
+        parts = recipe.step(draw_with_plates(rays, fixed, recipe.rays_now, generator), generator)
         samples = recipe.samples_per_ray * recipe.rays_now
         ran_away = recipe.guard.ran_away(log, recipe.rays_now, parts, samples=samples)
         if ran_away or (recipe.no_way_back(iteration + 1) and not recipe.guard.sound()):
@@ -121,6 +123,7 @@ def train_canonical(
     progress(1.0, "scene at rest learned")
     metrics = log.summary() | {
         "pictures": len(frames),
+        "plates": shares,
         "grid": list(recipe.canonical.shape),
         "aabb": recipe.canonical.aabb.tolist(),
         "occupied": float((recipe.canonical.distance == 0).float().mean()),
@@ -172,7 +175,6 @@ class _Recipe:
                 options.shell_resolution,
                 near=scene.near,
                 far=scene.far,
-                centres=rays.centres,
                 device=device,
             )
         self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), LR_MLP, BETAS, EPS)
@@ -207,7 +209,7 @@ class _Recipe:
             level = self.scalings[iteration]
             self.canonical.refine(self._share(level) * self.options.resolution)
             if self.shell is not None:
-                self.shell.refine(self._shell_size(level), self.rays.centres)
+                self.shell.refine(self._shell_size(level))
             self.restart()
             self.guard.begin()
         elif iteration and iteration % self.options.occupancy_every == 0:

@@ -20,7 +20,8 @@ from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.trilinear import trilinear
 from devrf.reconstruct.losses import rendering_loss
 from devrf.reconstruct.options import CanonicalOptions
-from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.plates import draw_with_plates
+from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.shell import CUBE, Shell
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, take_up_grids
@@ -36,20 +37,19 @@ MOST_ALPHA = 0.5  # opacities are handed on no higher: what is opaque no longer 
 def train_coarse(
     scene: Scene,
     rays: RaySet,
+    plates: RaySet | None,
     options: CanonicalOptions,
     device: str,
     generator: torch.Generator,
     log: TrainingLog,
     checkpoint: Checkpoint = NOWHERE,
 ) -> Shell:
-    """Train the coarse model on the sweep; from the sweep's points where there are any."""
+    """Train the coarse model on the sweep and on plates; from the sweep's points where there are any."""
     lines, near, far = trained_lines(scene), scene.near, scene.far
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     sizes = [max(8, round(share * options.coarse_size)) for share in (SIZES if lines is None else (1.0,))]
     per_size = max(1, options.coarse_iterations // len(sizes))
-    model = Shell.new(
-        aabb, sizes[0], sizes[-1], near=near, far=far, centres=rays.centres, device=device, inside=True
-    )
+    model = Shell.new(aabb, sizes[0], sizes[-1], near=near, far=far, device=device, inside=True)
     if lines is not None:
         model.start_from(*carve(*lines, aabb, sizes[0], near))
     trainer = GridTrainer(model.grid, copies_for(model.grid.device))
@@ -70,11 +70,17 @@ def train_coarse(
     for step in range(begin, per_size * len(sizes)):
         n, iteration = divmod(step, per_size)
         if n > 0 and iteration == 0:
-            model.refine(sizes[n], rays.centres)
+            model.refine(sizes[n])
             trainer = GridTrainer(model.grid, copies_for(model.grid.device))
         if iteration % OCCUPANCY_EVERY == 0:
             trainer.visit(model.rebuild_occupancy())
-        _loss(model, rays, options, generator, trainer.grad).backward()
+        _loss(
+            model,
+            draw_with_plates(rays, plates, options.coarse_rays, generator),
+            options,
+            generator,
+            trainer.grad,
+        ).backward()
         trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
         checkpoint.keep(step + 1, per_size * len(sizes), log, state)
     return model
@@ -99,11 +105,10 @@ def hand_on(
     seen: Bool[Tensor, "N N N"],
     canonical: Canonical,
     shell: Shell,
-    centres: Float[Tensor, "F 3"],
 ) -> None:
     """Start the box's density and the surroundings from the coarse model; colours in the box are learned anew."""
     shell.grid = upsample(coarse.grid, (shell.size, shell.size, shell.size))
-    shell.clear_around(centres)
+    shell.clear_inside()
     lo, hi = canonical.aabb
     x = vertices(canonical.aabb, canonical.shape).reshape(-1, 3)
     u = ((x - (lo + hi) / 2) * 2 / (hi - lo)).to(coarse.grid)
@@ -120,10 +125,9 @@ def hand_on(
 
 
 def _loss(
-    model: Shell, rays: RaySet, options: CanonicalOptions, generator: torch.Generator, grad: Tensor
+    model: Shell, batch: RayBatch, options: CanonicalOptions, generator: torch.Generator, grad: Tensor
 ) -> Float[Tensor, ""]:
-    """Of rays that are drawn."""
-    batch = rays.draw(options.coarse_rays, generator)
+    """Of rays that were drawn."""
     jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
     begin, end = torch.full_like(jitter, model.near), torch.full_like(jitter, model.far)
     segment = RaySegments(batch.rays_o, batch.rays_d, begin, end, jitter)

@@ -27,6 +27,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.simulate import sound as sound
+from devrf.capture.simulate.furniture import furnished
 from devrf.capture.simulate.mitsuba import load_mitsuba
 from devrf.capture.simulate.objects import OBJECTS, make_object
 from devrf.capture.simulate.renderer import Finish, Renderer
@@ -91,7 +92,10 @@ def simulate_session(
     _check_folder(out)
     load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
-    around = room(seeds[0], options.texture_contrast)
+    if options.room == "patterned":
+        around = room(seeds[0], options.texture_contrast)
+    else:
+        around = furnished(options.room, seeds[0], options.texture_contrast)
     thing = make_object(scene, seeds[1], options)
     still = [*around.still, *thing.stand]
     if options.board:

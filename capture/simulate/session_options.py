@@ -1,5 +1,7 @@
 """What a simulated session may vary: one frozen, checked value per field."""
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -48,6 +50,9 @@ class SessionOptions(BaseModel):
     """Largest deviation of a camera's exposure from the sweep's, relative, in linear light."""
     noise: float = Field(default=0.006, ge=0, le=0.2)
     """Standard deviation of the sensor's noise at mid grey, relative to full scale."""
+    room: Literal["patterned", "shelves", "window", "narrow"] = "patterned"
+    """What stands round the object: patterned walls and boxes; or plain walls and furniture: shelves, a window behind
+    the object, or a narrow room whose fixed cameras stand close to things."""
     texture_contrast: float = Field(default=1.0, ge=0, le=1.5)
     """Contrast of all textures of the room and of the object; 0 gives blank walls."""
     strip_m: float = Field(default=0.0, ge=0, le=0.2)

@@ -40,6 +40,7 @@ MEASURES = (
     Measure("test.ssim", "SSIM, test views", "", 4, "ssim"),
     Measure("test.lpips_vgg", "LPIPS (VGG), test views", "", 4, "lpips_vgg", low_is_good=True),
     Measure("test.lpips_alex", "LPIPS (Alex), test views", "", 4, "lpips_alex", low_is_good=True),
+    Measure("test_rest.psnr", "PSNR, what stands, test cameras", "dB", 2),
     Measure("test_static.psnr", "PSNR, held-out sweep", "dB", 2, "psnr", of_moving=False),
     Measure("test_static.ssim", "SSIM, held-out sweep", "", 4, "ssim", of_moving=False),
     Measure("train.total_s", "training", "s", 0, low_is_good=True),

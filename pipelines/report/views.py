@@ -15,15 +15,16 @@ WIDTHS = {
     "error": 400,
     "rest": 400,
 }  # two under the border, and those beside it
-MAX_MOVING, MAX_STATIC = 12, 8  # frames inside the page; the others stay in evaluate/
+MAX_MOVING, MAX_STILL, MAX_STATIC = 12, 4, 8  # frames inside the page; the others stay in evaluate/
 
 
 @dataclass(frozen=True)
 class View:
-    """One test view: its place in `per_view` of evaluate/metrics.json, and the entry there."""
+    """One test view: its place in a list of evaluate/metrics.json, and the entry there."""
 
     place: int
     row: dict[str, Any]
+    listed: str = "per_view"
 
     @property
     def time(self) -> Any:
@@ -46,9 +47,11 @@ def collect_views(metrics: dict[str, Any]) -> tuple[list[View], list[View]]:
 def views(run: RunFolder) -> dict[str, Any]:
     """Test views over time and held-out sweep pictures: of each a chart, and the pictures of some frames."""
     moving, static = collect_views(run.object(METRICS))
+    stands = [View(n, row, "still_pictures") for n, row in enumerate(run.objects(METRICS, "still_pictures"))]
     groups = []
     for title, found, most, chart in (
         ("Test views over time", moving, MAX_MOVING, _over_time(moving)),
+        ("What stands, as test cameras show it", stands, MAX_STILL, None),
         ("Held-out sweep pictures", static, MAX_STATIC, None),
     ):
         full = [v for v in found if "error" in v.row] or found  # evaluate keeps error and rest for some
@@ -85,11 +88,15 @@ def _frame(run: RunFolder, view: View, several: bool) -> dict[str, Any] | None:
     if true is None or rendered is None or true.shape != rendered.shape:
         return None
     scale = math.sqrt(run.room)
+    shown = {"place": [view.listed, view.place]}
+    shown |= {kind: picture_uri(picture, round(scale * WIDTHS[kind])) for kind, picture in pictures.items()}
     camera, index = row.get("camera", ""), row.get("index", "")
+    if view.listed == "still_pictures":
+        when = "picture at rest" if row.get("source") == "rest" else "clean plate"
+        return {**shown, "word": f"{camera}", "name": f"{camera}, {when}"}
     when = str(index) if view.time is None else f"{view.time:.2f}" + " s" * (row.get("time_s") is not None)
     return {
-        "place": view.place,
+        **shown,
         "word": f"{camera}, {when}" if several else when,
         "name": f"{camera}, frame {index}" + (f", {when}" if view.time is not None else ""),
-        **{kind: picture_uri(picture, round(scale * WIDTHS[kind])) for kind, picture in pictures.items()},
     }

@@ -50,7 +50,10 @@ def _where_rest_is_known_and_something_moves(config: "SceneConfig") -> str | Non
 
 def _truth(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
     truth = config.truth_path(scene_dir)
-    return {} if truth is None else {"ground truth": truth}
+    if truth is None:
+        return {}
+    masks = sorted(truth.parent.glob("*_mask.npz")) if truth.parent.is_dir() else []
+    return {"ground truth": truth} | {f"masks {path.name}": path for path in masks}
 
 
 def _beside_given(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:

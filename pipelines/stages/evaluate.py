@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_truth
+from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_masks, read_truth
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks_in_use import clocks_in_use
@@ -43,7 +43,10 @@ def run(context: StageContext) -> None:
     model = load_trained(context.run_dir, context.device)
     trained = as_trained(scene, _read(context.run_dir / "deformation" / "metrics.json"))
     confidence = Confidence(trained, model)
-    metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence)
+    truth_file = config.truth_path(context.scene_dir)
+    tested = sorted({frame.camera_name for frame in scene.dynamic if frame.split == "test"})
+    masks = {} if truth_file is None else read_masks(truth_file, tested)
+    metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence, masks)
     metrics["confidence"] |= subject_confidence(trained, confidence)
     metrics |= {
         "train": training(context.run_dir),
@@ -51,7 +54,6 @@ def run(context: StageContext) -> None:
         "versions": versions(),
         "seed": config.reconstruct.seed,
     }
-    truth_file = config.truth_path(context.scene_dir)
     if truth_file is not None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
     context.health.extend(health(metrics, scene) + confidence_rows(metrics["confidence"]))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from devrf.capture.simulate.furniture import ROOMS, furnished
 from devrf.capture.simulate.objects import (
     OBJECTS,
     SHEET_HEIGHT_M,
@@ -10,7 +11,8 @@ from devrf.capture.simulate.objects import (
     SHEET_WIDTH_M,
     make_object,
 )
-from devrf.capture.simulate.scenes import CENTRE, ROOM_HALF_M, WALLS, room, texture
+from devrf.capture.simulate.rig import fixed_cameras, sweep_cameras
+from devrf.capture.simulate.scenes import CENTRE, ROOM_HALF_M, ROOM_HEIGHT_M, WALLS, room, texture
 from devrf.capture.simulate.session_options import SessionOptions
 
 TIMES_S = np.linspace(0.05, 2.5, 12)
@@ -115,3 +117,34 @@ def test_textures_differ_by_seed_and_vanish_without_contrast() -> None:
     np.testing.assert_array_equal(make(0, 1.0), make(0, 1.0))
     assert np.abs(make(0, 1.0).astype(int) - make(1, 1.0)).mean() > 10
     np.testing.assert_array_equal(make(0, 0.0), np.broadcast_to(WALLS[0].tint, (60, 80, 3)))
+
+
+@pytest.mark.parametrize("kind", ROOMS)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_camera_stands_in_the_furniture(kind: str, seed: int) -> None:
+    around, options = furnished(kind, np.random.default_rng(seed), 1.0), SessionOptions(board=False)
+    fixed = [c.camera for c in fixed_cameras(np.random.default_rng(seed), 4, (64, 48), options)]
+    cameras = [*fixed, *sweep_cameras(np.random.default_rng(seed), (64, 48), options)]
+    for mesh in (*around.still, *around.behind):
+        lo, hi = mesh.vertices.min(0), mesh.vertices.max(0)
+        if (hi - lo).max() > 2 * ROOM_HALF_M - 1:
+            continue  # a wall or the floor
+        for camera in cameras:  # how far the camera is from the box round this surface
+            away_m = np.linalg.norm(np.maximum(np.maximum(lo - camera.centre, camera.centre - hi), 0))
+            assert away_m > 0.1, f"a camera at {camera.centre} stands at a surface from {lo} to {hi}"
+
+
+@pytest.mark.parametrize("kind", ROOMS)
+def test_walls_of_furnished_rooms_are_plain_and_face_inward(kind: str) -> None:
+    around = furnished(kind, np.random.default_rng(0), 1.0)
+    inside = [
+        m for m in around.still if np.abs(m.vertices).max() <= ROOM_HEIGHT_M
+    ]  # not what the window shows
+    walls = [m for m in inside if np.ptp(m.vertices[:, 2]) > 3 and np.ptp(m.vertices, axis=0)[:2].max() > 3]
+    assert len(walls) >= 3
+    for wall in walls:
+        a, b, c = wall.vertices[wall.faces[0]]
+        assert np.cross(b - a, c - a)[:2] @ wall.vertices.mean(0)[:2] < 0
+        assert np.ptp(wall.texture.reshape(-1, 3), axis=0).max() <= 6
+    flat = furnished(kind, np.random.default_rng(0), 0.0)
+    assert all(np.ptp(m.texture.reshape(-1, 3), axis=0).max() == 0 for m in flat.still)

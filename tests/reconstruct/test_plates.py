@@ -1,0 +1,83 @@
+"""Plates of fixed cameras: what stands, without pixels over which anything moved."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.reconstruct.plates import SHARE, draw_with_plates, plate, plates
+from devrf.reconstruct.rays import RaySet
+
+SIZE = 64, 48  # width, height
+CAMERA = Camera(*SIZE, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(3, 4))
+
+
+def _pictures(count: int, noise: float = 1.5) -> np.ndarray:
+    """A bright square crosses a room in `count` pictures."""
+    rng = np.random.default_rng(0)
+    room = rng.integers(60, 180, (*SIZE[::-1], 3)).astype(np.float32)
+    pictures = room + noise * rng.standard_normal((count, *room.shape))
+    for n in range(count):
+        x = 8 + round(30 * n / (count - 1))
+        pictures[n, 16:28, x : x + 10] = 240
+    return pictures.clip(0, 255).round().astype(np.uint8)
+
+
+def _scene(folder: Path, **changes: object) -> Scene:
+    frames = []
+    for n, picture in enumerate(_pictures(21)):
+        path = folder / f"{n}.png"
+        cv2.imwrite(str(path), picture[..., ::-1])
+        frames.append(PosedFrame(path, CAMERA, "cam0", n, n / 10, n / 20, "train"))
+    still = replace(frames[0], camera_name="static", time=None, time_s=None)
+    scene = Scene(
+        (still,), tuple(frames), np.eye(4), np.array([[-1.0] * 3, [1.0] * 3]), 0.1, 9.0, "inward", "shell",
+        0.0, 2.0, 0.0, 1.0,
+    )  # fmt: skip
+    return replace(scene, **changes)
+
+
+def test_a_plate_leaves_out_where_anything_moved_and_nothing_else() -> None:
+    pictures = _pictures(41)
+    picture, kept = plate(pictures)
+    assert not kept[14:30, 8:48].any()  # the square's way
+    assert kept[:8].all() and kept[36:].all() and kept.mean() > 0.5
+    truth = _pictures(41, noise=0.0)[-1]
+    assert np.abs(picture.astype(int) - truth)[kept].max() <= 2
+
+
+def test_plates_are_drawn_beside_the_sweep(tmp_path: Path) -> None:
+    scene = _scene(tmp_path)
+    rays, shares = plates(scene, "cpu")
+    assert rays is not None and len(rays) == 1 and 0.5 < shares["cam0"] < 0.9
+    sweep = RaySet(scene.static, 1.0, "shell")
+    batch = draw_with_plates(sweep, rays, 1000, torch.Generator().manual_seed(0))
+    assert len(batch.rgb) == 1000
+    row, column = (
+        batch.pixel[-round(1000 * SHARE) :] // SIZE[0],
+        batch.pixel[-round(1000 * SHARE) :] % SIZE[0],
+    )
+    assert not ((row >= 16) & (row < 28) & (column >= 8) & (column < 48)).any()
+    alone = draw_with_plates(sweep, None, 1000, torch.Generator().manual_seed(0))
+    assert torch.equal(alone.pixel, sweep.draw(1000, torch.Generator().manual_seed(0)).pixel)
+
+
+def test_test_cameras_and_those_that_move_have_none(tmp_path: Path) -> None:
+    scene = _scene(tmp_path)
+    for changed in (
+        replace(scene, dynamic=tuple(replace(f, split="test") for f in scene.dynamic)),
+        replace(scene, background="white"),
+        replace(scene, dynamic=scene.dynamic[:4]),
+        replace(
+            scene,
+            dynamic=tuple(
+                replace(f, camera=replace(CAMERA, cam_from_world=np.eye(3, 4) + 0.01 * n * np.eye(3, 4, 3)))
+                for n, f in enumerate(scene.dynamic)
+            ),
+        ),
+    ):
+        assert plates(changed, "cpu") == (None, {})
