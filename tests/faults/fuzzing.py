@@ -17,7 +17,7 @@ from typing import Any
 LIMIT_S = 30.0  # of processor time, where the machine is shared
 LONGEST_S = 90.0  # by the clock: what only waits is found too
 MOST_MB = 2500.0  # of the process, 600 of them for the libraries
-BLAMES = ("Traceback (most recent call last)", "fault of the program", "Exception ignored in")
+BLAMES = ("Traceback (most recent call last)", "[unexpected]", "Exception ignored in")
 
 
 @dataclass(frozen=True)
