@@ -42,5 +42,5 @@ def _row(name: str, path: Path, spec: BoardSpec, joint: bool) -> HealthRow:
             views, _ = find_board(f"the board clip of {whose}", files, spec)
         except HealthError as error:
             # Several cameras may see it for a moment only, between the pictures that are looked at.
-            return note(check, "never", remedy=f"{error}.")
+            return note(check, "never", verdict="warn" if joint else "fail", remedy=f"{error}.")
     return row(check, len(views) / len(greys), warn=None if joint else SEEN_WARN, remedy=REMEDY)
