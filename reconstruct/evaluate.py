@@ -281,6 +281,12 @@ class _Session:
         return files
 
 
+def motion_psnr(metrics: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """PSNR of test views and of the same if nothing moved: where they move, or whole where no test camera stands."""
+    block = "test" if metrics["test_moving"]["psnr"] is None else "test_moving"
+    return metrics[block]["psnr"], metrics["static_baseline"][block]["psnr"]
+
+
 def _moving(
     true: np.ndarray, still: StillPicture | None, mask: np.ndarray | None
 ) -> Bool[np.ndarray, "height width"] | None:

@@ -5,12 +5,12 @@ Pixels over which anything ever moved are left out: before and after, they need 
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
+from scipy.ndimage import binary_opening, maximum_filter
 
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.pictures import spread
@@ -35,7 +35,7 @@ def plates(scene: Scene, device: str) -> tuple[RaySet | None, dict[str, float]]:
     for frame in scene.dynamic if scene.background == "shell" else ():
         if frame.split == "train":
             clips[frame.camera_name].append(frame)
-    standing = {name: clip for name, clip in clips.items() if len(clip) >= FEWEST_PICTURES and _stands(clip)}
+    standing = {name: clip for name, clip in clips.items() if len(clip) >= FEWEST_PICTURES and stands(clip)}
     if not standing:
         return None, {}
     kept: dict[str, np.ndarray] = {}
@@ -55,16 +55,15 @@ def plates(scene: Scene, device: str) -> tuple[RaySet | None, dict[str, float]]:
 
 
 def plate(
-    pictures: UInt8[np.ndarray, "n h w 3"],
+    pictures: UInt8[np.ndarray, "n h w 3"], share: float = 0.9
 ) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """The median of pictures of a camera that stands, and where none of them differs from it by more than noise."""
-    order = [round(q * (len(pictures) - 1)) for q in (0.05, 0.5, 0.95)]
+    """The median of pictures of a camera that stands, and where this share of them differ by no more than noise."""
+    order = [round(q * (len(pictures) - 1)) for q in (0.5 - share / 2, 0.5, 0.5 + share / 2)]
     low, middle, high = np.partition(pictures, order, axis=0)[order]
     apart = (high.astype(np.int16) - low).max(axis=-1)
     usual = float(np.median(apart))
-    moves = (apart > max(SPREAD * usual, usual + SPREAD_LEVELS)).astype(np.uint8)
-    moves = cv2.morphologyEx(moves, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    return middle, cv2.dilate(moves, np.ones((REACH_PX, REACH_PX), np.uint8)) == 0
+    moves = binary_opening(apart > max(SPREAD * usual, usual + SPREAD_LEVELS), np.ones((3, 3)))
+    return middle, ~maximum_filter(moves, size=REACH_PX)
 
 
 def draw_with_plates(sweep: RaySet, fixed: RaySet | None, n: int, generator: torch.Generator) -> RayBatch:
@@ -75,5 +74,6 @@ def draw_with_plates(sweep: RaySet, fixed: RaySet | None, n: int, generator: tor
     return sweep.draw(n - of_fixed, generator).joined(fixed.draw(of_fixed, generator))
 
 
-def _stands(clip: list[PosedFrame]) -> bool:
+def stands(clip: Sequence[PosedFrame]) -> bool:
+    """Whether a camera has one pose and one lens in all of its pictures."""
     return len({f.camera.cam_from_world.tobytes() + f.camera.K.tobytes() for f in clip}) == 1

@@ -1,23 +1,21 @@
 """What a camera that stands shows of the scene at rest: its picture at rest, or else its clean plate.
 
-A clean plate is put together in time: at every pixel the colour that lasts. Where something covers a pixel too long for
-that, it is not known.
+A clean plate is put together in time: at every pixel the median. Where other colours than that are seen for more than
+half of the time, it is not known.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from devrf.capture.mattes.clean_plate import PLATE_FRAMES, plate_of
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.reconstruct.pictures import spread
+from devrf.reconstruct.plates import FEWEST_PICTURES, MOST_PICTURES, plate, stands
 
-FEWEST = 5  # pictures of a plate; of fewer, what moves is in most of them
-UNKNOWN_REACH_PX = 4  # around what is covered too long: its edge is mixed, its shadow soft
+LASTING = 0.5  # of the pictures, in the middle of all, show what stands where a plate does
 DIFFERENCE, BLUR_PX, REACH_PX = (
     0.05,
     1.2,
@@ -55,18 +53,18 @@ def still_picture(scene: Scene, frames: Sequence[PosedFrame]) -> StillPicture | 
         scene: Whose `rest_time` says when its cameras show the rest.
         frames: All pictures of the camera, in the order of their times.
     """
-    if len({frame.camera.cam_from_world.tobytes() + frame.camera.K.tobytes() for frame in frames}) != 1:
+    if not stands(frames):
         return None
     at_rest = _at_rest(scene, frames)
     if at_rest is not None:
         picture = _load(scene, at_rest)
         return StillPicture(picture.astype(np.float32) / 255, np.ones(picture.shape[:2], dtype=bool), "rest")
-    if len(frames) < FEWEST:
+    if len(frames) < FEWEST_PICTURES:
         return None
-    plate = plate_of(np.stack([_load(scene, frame) for frame in spread(frames, PLATE_FRAMES)]))
-    reach = np.ones((2 * UNKNOWN_REACH_PX + 1,) * 2, np.uint8)
-    unknown = cv2.dilate(plate.unsteady.astype(np.uint8), reach).astype(bool)
-    return StillPicture(plate.rgb / np.float32(255), ~unknown, "plate")
+    picture, known = plate(
+        np.stack([_load(scene, frame) for frame in spread(frames, MOST_PICTURES)]), LASTING
+    )
+    return StillPicture(picture.astype(np.float32) / 255, known, "plate")
 
 
 def _at_rest(scene: Scene, frames: Sequence[PosedFrame]) -> PosedFrame | None:

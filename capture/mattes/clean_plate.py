@@ -34,7 +34,7 @@ SAME = 3.0  # multiples of the noise: the same colour
 
 @dataclass(frozen=True)
 class CleanPlate:
-    """A fixed camera's picture without what moves.
+    """A fixed camera's picture without what moves, at the working size.
 
     Attributes:
         rgb: The picture.
@@ -48,13 +48,9 @@ class CleanPlate:
 
 
 def clean_plate(files: Sequence[Path]) -> CleanPlate:
-    """The plate of a clip, at the working size."""
+    """The median of pictures spread over a clip, and the noise about it."""
     chosen = np.unique(np.linspace(0, len(files) - 1, PLATE_FRAMES).round().astype(int))
-    return plate_of(np.stack([_small(read_pixels(files[n])) for n in chosen]))
-
-
-def plate_of(stack: UInt8[np.ndarray, "n h w 3"]) -> CleanPlate:
-    """The median of pictures of a camera that stands, and the noise about it; `stack` is brought to one exposure."""
+    stack = np.stack([_small(read_pixels(files[n])) for n in chosen])
     median = np.median(stack, axis=0).astype(np.float32)
     for n, picture in enumerate(stack):  # brought to one exposure, then once more
         stack[n] = np.clip(picture * exposure(picture, median), 0, 255).round()

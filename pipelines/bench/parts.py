@@ -9,6 +9,7 @@ from devrf.pipelines.bench.charts import gains as gains_chart
 from devrf.pipelines.bench.rows import Row, print_table
 from devrf.pipelines.bench.trainings import Bench, score_rows, spread
 from devrf.reconstruct import parts as parts_module
+from devrf.reconstruct.evaluate import motion_psnr
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.paired import Gain, paired_gain
 from devrf.reconstruct.parts import PARTS, Part
@@ -123,8 +124,7 @@ def gains_of(whole: Sequence[dict[str, Any]], without: Sequence[dict[str, Any]])
 def _value(result: dict[str, Any], measure: str) -> Any:
     if measure in ("seconds", "model_mb"):
         return result[measure]
-    block, metric = ("test_moving", "psnr") if measure == "psnr_moving" else ("test", measure)
-    return result[block][metric]
+    return motion_psnr(result)[0] if measure == "psnr_moving" else result["test"][measure]
 
 
 def _without(bench: Bench, part: Part, seed: int) -> dict[str, Any]:

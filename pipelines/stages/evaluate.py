@@ -22,7 +22,7 @@ from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.confidence import Confidence
 from devrf.reconstruct.confidence_subject import subject_confidence
-from devrf.reconstruct.evaluate import LpipsNets, evaluate
+from devrf.reconstruct.evaluate import LpipsNets, evaluate, motion_psnr
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
 TEST_VIEWS = "PSNR of test views"
@@ -132,7 +132,7 @@ def health(metrics: dict[str, Any], scene: Scene) -> Iterator[HealthRow]:
             "overlap, and lock exposure and white balance.",
         )
     if any(frame.split == "test" for frame in scene.dynamic):
-        moving, still = metrics["test_moving"]["psnr"], metrics["static_baseline"]["test_moving"]["psnr"]
+        moving, still = motion_psnr(metrics)
         yield row(
             TEST_VIEWS,
             metrics["test"]["psnr"],

@@ -33,6 +33,7 @@ from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
 from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import read_stamp
+from devrf.reconstruct.evaluate import motion_psnr
 
 LAST = "evaluate"  # what follows shows the result and does not change it
 UNDISTURBED = "undisturbed"
@@ -200,12 +201,13 @@ def _result(
         return result
     metrics = json.loads((run_dir / LAST / "metrics.json").read_text())
     truth = metrics.get("truth", {})
+    moving, baseline = motion_psnr(metrics)
     return replace(
         result,
         psnr=metrics["test"]["psnr"],
         lpips=metrics["test"]["lpips_vgg"],
-        psnr_moving=metrics["test_moving"]["psnr"],
-        baseline=metrics["static_baseline"]["test_moving"]["psnr"],
+        psnr_moving=moving,
+        baseline=baseline,
         rotation_deg=truth.get("rig_rotation_deg"),
         position_m=truth.get("rig_position_m"),
         sync_ms=truth.get("sync_ms"),
