@@ -65,7 +65,7 @@ class Result:
         axis, severity, seed: Which case; the axis of the undisturbed one is `UNDISTURBED`.
         stopped: What was said where a stage failed ("rig: ..."); None where the result is whole.
         psnr, lpips: Of the test views.
-        psnr_moving: Of the test views, where they differ from the scene at rest.
+        psnr_moving: Of the test views, where they move; whole, where no test camera stands.
         baseline: The scene at rest in place of the test views, there too.
         rotation_deg, position_m, sync_ms: Largest errors of the fixed cameras and of the clocks; None without a truth.
         seconds: That its stages took, whether they were made for this case or for another.
