@@ -63,7 +63,7 @@ def plate(
     apart = (high.astype(np.int16) - low).max(axis=-1)
     usual = float(np.median(apart))
     moves = binary_opening(apart > max(SPREAD * usual, usual + SPREAD_LEVELS), np.ones((3, 3)))
-    return middle, ~maximum_filter(moves, size=REACH_PX)
+    return middle, np.logical_not(maximum_filter(moves, size=REACH_PX))
 
 
 def draw_with_plates(sweep: RaySet, fixed: RaySet | None, n: int, generator: torch.Generator) -> RayBatch:
