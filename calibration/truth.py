@@ -6,7 +6,7 @@ both are on the first camera's clock.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,27 +80,30 @@ def read_truth(path: Path) -> Truth:
         raise InputError("file-damaged", text) from error
 
 
-def read_masks(path: Path, cameras: Sequence[str]) -> dict[str, Bool[np.ndarray, "frames h w"]]:
+def read_masks(
+    path: Path, cameras: Mapping[str, tuple[int, int, int]]
+) -> dict[str, Bool[np.ndarray, "frames h w"]]:
     """What moves in truth in cameras' pictures, where that is known.
 
     Args:
         path: The ground truth; masks lie beside it, `<camera>_mask.npz`, with the array `mask` in the clip's order.
             Where there is one camera, it may be called `witness_mask.npz`.
-        cameras: Names of the cameras.
+        cameras: By name: fewest pictures that the clip has, and their height and width.
     Raises:
         ArrayError: A file is damaged, or holds something else.
     """
     found = {}
-    for name in cameras:
+    for name, (count, height, width) in cameras.items():
         files = [path.with_name(f"{name}_mask.npz")]
         if len(cameras) == 1:
             files.append(path.with_name("witness_mask.npz"))
         file = next((file for file in files if file.is_file()), None)
         if file is not None:
             mask = read_npz(file, ("mask",))["mask"]
-            if mask.ndim != 3:
+            if mask.ndim != 3 or len(mask) < count or mask.shape[1:] != (height, width):
+                text = f"{file}: mask has shape {list(mask.shape)}; expected [{count} or more, {height}, {width}]"
                 raise ArrayError(
-                    "mask-shape", f"{file}: mask has shape {mask.shape}, expected (pictures, height, width)"
+                    "mask-size-wrong", f"{text}: one for every picture of {name}'s clip, at its size"
                 )
             found[name] = mask.astype(bool)
     return found

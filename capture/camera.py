@@ -58,6 +58,11 @@ class Camera:
             raise ValueError(f"camera.cam_from_world is not rigid: R = {R.tolist()}")
 
     @property
+    def view(self) -> tuple[object, ...]:
+        """Pose and lens: the same for pictures of a camera that stands still."""
+        return (self.cam_from_world.tobytes(), *self.lens)
+
+    @property
     def lens(self) -> tuple[object, ...]:
         """What makes two cameras see the same rays from the same pose; hashable."""
         return (self.width, self.height, self.model, self.K.tobytes(), self.distortion.tobytes())

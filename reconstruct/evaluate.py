@@ -244,19 +244,20 @@ class _Session:
         return picture.astype(np.float32) / 255, frame.camera.scaled(self.scene.image_scale)
 
     def _at_rest(self, camera: Camera) -> np.ndarray:
-        key = (camera.cam_from_world.tobytes(), *camera.lens)
-        if self.rest is None or self.rest[0] != key:
-            self.rest = (key, self.render(camera, None))
+        if self.rest is None or self.rest[0] != camera.view:
+            self.rest = (camera.view, self.render(camera, None))
         return self.rest[1]
 
     def _timed(self, camera: Camera, time: float | None, extra: bool) -> tuple[np.ndarray, np.ndarray | None]:
         """A picture and, where one is kept, its expected errors; only rendering is timed."""
         begin = clock.perf_counter()
-        sure = self.confidence if extra else None
-        layers = None if sure is None else sure.render(camera, time)
-        rendered = self.render(camera, time) if layers is None else layers[0]
+        if self.confidence is None or not extra:
+            rendered = self.render(camera, time)
+            self.seconds.append(clock.perf_counter() - begin)
+            return rendered, None
+        layers = self.confidence.render(camera, time)
         self.seconds.append(clock.perf_counter() - begin)
-        return rendered, None if sure is None or layers is None else sure.expected(camera, time, layers)
+        return layers[0], self.confidence.expected(camera, time, layers)
 
     def _features(self, picture: np.ndarray) -> dict[str, Any]:
         if min(picture.shape[:2]) < LPIPS_SMALLEST_SIDE:
@@ -283,7 +284,8 @@ class _Session:
 
 def motion_psnr(metrics: Mapping[str, Any]) -> tuple[float | None, float | None]:
     """PSNR of test views and of the same if nothing moved: where they move, or whole where no test camera stands."""
-    block = "test" if metrics["test_moving"]["psnr"] is None else "test_moving"
+    unknown = metrics["test_moving"]["psnr"] is None and not metrics["test_rest"]["views"]
+    block = "test" if unknown else "test_moving"
     return metrics[block]["psnr"], metrics["static_baseline"][block]["psnr"]
 
 

@@ -106,7 +106,7 @@ class DynamicModel:
 
     def around_camera(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
         """Surroundings of all pixels of a camera, row by row; remembered. `between` as `render_layers`'."""
-        key = _key(camera)
+        key = camera.view
         if key not in self._around:
             device = str(self.rest.canonical.density.device)
             parts = []
@@ -122,7 +122,7 @@ class DynamicModel:
 
     def around_roughly(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
         """The same of a smaller picture, interpolated; as they are where they are remembered."""
-        if _key(camera) in self._around or self.rest.shell is None:
+        if camera.view in self._around or self.rest.shell is None:
             return self.around_camera(camera, between)
         small = camera.scaled(1 / QUICK)
         found = self.around_camera(small, between)
@@ -273,10 +273,6 @@ def _layers(
     size = (camera.height, camera.width)
     picture = around.compose(rgb, left).clamp(0, 1).reshape(*size, 3)
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
-
-
-def _key(camera: Camera) -> tuple[object, ...]:
-    return (camera.cam_from_world.tobytes(), *camera.lens)
 
 
 def _chunks(rays_o: Tensor, rays_d: Tensor, size: int) -> list[tuple[Tensor, Tensor]]:

@@ -53,9 +53,9 @@ def changing_pixels(rays: RaySet, flows: Mapping[str, CameraFlow] | None = None)
 
     Cameras that move while the scene does (every picture another pose) have none: all pixels are alike there.
     """
-    groups: dict[bytes, list[int]] = defaultdict(list)
+    groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
     for n, camera in enumerate(rays.cameras):
-        groups[_view(camera)].append(n)
+        groups[camera.view].append(n)
     of_frame = [torch.zeros(0, dtype=torch.int64)] * len(rays)
     for members in groups.values():
         if len(members) < 2:
@@ -90,15 +90,10 @@ def draw_with_importance(
 
 def same(rays: RaySet, a: int, b: int) -> bool:
     """Whether two pictures of a camera show the same; not where it has moved, nor of one picture twice."""
-    if a == b or _view(rays.cameras[a]) != _view(rays.cameras[b]):
+    if a == b or rays.cameras[a].view != rays.cameras[b].view:
         return False
     one, other = (_smooth(rays.picture(n)).astype(np.float32) / 255 for n in (a, b))
     return not _as_a_whole(np.abs(one - other).max(axis=2)).any()
-
-
-def _view(camera: Camera) -> bytes:
-    """The same for cameras that stand still."""
-    return camera.cam_from_world.tobytes() + camera.K.tobytes()
 
 
 def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) -> np.ndarray:

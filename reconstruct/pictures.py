@@ -23,6 +23,11 @@ def clips(scene: Scene) -> dict[str, list[PosedFrame]]:
     return dict(sorted(out.items()))
 
 
+def stands(frames: Sequence[PosedFrame]) -> bool:
+    """Whether a camera has one pose and one lens in all of these pictures."""
+    return len({frame.camera.view for frame in frames}) == 1
+
+
 def spread(items: Sequence[Item], most: int) -> list[Item]:
     """At most so many of them, evenly spread."""
     at = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)

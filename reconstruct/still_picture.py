@@ -8,19 +8,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
-from scipy.ndimage import gaussian_filter, maximum_filter
+from jaxtyping import Bool, Float32, UInt8
+from scipy.ndimage import binary_opening, gaussian_filter, maximum_filter
 
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.reconstruct.pictures import spread
-from devrf.reconstruct.plates import FEWEST_PICTURES, MOST_PICTURES, plate, stands
+from devrf.reconstruct.pictures import spread, stands
 
+MOST_PICTURES, FEWEST_PICTURES = 61, 5  # of a plate
+MOST_BYTES = 1 << 28  # of a plate's pictures: 43 of 1920 x 1080
+# Spread of a pixel that is motion: so many times that of half of the pixels, and so many levels more.
+SPREAD, SPREAD_LEVELS = 2.2, 6
+PLATE_REACH_PX = 9  # side of the square by which what moves is grown
 LASTING = 0.5  # of the pictures, in the middle of all, show what stands where a plate does
-DIFFERENCE, BLUR_PX, REACH_PX = (
-    0.05,
-    1.2,
-    2,
-)  # design of `test_moving`: of the full range; standard deviation; dilation
+# Of `test_moving`: difference, of the full range; standard deviation of the blur; dilation.
+DIFFERENCE, BLUR_PX, REACH_PX = 0.05, 1.2, 2
 
 Picture = Float32[np.ndarray, "height width 3"]
 Mask = Bool[np.ndarray, "height width"]
@@ -61,10 +62,33 @@ def still_picture(scene: Scene, frames: Sequence[PosedFrame]) -> StillPicture | 
         return StillPicture(picture.astype(np.float32) / 255, np.ones(picture.shape[:2], dtype=bool), "rest")
     if len(frames) < FEWEST_PICTURES:
         return None
-    picture, known = plate(
-        np.stack([_load(scene, frame) for frame in spread(frames, MOST_PICTURES)]), LASTING
-    )
+    picture, known = plate(scene, frames, LASTING)
     return StillPicture(picture.astype(np.float32) / 255, known, "plate")
+
+
+def plate(
+    scene: Scene, frames: Sequence[PosedFrame], share: float = 0.9
+) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """The median of a camera's pictures, and where this share of them differ by no more than noise.
+
+    Args:
+        scene: Says how large pictures are trained on.
+        frames: Of one camera that stands.
+        share: Of the pictures, around the median.
+    """
+    camera = frames[0].camera.scaled(scene.image_scale)
+    most = min(MOST_PICTURES, max(FEWEST_PICTURES, MOST_BYTES // (3 * camera.width * camera.height)))
+    chosen = spread(frames, most)
+    pictures = np.empty((len(chosen), camera.height, camera.width, 3), np.uint8)
+    for n, frame in enumerate(chosen):
+        pictures[n] = _load(scene, frame)
+    order = [round(q * (len(pictures) - 1)) for q in (0.5 - share / 2, 0.5, 0.5 + share / 2)]
+    pictures.partition(order, axis=0)  # in place: a copy would be as large again
+    low, middle, high = pictures[order]
+    apart = (high.astype(np.int16) - low).max(axis=-1)
+    usual = float(np.median(apart))
+    moves = binary_opening(apart > max(SPREAD * usual, usual + SPREAD_LEVELS), np.ones((3, 3)))
+    return middle, np.logical_not(maximum_filter(moves, size=PLATE_REACH_PX))
 
 
 def _at_rest(scene: Scene, frames: Sequence[PosedFrame]) -> PosedFrame | None:

@@ -144,7 +144,9 @@ class Bench:
             # Without the held-out pictures at rest: the moving views are what is compared.
             moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
             scores = evaluate(moving_only, partial(render_view, model), self.lpips, folder)
-            result = {k: scores[k] for k in ("test", "test_moving", "static_baseline", "render_fps")}
+            result = {
+                k: scores[k] for k in ("test", "test_moving", "test_rest", "static_baseline", "render_fps")
+            }
             result["moving_voxels"] = moving_voxels(rest.canonical, motion)
             result |= {"train": {k: v for k, v in facts.items() if k != "curve"}, "model_mb": model_mb}
             return result | ({"looks": looks.taken()} if looks is not None else {})

@@ -44,8 +44,7 @@ def run(context: StageContext) -> None:
     trained = as_trained(scene, _read(context.run_dir / "deformation" / "metrics.json"))
     confidence = Confidence(trained, model)
     truth_file = config.truth_path(context.scene_dir)
-    tested = sorted({frame.camera_name for frame in scene.dynamic if frame.split == "test"})
-    masks = {} if truth_file is None else read_masks(truth_file, tested)
+    masks = {} if truth_file is None else true_masks(truth_file, scene)
     metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence, masks)
     metrics["confidence"] |= subject_confidence(trained, confidence)
     metrics |= {
@@ -65,6 +64,16 @@ def lpips_nets(config: SceneConfig, scene_dir: Path, device: str) -> LpipsNets:
     weights = config.evaluate.lpips_weights
     source = config.path(scene_dir, weights) if weights and weights != "download" else weights
     return LpipsNets.load(source or None, device)
+
+
+def true_masks(truth_file: Path, scene: Scene) -> dict[str, np.ndarray]:
+    """What moves in truth in test pictures, where masks lie beside the truth."""
+    pictures: dict[str, tuple[int, int, int]] = {}
+    for frame in (frame for frame in scene.dynamic if frame.split == "test"):
+        before = pictures.get(frame.camera_name, (0, 0, 0))[0]
+        size = frame.camera.height, frame.camera.width
+        pictures[frame.camera_name] = max(before, frame.index + 1), *size
+    return read_masks(truth_file, pictures)
 
 
 def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:

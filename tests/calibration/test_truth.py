@@ -12,6 +12,7 @@ from devrf.calibration.truth import (
     Truth,
     compare_cameras,
     compare_clocks,
+    read_masks,
     read_truth,
     rotation_angle_deg,
     similarity,
@@ -154,3 +155,23 @@ def test_read_truth(tmp_path):
     path.write_text('{"static": [[1, 2]]}')
     with refused("file-damaged", "ground_truth.json", kind=InputError):
         read_truth(path)
+
+
+def test_masks_lie_beside_the_truth(tmp_path):
+    mask = np.random.default_rng(0).random((5, 6, 8)) > 0.5
+    np.savez_compressed(tmp_path / "witness_mask.npz", mask=mask)
+    path = tmp_path / "ground_truth.json"
+    np.testing.assert_array_equal(
+        read_masks(path, {"heldout": (5, 6, 8)})["heldout"], mask
+    )  # there is one camera
+    assert read_masks(path, {"a": (5, 6, 8), "b": (5, 6, 8)}) == {}
+    np.savez_compressed(tmp_path / "b_mask.npz", mask=mask.astype(np.uint8))
+    (found,) = read_masks(path, {"a": (5, 6, 8), "b": (4, 6, 8)}).items()
+    assert found[0] == "b" and found[1].dtype == bool and (found[1] == mask).all()
+
+
+@pytest.mark.parametrize("wanted", [(6, 6, 8), (5, 6, 9), (5, 12, 16)])
+def test_masks_of_other_pictures_are_named(tmp_path, wanted):
+    np.savez_compressed(tmp_path / "a_mask.npz", mask=np.zeros((5, 6, 8), bool))
+    with refused("mask-size-wrong", tmp_path / "a_mask.npz", [5, 6, 8], "a's clip", wanted[0]):
+        read_masks(tmp_path / "ground_truth.json", {"a": wanted})

@@ -10,7 +10,7 @@ from PIL import Image
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.evaluate import LpipsNets, evaluate
+from devrf.reconstruct.evaluate import LpipsNets, evaluate, motion_psnr
 
 WIDTH, HEIGHT, SCALE = 100, 80, 0.5
 TIMES = (0.0, 0.5, 1.0)
@@ -167,6 +167,13 @@ def test_a_test_camera_that_moves_shows_nothing_at_rest(scene, tmp_path):
     for block in (out["test_moving"], out["test_rest"], out["static_baseline"]["test_moving"]):
         assert block["psnr"] is None and "static_baseline.test" in block["why"]["psnr"]
     assert out["still_pictures"] == [] and out["test"]["psnr"] == pytest.approx(40, abs=1e-3)
+    # so motion is measured on whole pictures; where a test camera stands, and nothing moves, it is not measured
+    assert motion_psnr(out) == (out["test"]["psnr"], out["static_baseline"]["test"]["psnr"])
+    still = tuple(replace(f, path=scene.dynamic[0].path) for f in scene.dynamic)
+    assert motion_psnr(evaluate(replace(scene, dynamic=still), model(0.01)[0], NO_LPIPS, tmp_path)) == (
+        None,
+        None,
+    )
 
 
 def test_masks_of_the_truth_say_what_moves(scene, tmp_path):

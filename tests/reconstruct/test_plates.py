@@ -5,12 +5,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 import torch
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.plates import SHARE, draw_with_plates, plate, plates
+from devrf.reconstruct import still_picture
+from devrf.reconstruct.plates import SHARE, draw_with_plates, plates
 from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.still_picture import plate
 
 SIZE = 64, 48  # width, height
 CAMERA = Camera(*SIZE, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(3, 4))
@@ -41,12 +44,12 @@ def _scene(folder: Path, **changes: object) -> Scene:
     return replace(scene, **changes)
 
 
-def test_a_plate_leaves_out_where_anything_moved_and_nothing_else() -> None:
-    pictures = _pictures(41)
-    picture, kept = plate(pictures)
+def test_a_plate_leaves_out_where_anything_moved_and_nothing_else(tmp_path: Path) -> None:
+    scene = _scene(tmp_path)
+    picture, kept = plate(scene, scene.dynamic)
     assert not kept[14:30, 8:48].any()  # the square's way
     assert kept[:8].all() and kept[36:].all() and kept.mean() > 0.5
-    truth = _pictures(41, noise=0.0)[-1]
+    truth = _pictures(21, noise=0.0)[-1]
     assert np.abs(picture.astype(int) - truth)[kept].max() <= 2
 
 
@@ -81,3 +84,13 @@ def test_test_cameras_and_those_that_move_have_none(tmp_path: Path) -> None:
         ),
     ):
         assert plates(changed, "cpu") == (None, {})
+
+
+def test_few_pictures_are_held_where_they_are_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = _scene(tmp_path)
+    read = list[str]()
+    load = still_picture.load_image
+    monkeypatch.setattr(still_picture, "load_image", lambda f, *a: (read.append(f.path.name), load(f, *a))[1])
+    monkeypatch.setattr(still_picture, "MOST_BYTES", 8 * 3 * SIZE[0] * SIZE[1])
+    plate(scene, scene.dynamic)
+    assert len(read) == 8
