@@ -20,13 +20,15 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from golden_cases import REPOSITORY, Case, cases
 from script import arguments, finish
 
+from devrf.calibration.truth import read_truth
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import load_image
 from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.stages.evaluate import compare
 from devrf.reconstruct.metrics import psnr
 from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.still_picture import still_picture
@@ -72,24 +74,15 @@ def measured(name: str, scene_yaml: Path, program: str, run: Path, seed: int) ->
     """What one program makes of one case with one seed."""
     log = run.with_suffix(".log")
     run.parent.mkdir(parents=True, exist_ok=True)
-    first = run.with_name(f"{name}-0")
     if seed and not run.is_dir():
-        shutil.copytree(first, run)  # the cameras are the same
-    options = f"--preset tiny --device cpu --until canonical --allow-unhealthy --set reconstruct.seed={seed}".split()
-    command = [
-        program,
-        "-m",
-        "devrf.pipelines.cli",
-        "run",
-        str(scene_yaml),
-        *options,
-        "--set",
-        f"output={run}",
-    ]
-    _call(command, log)
+        shutil.copytree(run.with_name(f"{name}-0"), run)  # the cameras are the same
+    options = f"--preset tiny --device cpu --until canonical --allow-unhealthy --set reconstruct.seed={seed}"
+    command = [program, "-m", "devrf.pipelines.cli", "run", str(scene_yaml), *options.split()]
+    _call([*command, "--set", f"output={run}"], log)
     renders = run.with_suffix(".npz")
     _call([program, "-c", RENDER, str(run), str(renders)], log)
-    return {**_scores(run, np.load(renders)), **_cameras(scene_yaml, run), "seconds": _seconds(run)}
+    seconds = float(json.loads((run / "canonical" / "metrics.json").read_text())["seconds"])
+    return _scores(run, np.load(renders)) | _cameras(scene_yaml, run) | {"seconds": seconds}
 
 
 def _scores(run: Path, renders: Any) -> dict[str, float]:
@@ -123,28 +116,14 @@ def _scores(run: Path, renders: Any) -> dict[str, float]:
 
 
 def _cameras(scene_yaml: Path, run: Path) -> dict[str, float]:
-    from devrf.calibration.truth import compare_cameras, read_truth
-
-    truth = yaml.safe_load(scene_yaml.read_text()).get("evaluate", {}).get("truth") or "ground_truth.json"
-    path = scene_yaml.parent / truth
-    if not path.is_file():
+    """Rotations of the fixed cameras against the truth, where there is one."""
+    truth = load_scene(scene_yaml).truth_path(scene_yaml.parent)
+    if truth is None:
         return {}
-    scene = read_scene(run / "scene")
-    found = compare_cameras(
-        read_truth(path),
-        {f.index: f.camera for f in scene.static},
-        {f.camera_name: f.camera for f in scene.dynamic},
-        np.linalg.inv(scene.box_from_world)[:3, 3],
-    )
+    found = compare(read_truth(truth), read_scene(run / "scene"), run)
     return {
-        key: value
-        for key in ("rig_rotation_deg", "rig_rotation_deg_median")
-        if (value := found[key]) is not None
+        key: found[key] for key in ("rig_rotation_deg", "rig_rotation_deg_median") if found[key] is not None
     }
-
-
-def _seconds(run: Path) -> float:
-    return float(json.loads((run / "canonical" / "metrics.json").read_text())["seconds"])
 
 
 def _call(command: list[str], log: Path | None) -> None:

@@ -76,7 +76,7 @@ def _window(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
         ((middle - half, middle + half), (0.0, low)),
         ((middle - half, middle + half), (high, ROOM_HEIGHT_M)),
     ):
-        meshes.append(_facing_x(-h, (y0, y1), (z0, z1), _plain(rng, y1 - y0, z1 - z0, WALLS[2])))
+        meshes.append(_facing_x(-h, (y0, y1), (z0, z1), _plain(rng, z1 - z0, y1 - y0, WALLS[2])))
     meshes.append(_facing_x(-h - 4.5, (-7.0, 7.0), (-2.5, 6.0), _outside(rng)))
     for y in (middle - half, middle, middle + half):
         meshes += _solid(rng, (-h, y, (low + high) / 2), (0.08, 0.06, high - low), 0, WHITE)
@@ -130,10 +130,10 @@ def _walls(rng: np.random.Generator, x: float, y: float, leave_out: tuple[int, .
         length, inward = float(np.linalg.norm(b - a)), -0.012 * (a + b) / np.linalg.norm(a + b)
         if i not in leave_out:
             quad = np.array([[*a, top], [*b, top], [*b, 0], [*a, 0]])
-            meshes.append(picture_on_quad(quad, _plain(rng, length, top, WALLS[i])))
+            meshes.append(picture_on_quad(quad, _plain(rng, top, length, WALLS[i])))
         a, b = a + inward, b + inward
         quad = np.array([[*a, 0.08], [*b, 0.08], [*b, 0], [*a, 0]])
-        meshes.append(picture_on_quad(quad, _plain(rng, length, 0.08, WHITE)))
+        meshes.append(picture_on_quad(quad, _plain(rng, 0.08, length, WHITE)))
     return meshes
 
 
@@ -272,7 +272,7 @@ def _curtain(rng: np.random.Generator, y: float, height: float) -> Mesh:
     vertices = np.array([[x[i], y + across[i], z] for z in (height, 0.05) for i in range(folds)])
     uv = np.array([[i / (folds - 1), v] for v in (0.0, 1.0) for i in range(folds)])
     faces = [f for i in range(folds - 1) for f in ((i, i + folds + 1, i + 1), (i, i + folds, i + folds + 1))]
-    stripes = _plain(rng, 0.4, height, (170, 160, 178))
+    stripes = _plain(rng, height, 0.4, (170, 160, 178))
     stripes[:, ::9] = (138, 120, 146)
     return Mesh(vertices, np.array(faces), uv, stripes, smooth=True)
 
@@ -282,7 +282,7 @@ def _outside(rng: np.random.Generator) -> Picture:
     picture = texture(rng, 425, 700, 0.02, 1.0, paint=GARDEN, largest_m=1.5, smallest_m=0.1)
     horizon = 215 + (12 * np.cumsum(rng.normal(0, 0.35, 700))).clip(-60, 60)
     above = np.arange(425)[:, None] < horizon
-    sky = _plain(rng, 700 * TEXEL_M, 425 * TEXEL_M, SKY)
+    sky = _plain(rng, 425 * TEXEL_M, 700 * TEXEL_M, SKY)
     return np.where(above[..., None], sky, picture)
 
 
@@ -301,7 +301,7 @@ def _solid(
         quad = np.stack([middle + a - b + up, middle + a + b + up, middle + a + b - up, middle + a - b - up])
         width, height = 2 * np.linalg.norm(b), 2 * np.linalg.norm(up)
         wooden = tint in (OAK, WALNUT)
-        meshes.append(picture_on_quad(quad, (_grain if wooden else _painted)(rng, height, width, tint)))
+        meshes.append(picture_on_quad(quad, (_grain if wooden else _plain)(rng, height, width, tint)))
     return meshes
 
 
@@ -311,11 +311,7 @@ def _outward(mesh: Mesh) -> Float[np.ndarray, "3"]:
     return normal / np.linalg.norm(normal)
 
 
-def _painted(rng: np.random.Generator, height: float, width: float, tint: Tint) -> Picture:
-    return _plain(rng, width, height, tint)
-
-
-def _plain(rng: np.random.Generator, width: float, height: float, tint: Tint) -> Picture:
+def _plain(rng: np.random.Generator, height: float, width: float, tint: Tint) -> Picture:
     """One colour, and what any wall has of shade: two levels over its width."""
     shape = max(4, round(height / TEXEL_M)), max(4, round(width / TEXEL_M))
     cloud = cv2.resize(
