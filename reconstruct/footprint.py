@@ -19,6 +19,7 @@ from devrf.reconstruct.motion import MOST_ON_GPU
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions, MotionOptions
 from devrf.reconstruct.sizing import fewer_voxels
+from devrf.reconstruct.still_picture import MOST_BYTES
 
 # Measured on a CPU as differences of peaks between trainings that differ in one size (Linux, torch 2.13, warp 1.17).
 IMPORTED = 310e6  # of libraries, when all is imported
@@ -110,7 +111,7 @@ class SceneSize:
             return frame.camera.lens
 
         def view(frame: PosedFrame) -> Any:
-            return frame.camera.cam_from_world.tobytes(), frame.camera.lens
+            return frame.camera.view
 
         still = [f for f in scene.static if f.split == "train"]
         moving = [f for f in scene.dynamic if f.split == "train" and f.time is not None]
@@ -180,6 +181,11 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
         first = o.coarse_size**3 * COARSE_VERTEX + models / 2 ** len(o.scale_at)
     per_sample = SAMPLE + (0 if o.deferred else SAMPLE_PER_UNIT * o.mlp_width)
     common = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
+    beginning = common | {"plates": min(MOST_BYTES, PIXEL * size.largest_clip) * (not size.plain)}
+    if not size.plain:  # of fixed cameras, each with a lens of its own
+        common["plates"] = (
+            _picture_bytes(size, size.moving_lenses, size.moving_lenses) + 4 * size.moving_lenses
+        )
     training = common | {
         "models": max(first, models),
         "samples": (o.samples * per_sample + o.rays * _steps_bytes(o, STEP_AT_REST)) / o.parts,
@@ -188,7 +194,7 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
         "models": box * (trained + VERTEX_STAYS) + around * (SHELL_VERTEX_STAYS + shell_good),
         "checkpoint": box * _checkpoint_bytes(1, o.channels) + around * _checkpoint_bytes(SHELL_VALUES),
     }
-    return _largest([training, writing])
+    return _largest([beginning, training, writing])
 
 
 def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, Parts]:

@@ -1,4 +1,4 @@
-"""Stage `canonical`: the scene at rest, and its surroundings, learned from the sweep."""
+"""Stage `canonical`: the scene at rest and its surroundings, learned from the sweep and from fixed cameras."""
 
 import json
 from dataclasses import asdict
