@@ -180,7 +180,7 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     if not size.plain or o.box_search == "coarse":
         first = o.coarse_size**3 * COARSE_VERTEX + models / 2 ** len(o.scale_at)
     per_sample = SAMPLE + (0 if o.deferred else SAMPLE_PER_UNIT * o.mlp_width)
-    common = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
+    common: Parts = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
     beginning = common | {"plates": min(MOST_BYTES, PIXEL * size.largest_clip) * (not size.plain)}
     if not size.plain:  # of fixed cameras, each with a lens of its own
         common["plates"] = (
