@@ -22,7 +22,7 @@ from devrf.capture.raw import WhiteBalance
 from devrf.capture.sampled import picture_times
 from devrf.capture.video import VideoInfo, probe_video
 
-Rest = Literal["start", "end", "none"]
+Rest = Literal["auto", "start", "middle", "end", "none"]
 
 TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
 MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check
@@ -58,7 +58,7 @@ class CaptureSession:
     white: Mapping[str, Path] = field(default_factory=_no_files)
     white_balance: WhiteBalance | None = None
     range_s: tuple[float, float] | None = None
-    rest: Rest = "start"
+    rest: Rest = "auto"
 
     def shares_joint_clip(self, camera: str) -> bool:
         """Whether this camera's joint board clip is its moving clip."""

@@ -19,6 +19,8 @@ from devrf.capture.sampled import picture_times, read_runs, spread_starts
 from devrf.capture.video import probe_video
 
 Picture = UInt8[np.ndarray, "height width 3"]
+End = Literal["start", "end"]
+ENDS: tuple[End, ...] = ("start", "end")  # of a clip
 
 KINDS: dict[str, frozenset[str]] = {
     "clips": frozenset(
@@ -156,7 +158,7 @@ def _look_at_photos(folder: Path, count: int) -> Look:
     return Look(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures)
 
 
-def pictures_at(look: Look, end: Literal["start", "end"]) -> list[Picture]:
+def pictures_at(look: Look, end: End) -> list[Picture]:
     """Successive pictures of a clip at its start or its end; fewer where the file is damaged there."""
     starts = spread_starts(look.times_s, 2, END_PICTURES)
     at = starts[0] if end == "start" else starts[-1]

@@ -1,7 +1,9 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -33,6 +35,7 @@ from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
+from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
 
@@ -59,10 +62,11 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     mattes = scene_mattes(
         context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
     )
+    moves = {
+        n: m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
+    }
     if mattes is None:
-        masks = [
-            m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
-        ]
+        masks = list(moves.values())
     else:
         assert config.capture.mattes is not None
         context.health.extend(matte_health(mattes, config.capture.mattes.method))
@@ -84,7 +88,13 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         "what moves" if mattes is None else "the subject's mattes",
     )
     context.health.extend(box_health(bounds, masks, mattes, dynamic))
-    rest = config.capture.rest
+    rest = None
+    if dynamic:
+        trained = {
+            n: [f for f in dynamic if f.camera_name == n] for n in moves if frames.moving[n].role != "test"
+        }
+        rest, seen = rest_time(config.capture.rest, trained, moves, model, factor, ingest)
+        context.health.append(seen)
     scene = Scene(
         static=static,
         dynamic=dynamic,
@@ -96,7 +106,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         background=PLAIN if mattes is not None and mattes.everywhere else "shell",
         t0_s=t0_s,
         t1_s=t1_s,
-        rest_time={"start": 0.0, "end": 1.0}.get(rest) if dynamic else None,
+        rest_time=rest,
         image_scale=1.0,
         metric=rig.scale.metric,
         points=points,
@@ -171,13 +181,14 @@ def _moving_frames(
         if not times[name]:
             text = f"camera '{name}' has no frames; check its clip and capture.range_s"
             raise CaptureError("camera-without-frames", text)
-    t0_s = max(t[0][2] for t in times.values())
-    t1_s = min(t[-1][2] for t in times.values())
+    filmed = {name: (rows[0][2], rows[-1][2]) for name, rows in times.items()}
+    taught = [span for name, span in filmed.items() if frames.moving[name].role != "test"]
+    t0_s, t1_s = span_of(taught) or (0.0, 0.0)
     if context.config.capture.range_s is not None:
         from_s, to_s = context.config.capture.range_s
         t0_s, t1_s = max(t0_s, from_s), min(t1_s, to_s)
     if t1_s <= t0_s:
-        spans = ", ".join(f"{n} {t[0][2]:.2f} to {t[-1][2]:.2f} s" for n, t in times.items())
+        spans = ", ".join(f"{name} {from_s:.2f} to {to_s:.2f} s" for name, (from_s, to_s) in filmed.items())
         text = f"the cameras share no time on {next(iter(times))}'s clock ({spans}); check capture.range_s"
         raise CaptureError("cameras-share-no-time", text)
     out = []
@@ -188,6 +199,17 @@ def _moving_frames(
                 split = "test" if frames.moving[name].role == "test" else "train"
                 out.append(PosedFrame(path, rig.cameras[name].camera, name, index, time_s, time, split))
     return tuple(out), t0_s, t1_s
+
+
+def span_of(filmed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """From the first to the last moment at which two cameras film at once, or one where there is only one; seconds.
+
+    Args:
+        filmed: From when to when each camera films.
+    """
+    shared = [(max(a[0], b[0]), min(a[1], b[1])) for a, b in combinations(filmed, 2)]
+    shared = [(begin, end) for begin, end in shared if begin < end] if len(filmed) > 1 else list(filmed)
+    return (min(begin for begin, _ in shared), max(end for _, end in shared)) if shared else None
 
 
 def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask | None:

@@ -19,24 +19,23 @@ class KeyPictures:
         cameras: The camera of each picture.
         tau: The time of each, in key spacings.
         keys: Number of key times.
-        direction: In which the keys are visited: 1, or -1 from the last to the first.
     """
 
-    def __init__(self, cameras: Sequence[str], tau: Float[Tensor, " F"], keys: int, direction: int) -> None:
+    def __init__(self, cameras: Sequence[str], tau: Float[Tensor, " F"], keys: int) -> None:
         self._cameras: Sequence[str] = cameras
-        self._tau, self._keys, self._direction = tau, keys, direction
+        self._tau, self._keys = tau, keys
         self._all = self.by_camera(torch.arange(len(tau), device=tau.device))
 
-    def around(self, key: int) -> Int[Tensor, " f"]:
-        """Pictures between a key's neighbours."""
-        return self._within_reach(key, 1.0)
+    def around(self, key: int, direction: int) -> Int[Tensor, " f"]:
+        """Pictures between a key's neighbours; `direction`, in which keys are visited: 1, or -1 back in time."""
+        return self._within_reach(key, 1.0, direction)
 
-    def tracked(self, key: int) -> Int[Tensor, " f"]:
+    def tracked(self, key: int, direction: int) -> Int[Tensor, " f"]:
         """Of each camera the pictures up to a key on which it has a say; without any, the one right after it.
 
         Where a key counts for little, Adam, which knows no scale, would move it far for what the key before got wrong.
         """
-        away, chosen = (self._tau - key) * self._direction, []
+        away, chosen = (self._tau - key) * direction, []
         for members in self._all:
             at = away[members]
             up_to = members[(at > LEAST_SAY - 1) & (at < AT_KEY)]
@@ -45,7 +44,7 @@ class KeyPictures:
                 up_to = after[away[after].argsort()[:1]]
             chosen.append(up_to)
         pictures = torch.cat(chosen).sort().values
-        return pictures if len(pictures) else self._within_reach(key, AT_KEY)
+        return pictures if len(pictures) else self._within_reach(key, AT_KEY, direction)
 
     def by_camera(self, pictures: Int[Tensor, " f"]) -> list[Int[Tensor, " _"]]:
         """The same pictures, those of each camera together."""
@@ -55,8 +54,8 @@ class KeyPictures:
             cameras.setdefault(self._cameras[picture], []).append(picture)
         return [torch.tensor(cameras[name], device=pictures.device) for name in sorted(cameras)]
 
-    def _within_reach(self, key: int, ahead: float) -> Int[Tensor, " f"]:
-        away = (self._tau - key) * self._direction
+    def _within_reach(self, key: int, ahead: float, direction: int) -> Int[Tensor, " f"]:
+        away = (self._tau - key) * direction
         for reach in (1.0, 2.0, float(self._keys)):  # a dropped frame may leave a key without pictures
             chosen = ((away > -reach) & (away < max(ahead, reach - 1.0 + AT_KEY))).nonzero()[:, 0]
             if len(chosen):

@@ -22,8 +22,10 @@ def still_keys(
         rest_key: The one that is known to be at rest, visited before all.
     """
     still: set[int] = set()
-    before = None if rest_key is None else _nearest(rays, tau, rest_key)
+    at_rest = before = None if rest_key is None else _nearest(rays, tau, rest_key)
     for key in order:
+        if rest_key is not None and key == rest_key - 1:  # back from the rest
+            before = at_rest
         now = _nearest(rays, tau, key)
         if before is not None and all(same(rays, before[name], now[name]) for name in now):
             still.add(key)

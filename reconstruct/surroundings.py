@@ -16,7 +16,7 @@ class PixelSurroundings:
         parts: list[Around] = []
         first_of_frame, size = [], 0
         for camera in rays.cameras:
-            key = (camera.cam_from_world.tobytes(), *camera.lens)
+            key = camera.view
             if key not in firsts:
                 firsts[key] = size
                 parts.append(model.around_camera(camera))

@@ -183,8 +183,10 @@ class _Recipe:
         if options.adapt and options.keys is None:
             keys, decision = fewer_keys(flows, keys)
             self._note(decision)
-        at_start = scene.rest_time is not None and scene.rest_time <= times[0]
-        at_end = scene.rest_time is not None and scene.rest_time >= times[-1] and not at_start
+        rest_key = None
+        if scene.rest_time is not None:
+            share = (scene.rest_time - times[0]) / max(times[-1] - times[0], 1e-9)
+            rest_key = round((keys - 1) * min(1.0, max(0.0, share)))
         box = motion_box(scene, rest, rays.frames, len(times))
         self.motion = MotionField.still(
             box,
@@ -192,15 +194,14 @@ class _Recipe:
             options.levels[0],
             t_first=times[0],
             t_last=times[-1],
-            rest_key=0 if at_start else keys - 1 if at_end else None,
+            rest_key=rest_key,
             device=device,
         )
-        everything = list(range(keys)) if not at_end else list(range(keys - 1, -1, -1))
-        self.order = [key for key in everything if key != self.motion.rest_key]
-        self.direction = -1 if at_end else 1
+        after = 0 if rest_key is None else rest_key + 1
+        self.order = [*range(after, keys), *range(after - 2, -1, -1)]  # from the rest on, and back from it
         self.tau_of_frame = self.motion.tau(rays.times)
         names = [f.camera_name for f in rays.frames]
-        self.key_pictures = KeyPictures(names, self.tau_of_frame, keys, self.direction)
+        self.key_pictures = KeyPictures(names, self.tau_of_frame, keys)
         extent = box[1] - box[0]
         # Published units per unit of the box frame; in normalised device coordinates they are the same.
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
@@ -208,6 +209,7 @@ class _Recipe:
         self.guard = Guard()
         self.keys_left = 0  # as they were before, because training made them worse
         self.level, self.key, self.step_of_key = 0, 0, 0
+        self.direction = 1  # from the key before to the present one
         self.device = device
         self.held_back = HeldBack(rays, self.changing) if options.adapt else None
         self.errors = [0.0, 0.0]  # of held-back rays before and after this level
@@ -277,12 +279,13 @@ class _Recipe:
 
     def enter_key(self, key: int) -> None:
         """Begin to train one key: its pictures, its starting point, a fresh Adam."""
+        self.direction = self._direction(key)
         motion, before = self.motion, key - self.direction
         if self.level == 0 and 0 <= before < motion.keys:
             motion.backward[key] = motion.backward[before]
             motion.forward[key] = motion.forward[before]
         choose = self.key_pictures.around if self.level else self.key_pictures.tracked
-        self.pictures = choose(key)
+        self.pictures = choose(key, self.direction)
         self.views = self.key_pictures.by_camera(self.pictures)
         looked_at = self.tau_of_frame[torch.cat([self.pictures, self.flow.previous[self.pictures]])]
         self.first = max(0, min(int(looked_at.min()), key - 1))
@@ -347,7 +350,12 @@ class _Recipe:
     def follow(self, key: int) -> None:
         """A key at which nothing has changed: its motion is that of the key before."""
         for field in (self.motion.backward, self.motion.forward):
-            field[key] = field[key - self.direction]
+            field[key] = field[key - self._direction(key)]
+
+    def _direction(self, key: int) -> int:
+        """1 where a key follows the one before it in time, -1 where it leads back from the rest."""
+        rest_key = self.motion.rest_key
+        return 1 if rest_key is None or key >= rest_key else -1
 
     def leave_key(self) -> None:
         """Look at what it gained, and keep what has been learned, where the window is a copy."""

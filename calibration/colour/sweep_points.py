@@ -4,10 +4,10 @@ The sweep's sparse points are projected into the fixed camera's clean picture. E
 that shows it from the most similar place; whether both really show it is told by their patches.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from devrf.calibration.colour.surface import Pairs, View, shared_colours
 from devrf.calibration.sweep.static_poses import SweepModel
@@ -33,20 +33,46 @@ def sweep_pairs(
         factor: From the sweep's unit to the camera's.
         read: The picture of a name in the model.
     """
-    unit = np.diag([factor, factor, factor, 1.0])
-    cameras = [camera.moved(unit) for camera in model.cameras]
-    points, picture, seen = _best_views(view.camera, model, factor, cameras)
-    counts = np.bincount(picture, minlength=len(cameras))
     colours, place = [np.zeros((0, 2, 3))], [np.zeros((0, 2))]
+    for xyz, swept, seen in _by_picture(view.camera, model, factor, read):
+        found, usable = shared_colours(xyz, swept, view, (seen, None))
+        colours.append(found[usable])
+        place.append(view.camera.project(xyz[usable]) / view.camera.width)
+    return Pairs(SWEEP, name, np.concatenate(colours), np.concatenate(place))
+
+
+def sweep_sightings(
+    camera: Camera,
+    pictures: Sequence[UInt8[np.ndarray, "h w 3"]],
+    model: SweepModel,
+    factor: float,
+    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]],
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, "pictures n"]]:
+    """Where a fixed camera should see the sweep's points, pixels, and in which of its pictures it does.
+
+    Other arguments as `sweep_pairs`'.
+    """
+    places, found = [np.zeros((0, 2))], [np.zeros((len(pictures), 0), bool)]
+    for xyz, swept, seen in _by_picture(camera, model, factor, read):
+        places.append(camera.project(xyz))
+        usable = [shared_colours(xyz, swept, View(camera, rgb), (seen, None))[1] for rgb in pictures]
+        found.append(np.stack(usable))
+    return np.concatenate(places), np.concatenate(found, axis=1)
+
+
+def _by_picture(
+    camera: Camera, model: SweepModel, factor: float, read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]]
+) -> Iterator[tuple[Float[np.ndarray, "n 3"], View, Float[np.ndarray, "n 2"]]]:
+    """Points that a camera may see, by the picture of the sweep they are compared with, and where that shows them."""
+    unit = np.diag([factor, factor, factor, 1.0])
+    cameras = [swept.moved(unit) for swept in model.cameras]
+    points, picture, seen = _best_views(camera, model, factor, cameras)
+    counts = np.bincount(picture, minlength=len(cameras))
     for n in np.argsort(counts)[::-1][:MOST_PICTURES]:
         mine = picture == n
         if not mine.any():
             break
-        xyz = points[mine]
-        found, usable = shared_colours(xyz, View(cameras[n], read(model.names[n])), view, (seen[mine], None))
-        colours.append(found[usable])
-        place.append(view.camera.project(xyz[usable]) / view.camera.width)
-    return Pairs(SWEEP, name, np.concatenate(colours), np.concatenate(place))
+        yield points[mine], View(cameras[n], read(model.names[n])), seen[mine]
 
 
 def _best_views(

@@ -1,39 +1,40 @@
 """One clean picture per fixed camera, for matching with the sweep: the scene without what moves in it.
 
-Two candidates: the median over the whole clip removes what moves and the noise; the median of the few
-frames at rest shows the scene exactly as the sweep saw it. Which one registers better is decided there.
+Candidates: the median over the whole clip removes what moves and the noise; the median of the few frames at rest shows
+the scene exactly as the sweep saw it. When that is need not be known: which one registers best is decided there.
 """
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.session import Rest
 
 CLIP_FRAMES = 21  # of the whole clip's median
 REST_FRAMES = 3
+AT_REST = ("start", "middle", "end")  # when a clip may show the rest
 
 
-def clean_pictures(
-    name: str, files: list[Path], rest: Literal["start", "end", "none"], out: Path
-) -> list[Path]:
-    """Write the candidates `<name>_rest.png` (where there is a rest) and `<name>_clip.png` into `out`.
+def clean_pictures(name: str, files: list[Path], rest: Rest, out: Path) -> list[Path]:
+    """Write the candidates `<name>_start.png`, `_middle` or `_end` (where there may be a rest) and `_clip` into `out`.
 
     Args:
         name: Of the camera.
         files: Its frames in order of time.
-        rest: When the clip shows the scene as in the sweep.
+        rest: When the clip shows the scene as in the sweep; auto: at its start or at its end.
         out: Existing folder.
     """
     if not files:
         raise CaptureError("pictures-none", f"camera '{name}' has no frames; check capture.range_s")
     chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
-    candidates = {}
-    if rest != "none":
-        candidates["rest"] = files[:REST_FRAMES] if rest == "start" else files[-REST_FRAMES:]
+    candidates = {
+        moment: [files[n] for n in rest_frames(moment, len(files))]
+        for moment in (("start", "end") if rest == "auto" else (rest,))
+        if moment != "none"
+    }
     candidates["clip"] = [files[i] for i in chosen]
     written = []
     for label, sources in candidates.items():
@@ -41,6 +42,13 @@ def clean_pictures(
         write_png(path, median_picture(sources))
         written.append(path)
     return written
+
+
+def rest_frames(moment: str, count: int) -> range:
+    """Which of a clip's frames are at its `start`, `middle` or `end`."""
+    last = max(0, count - REST_FRAMES)
+    first = {"start": 0, "middle": last // 2}.get(moment, last)
+    return range(first, min(count, first + REST_FRAMES))
 
 
 def median_picture(files: list[Path]) -> UInt8[np.ndarray, "h w 3"]:

@@ -16,7 +16,7 @@ from devrf.capture.progress import Progress
 from devrf.capture.sampled import read_runs
 from devrf.capture.session import Rest
 from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
-from devrf.capture.survey import Look, Picture, pictures_at, small
+from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 SWEEP_PICTURES = 40  # whose neighbours are compared
@@ -135,15 +135,21 @@ def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) ->
         warn=SUBJECT_WARN,
         remedy=f"{name} does not see the subject: point it there, go nearer.",
     )
-    at_rest = list(look.pictures[:1]) if rest == "none" else pictures_at(look, rest)
-    if sweep and rest != "none" and steady.stands is not False:
-        yield row(
-            f"share of {name}'s picture that moves at the {rest}",
-            moving_share([smooth_grey(picture) for picture in at_rest]),
-            warn_above=AT_REST,
-            remedy=f"The scene is not at rest at the {rest} of {name}'s clip: start the cameras before the action, "
-            "or set capture.rest to when it is.",
-        )
+    at_rest = list(look.pictures[:1])
+    if rest in ("auto", "start", "end"):
+        ends = {end: pictures_at(look, end) for end in ENDS if rest in ("auto", end)}
+        moving = {end: moving_share([smooth_grey(p) for p in pictures]) for end, pictures in ends.items()}
+        known = {end: share for end, share in moving.items() if share is not None}
+        end = min(known or ends, key=lambda end: known.get(end, 0.0))
+        at_rest = ends[end]
+        if sweep and steady.stands is not False:
+            yield row(
+                f"share of {name}'s picture that moves at the {end}",
+                moving[end],
+                warn_above=AT_REST,
+                remedy=f"The scene is not at rest at the {end} of {name}'s clip: start the cameras before the "
+                "action, or set capture.rest to when it is.",
+            )
     if sweep:
         yield row(
             f"features that {name} shares with the sweep",

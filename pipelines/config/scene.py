@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from devrf.capture.session import Rest
 from devrf.flow.methods import mistake
 from devrf.reconstruct.options import PresetName
 
@@ -185,9 +186,10 @@ class CaptureConfig(_Section):
     timestamps: PathText | None = None
     """Table of true times (CSV with camera, frame_index, time_s), where the clips' own are not."""
     range_s: Annotated[tuple[float, float], BeforeValidator(_as_tuple)] | None = None
-    """[from, to]: the part to model, on cam0's clock; default: what all cameras share."""
-    rest: Literal["start", "end", "none"] = "start"
-    """When the moving clips show the scene as in the sweep."""
+    """[from, to]: the part to model, on cam0's clock; default: from the first to the last moment at which at least two
+    training cameras film (one, where there is only one)."""
+    rest: Rest = "auto"
+    """When the moving clips show the scene as in the sweep: start, middle, end or none; auto: that is measured."""
     board: BoardConfig | None = None
     """The calibration board, where one was filmed."""
     raw: RawConfig = RawConfig()

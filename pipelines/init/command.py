@@ -4,14 +4,13 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.datasets import guess_format
 from devrf.capture.progress import Progress
 from devrf.capture.session import read_timestamps
 from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
-from devrf.capture.survey import Look, Material, find_material, look_at, pictures_at
+from devrf.capture.survey import ENDS, Look, Material, find_material, look_at, pictures_at
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.init.calibrations import take_calibration
@@ -94,27 +93,25 @@ def survey(folder: Path, material: Material, progress: Progress) -> Roles:
         roles.left |= {file.relative_to(folder).as_posix(): why for file in files}
     take_calibration(folder, material.others, roles)
     progress(0.95, "rest")
-    _find_rest(roles)
+    _doubt_rest(roles)
     _find_times(folder, material, roles)
     _find_missing(roles)
     return roles
 
 
-def _find_rest(roles: Roles) -> None:
-    """Whether the fixed cameras' clips begin or end with nothing moving."""
+def _doubt_rest(roles: Roles) -> None:
+    """Whether no fixed camera's clip begins or ends with nothing moving."""
     if roles.sweep is None or not roles.cameras:
         return
-    still: dict[Literal["start", "end"], int] = {"start": 0, "end": 0}
-    for end in still:
-        shares = [
-            moving_share([smooth_grey(p) for p in pictures_at(s.look, end)]) for s in roles.cameras.values()
-        ]
-        still[end] = sum(share is not None and share <= AT_REST for share in shares)
-    roles.rest = "end" if still["end"] > still["start"] else "start"
-    if not any(still.values()):
+    shares = [
+        moving_share([smooth_grey(picture) for picture in pictures_at(s.look, end)])
+        for s in roles.cameras.values()
+        for end in ENDS
+    ]
+    if not any(share is not None and share <= AT_REST for share in shares):
         roles.doubts.append(
-            "something moves at the start and at the end of every clip: rest: start is a guess. Let the cameras see "
-            "the scene as in the sweep for a second before the action"
+            "something moves at the start and at the end of every clip: they may never show the scene as in the "
+            "sweep. Let the cameras see it for a second before the action"
         )
 
 

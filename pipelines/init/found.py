@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 from devrf.calibration.boards.guess import BoardGuess
 from devrf.calibration.field.steady import Steadiness
-from devrf.capture.session import Rest
 from devrf.capture.survey import Look
 from devrf.pipelines.init.names import called, roles_called
 
@@ -46,7 +45,6 @@ class Roles:
         given: A calibration that places the cameras where nothing else does, relative to the folder.
         metric: Whether that gives metres.
         timestamps: A table of true times, relative to the folder.
-        rest: When the moving clips show the scene as in the sweep.
         why: File -> what it was taken for, and why.
         left: File -> why it is not used, and what to do where it cannot be as it is.
         doubts: Contradictions and what is missing, one sentence each.
@@ -61,7 +59,6 @@ class Roles:
     given: str | None = None
     metric: bool = False
     timestamps: str | None = None
-    rest: Rest = "start"
     why: dict[str, str] = field(default_factory=dict)
     left: dict[str, str] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)

@@ -36,7 +36,7 @@ def _lines(name: str, roles: Roles, preset: str) -> Iterator[str]:
     if roles.timestamps is not None:
         yield f"  timestamps: {_text(roles.timestamps)}   # true times of the frames"
     if roles.cameras and roles.sweep is not None:
-        yield f"  rest: {roles.rest}   # when the clips show the scene as in the sweep: start, end or none"
+        yield "  rest: auto   # when the clips show the scene as in the sweep: auto, start, middle, end or none"
     if roles.board is not None:
         yield from _board(roles.board.spec, roles.metric)
         yield from (

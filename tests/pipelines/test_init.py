@@ -215,12 +215,11 @@ def test_names_become_cameras_and_the_file_is_what_run_takes(tmp_path: Path) -> 
     cameras = ["no.mp4", "null/clip.mp4", "gopro 2/GX01.mp4", "gopro 3/GX01.mp4", "wit.mp4"]
     files = [seen("walk/a: 1.mp4", MOVES, board=0.3), *map(seen, cameras), seen("board_x.mp4")]
     roles = guess_roles(files, GUESS)
-    roles.rest = "end"
     path = tmp_path / "scene.yaml"
     path.write_text(scene_yaml("on", roles, "tiny"))
     config = load_scene(path, check_files=False)
     assert config.name == "on" and config.capture is not None
-    assert config.capture.static == "walk/a: 1.mp4" and config.capture.rest == "end"
+    assert config.capture.static == "walk/a: 1.mp4" and config.capture.rest == "auto"
     assert set(config.capture.cameras.values()) == set(cameras)
     assert "gopro_2" in config.capture.cameras
     board = config.capture.board
@@ -239,7 +238,7 @@ def test_the_example_without_its_scene(devrf: Callable, tmp_path: Path) -> None:
     assert result.code == 0, result.said
     config, told = load_scene(tmp_path / "scene.yaml"), load_scene(EXAMPLE / "scene.yaml")
     assert config.capture is not None and told.capture is not None and told.capture.board is not None
-    for key in ("static", "cameras", "test_cameras", "rest"):
+    for key in ("static", "cameras", "test_cameras"):
         assert getattr(config.capture, key) == getattr(told.capture, key), key
     board = config.capture.board
     assert (

@@ -66,7 +66,7 @@ def _off_the_path(ball, motion: MotionField, time: float) -> float:
     directions = torch.randn(200, 3, generator=torch.Generator().manual_seed(0))
     surface = torch.nn.functional.normalize(directions, dim=-1) * 0.9 * ball.radius
     moved = (motion.from_rest(surface, motion.tau(torch.full((200,), time))) - surface).mean(0).numpy()
-    return float(np.linalg.norm(moved - time * ball.travel) / np.linalg.norm(ball.travel))
+    return float(np.linalg.norm(moved - abs(time) * ball.travel) / np.linalg.norm(ball.travel))
 
 
 def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
@@ -84,6 +84,20 @@ def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
             still = _psnr(render_view(model, frame.camera, None), true)
             assert moving > still + 3
     assert metrics["left_box_share"] < 0.2
+
+
+@pytest.mark.full
+def test_motion_leads_out_of_a_rest_in_the_middle(ball, rest: RestModel) -> None:
+    """The clip is shown backward, then forward: the ball comes to its place at rest and leaves it again."""
+    there = tuple(f for f in ball.scene.dynamic if f.time is not None)
+    dynamic = tuple(replace(f, time=0.5 + side * (f.time or 0.0) / 2) for side in (-1, 1) for f in there)
+    scene = replace(ball.scene, dynamic=tuple(sorted(dynamic, key=lambda f: f.time or 0.0)), rest_time=0.5)
+    motion, _ = train_motion(scene, rest, {}, replace(MOTION, keys=7))
+    assert motion.keys == 7 and motion.rest_key == 3
+    assert (motion.backward[3] == 0).all() and (motion.forward[3] == 0).all()
+    turned = replace(motion, t_first=-1.0, t_last=1.0)  # time is as far from the rest as in the ball's own
+    for time in (-1.0, -0.5, 0.5, 1.0):
+        assert _off_the_path(ball, turned, time) < 0.2, time
 
 
 @pytest.mark.full

@@ -1,0 +1,114 @@
+"""When fixed cameras show the scene as the sweep shows it: at the start of their clips, at the end, between, or never.
+
+Where something moves in a clip, the sweep's points look as in the sweep only while what moves is where it was then.
+How many of a camera's points can be recognised at all is told by those where nothing moves. A camera with too few
+points among what moves is asked whether its picture stands still instead: what is at rest need not move, but what
+moves is not at rest.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from devrf.calibration.colour.sweep_points import sweep_sightings
+from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.capture.camera import Camera
+
+Moment = Literal["start", "middle", "end", "none"]
+
+MOMENTS = 7  # that are looked at: the start, the end, and five between
+FEWEST = 20  # points to be recognised among what moves, before they tell anything
+# Of the points that would be recognised if nothing had moved; at rest 0.47 to 0.98 of them are, in motion up to 0.25.
+AS_USUAL = 0.35
+AS_BEST = 0.85  # of the most that are recognised at any moment
+
+
+@dataclass(frozen=True)
+class RestSeen:
+    """What one camera tells.
+
+    Attributes:
+        expected: Points among what moves that would be recognised if nothing had moved.
+        seen: How many of them are, at each moment: start, those between, end; None where it does not film.
+        still: At the start and at the end: whether next to nothing moves there.
+    """
+
+    expected: float
+    seen: tuple[int | None, ...]
+    still: tuple[bool, bool]
+
+    @property
+    def told_by_points(self) -> bool:
+        """Whether there are enough of them."""
+        return self.expected >= FEWEST
+
+    @property
+    def moments(self) -> Float[np.ndarray, " moments"]:
+        """At which moments the camera shows the rest: 1, 0, or not a number where it does not film."""
+        filmed = np.array([n is not None for n in self.seen])
+        seen = np.array([n or 0 for n in self.seen], dtype=float)
+        shown = seen >= max(AS_USUAL * self.expected, AS_BEST * float(seen.max()))
+        if not self.told_by_points:
+            shown[:] = False
+            shown[[0, -1]] = self.still
+        return np.where(filmed, shown.astype(float), np.nan)
+
+
+def rest_seen(
+    camera: Camera,
+    pictures: Sequence[UInt8[np.ndarray, "h w 3"] | None],
+    moves: Bool[np.ndarray, "mh mw"],
+    still: tuple[bool, bool],
+    model: SweepModel,
+    factor: float,
+    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]],
+) -> RestSeen:
+    """Look for the sweep's points in one camera's pictures.
+
+    Args:
+        camera: As calibrated.
+        pictures: At each moment, in the order of time; None where it does not film.
+        moves: What moves in the clip, at any size.
+        still: Whether next to nothing moves at the start and at the end.
+        model: The sweep.
+        factor: From the sweep's unit to the camera's.
+        read: The picture of a name in the model.
+    """
+    taken = [picture for picture in pictures if picture is not None]
+    places, found = sweep_sightings(camera, taken, model, factor, read)
+    size = np.array(moves.shape[::-1])
+    at = np.clip((places / [camera.width, camera.height] * size).astype(int), 0, size - 1)
+    among = moves[at[:, 1], at[:, 0]]
+    usual = float(found[:, ~among].mean()) if (~among).any() else 0.0
+    counts = iter(found[:, among].sum(axis=1).tolist())
+    seen = tuple(None if picture is None else int(next(counts)) for picture in pictures)
+    return RestSeen(usual * float(among.sum()), seen, still)
+
+
+def rest_votes(cameras: Sequence[RestSeen]) -> Float[np.ndarray, " moments"]:
+    """Share of the cameras that show the rest at each moment; those that are told by points before others."""
+    asked = [camera for camera in cameras if camera.told_by_points] or list(cameras)
+    votes = np.stack([camera.moments for camera in asked])
+    filmed = np.isfinite(votes)
+    return np.where(filmed, votes, 0).sum(axis=0) / np.maximum(filmed.sum(axis=0), 1)
+
+
+def rest_moment(votes: Float[np.ndarray, " moments"]) -> tuple[Moment, float | None]:
+    """When most cameras show the rest, and that time in [0, 1].
+
+    The start counts before the end, and both before what lies between: clips are meant to begin at rest.
+    """
+    if votes[0] > 0.5:
+        return "start", 0.0
+    if votes[-1] > 0.5:
+        return "end", 1.0
+    middle = middle_of(votes)
+    return ("middle", middle) if votes.max() > 0.5 else ("none", None)
+
+
+def middle_of(votes: Float[np.ndarray, " moments"]) -> float:
+    """The time between start and end at which most cameras show the rest."""
+    return (1 + int(votes[1:-1].argmax())) / (len(votes) - 1)

@@ -1,0 +1,118 @@
+"""When fixed cameras show the scene as the sweep does: by points among what moves, else by what stands still."""
+
+import numpy as np
+import pytest
+from tests.calibration import coloured_room as room
+
+from devrf.calibration.rest_moment import (
+    FEWEST,
+    MOMENTS,
+    RestSeen,
+    middle_of,
+    rest_moment,
+    rest_seen,
+    rest_votes,
+)
+from devrf.calibration.rigs.clean_picture import REST_FRAMES, rest_frames
+from devrf.pipelines.captured_scene import span_of
+
+COLUMNS = slice(140, 340)  # of the picture, in which something moves
+
+
+@pytest.fixture(scope="module")
+def swept():
+    """A sweep of the room, its pictures by name, and what a fixed camera shows at rest."""
+    model = room.sweep()
+    pictures = {
+        name: room.show(camera, seed=n).rgb
+        for n, (name, camera) in enumerate(zip(model.names, model.cameras, strict=True))
+    }
+    return model, pictures, room.show(room.camera(0.7, -1.2), seed=99)
+
+
+def seen_at(swept, moved_px: list[int | None], still: tuple[bool, bool] = (False, False)) -> RestSeen:
+    """What a camera tells in whose pictures the middle has moved by so many pixels; None: no picture."""
+    model, pictures, view = swept
+    moves = np.zeros(view.rgb.shape[:2], bool)
+    moves[:, COLUMNS] = True
+
+    def picture(shift: int | None) -> np.ndarray | None:
+        if shift is None:
+            return None
+        moved = view.rgb.copy()
+        moved[:, COLUMNS] = np.roll(view.rgb, shift, axis=0)[:, COLUMNS]
+        return moved
+
+    found = [picture(shift) for shift in moved_px]
+    return rest_seen(view.camera, found, moves[::2, ::2], still, model, 1.0, pictures.__getitem__)
+
+
+@pytest.mark.parametrize(
+    ("moved_px", "moment", "time"),
+    [
+        ([0, 20, 40, 50, 60, 70, 80], "start", 0.0),
+        ([80, 70, 60, 50, 40, 20, 0], "end", 1.0),
+        ([60, 40, 0, 40, 60, 80, 90], "middle", 2 / 6),
+        ([0, 30, 60, 90, 60, 30, 0], "start", 0.0),
+        ([9, 20, 40, 50, 60, 70, 80], "none", None),
+        ([None, 20, 40, 50, 60, 70, 0], "end", 1.0),  # it began to film later
+    ],
+)
+def test_points_tell_when_the_scene_is_at_rest(swept, moved_px, moment, time) -> None:
+    seen = seen_at(swept, moved_px)
+    assert seen.told_by_points and len(seen.seen) == MOMENTS
+    found, at = rest_moment(rest_votes([seen]))
+    assert found == moment and at == (None if time is None else pytest.approx(time))
+
+
+def test_what_stands_still_need_not_be_the_rest(swept) -> None:
+    """Someone has put the thing elsewhere before the clip: nothing moves at its start, but it is not the rest."""
+    seen = seen_at(swept, [40, 40, 40, 30, 20, 10, 10], still=(True, True))
+    assert rest_moment(rest_votes([seen])) == ("none", None)
+
+
+def test_without_points_what_stands_still_decides() -> None:
+    plain = [
+        RestSeen(FEWEST - 1.0, (0,) * MOMENTS, still)
+        for still in ((False, True), (False, True), (True, True))
+    ]
+    assert not any(camera.told_by_points for camera in plain)
+    assert rest_moment(rest_votes(plain)) == ("end", 1.0)
+    assert rest_moment(rest_votes([RestSeen(0.0, (0,) * MOMENTS, (False, False))])) == ("none", None)
+
+
+def test_cameras_told_by_points_count_before_others() -> None:
+    told = RestSeen(100.0, (3, 2, 2, 2, 2, 2, 95), (False, False))
+    plain = [RestSeen(0.0, (0,) * MOMENTS, (True, False))] * 3
+    assert rest_moment(rest_votes([told, *plain])) == ("end", 1.0)
+
+
+def test_a_middle_is_never_the_start_or_the_end() -> None:
+    votes = np.array([1.0, 0, 0.25, 0.5, 0, 0, 1])
+    assert middle_of(votes) == pytest.approx(3 / 6)
+    assert 0 < middle_of(np.zeros(MOMENTS)) < 1
+
+
+@pytest.mark.parametrize(
+    ("filmed", "expected"),
+    [
+        (
+            [(0.0, 5.0), (1.0, 6.0), (2.0, 7.0)],
+            (1.0, 6.0),
+        ),  # the first alone films from 0 to 1, the last from 6 to 7
+        ([(0.0, 5.0), (6.0, 9.0)], None),
+        ([(0.0, 5.0), (5.0, 9.0)], None),
+        ([(3.0, 5.0)], (3.0, 5.0)),
+        ([(0.0, 1.0), (0.5, 2.0), (5.0, 7.0), (6.0, 8.0)], (0.5, 7.0)),
+        ([], None),
+    ],
+)
+def test_time_that_is_modelled(filmed, expected) -> None:
+    assert span_of(filmed) == expected
+
+
+def test_pictures_of_the_rest() -> None:
+    assert [list(rest_frames(moment, 9)) for moment in ("start", "middle", "end")] == [
+        [0, 1, 2], [3, 4, 5], [6, 7, 8],
+    ]  # fmt: skip
+    assert list(rest_frames("end", 1)) == [0] and len(rest_frames("start", 100)) == REST_FRAMES
