@@ -29,7 +29,8 @@ def clean_pictures(
         out: Existing folder.
     """
     if not files:
-        raise CaptureError("pictures-none", f"camera '{name}' has no frames; check capture.range_s")
+        text = f"camera '{name}' has no frames; check its clip and capture.range_s"
+        raise CaptureError("pictures-none", text)
     chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
     candidates = {}
     if rest != "none":
