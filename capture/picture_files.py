@@ -47,7 +47,8 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
     except (DevrfError, MemoryError):
         raise
     except FileNotFoundError:
-        raise CaptureError("picture-missing", f"{path}: no such file") from None
+        text = f"{path}: no such file; make it again or remove it from the set"
+        raise CaptureError("picture-missing", text) from None
     except UnidentifiedImageError:
         text = f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it"
         raise CaptureError("picture-unreadable", text) from None

@@ -128,5 +128,5 @@ def _missing(
     if by_number and 0 in wanted and min(by_number) == 1:
         text += "its files are numbered from 1, frames are counted from 0: rename them"
         return CaptureError("mattes-misnumbered", text)
-    text += "add them (black where no subject is seen), or leave the whole folder out"
-    return CaptureError("matte-missing", text)
+    remedy = "add them (black where no subject is seen), or leave the whole folder out"
+    return CaptureError("matte-missing", f"{text}{remedy}")
