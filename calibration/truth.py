@@ -76,8 +76,8 @@ def read_truth(path: Path) -> Truth:
             },
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        text = f"{path}: not a ground truth ({error!r}); expected poses of static and cams; see evaluate"
-        raise InputError("file-damaged", text) from error
+        expected = "expected static and cams with world_from_camera poses, see evaluate.truth"
+        raise InputError("file-damaged", f"{path}: not a ground truth ({error!r}); {expected}") from error
 
 
 def read_masks(

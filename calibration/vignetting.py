@@ -42,12 +42,12 @@ def flat_field(
         left = np.abs(values - design @ fitted)
     uneven = float(np.mean(left > SMOOTH_STOPS))
     if uneven > UNEVEN_SHARE:
-        wrong = f"{name}: {100 * uneven:.0f} % of the picture is not an evenly lit sheet (more than"
-        off, most = 100 * (2**SMOOTH_STOPS - 1), 100 * UNEVEN_SHARE
-        remedy = (
-            f"expected at most {most:.0f} %; fill the picture with a white sheet, out of focus, unshadowed"
-        )
-        raise CalibrationError("white-sheet-uneven", f"{wrong} {off:.0f} % off a smooth fall-off), {remedy}")
+        most, off = 100 * UNEVEN_SHARE, 100 * (2**SMOOTH_STOPS - 1)
+        wrong = f"{name}: {100 * uneven:.0f} % of the picture is not an evenly lit sheet"
+        fall_off = f"more than {off:.0f} % off a smooth fall-off"
+        remedy = "fill the whole picture with a white sheet, out of focus, without shadows"
+        text = f"{wrong} ({fall_off}), expected at most {most:.0f} %; {remedy}"
+        raise CalibrationError("white-sheet-uneven", text)
     grid_x, grid_y = _centres(*GRID, columns / rows)
     stops = _powers(grid_x, grid_y, columns / rows) @ fitted[3:]
     return np.exp2(stops - stops.max()).reshape(GRID)

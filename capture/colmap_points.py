@@ -32,13 +32,14 @@ def read_colmap_points(folder: Path) -> tuple[Float[np.ndarray, "n 3"], UInt8[np
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise CaptureError("file-unreadable", f"{path}: {error.strerror}; run static_poses again") from error
+        text = f"{path}: cannot be read ({error.strerror}); run the stage static_poses"
+        raise CaptureError("file-unreadable", text) from error
     try:
         (count,) = _COUNT.unpack_from(data)
         return _unpack_points(data, count)
     except struct.error as error:
-        text = f"{path}: {len(data)} bytes are fewer than its header promises; run with --force static_poses"
-        raise CaptureError("file-damaged", text) from error
+        wrong = f"{path}: {len(data)} bytes are fewer than its header promises, the file was cut off"
+        raise CaptureError("file-damaged", f"{wrong}; run with --force static_poses") from error
 
 
 def _unpack_points(data: bytes, count: int) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:

@@ -163,7 +163,8 @@ class FrameSet:
             cameras = {name: _camera_frames(entry) for name, entry in raw["cameras"].items()}
             return FrameSet(cameras, dict(raw["joint"]), bool(raw["true_times"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise CaptureError("file-damaged", f"{path}: {error!r}; run again with --from ingest") from None
+            text = f"{path}: cannot be read ({error!r}); run again with --from ingest"
+            raise CaptureError("file-damaged", text) from None
 
 
 def _camera_frames(raw: dict[str, Any]) -> CameraFrames:

@@ -68,7 +68,8 @@ class LightCourse:
             if table.ndim != 2 or table.shape[1] != COLUMNS:
                 raise ValueError(f"a table {table.shape}, expected {COLUMNS} columns")
         except (ArrayError, ValueError) as error:
-            raise CaptureError("file-damaged", f"{path}: {error}; run again with --from ingest") from None
+            text = f"{path}: cannot be read ({error}); run again with --from ingest"
+            raise CaptureError("file-damaged", text) from None
         return _course(table)
 
 

@@ -25,10 +25,13 @@ def check_pixels(path: Path, width: int, height: int, most: int = PICTURE_PX) ->
         CaptureError: It claims more, or none.
     """
     if width < 1 or height < 1:
-        raise CaptureError("file-damaged", f"{path}: its header says {width}x{height} pixels; copy it again")
+        text = f"{path}: its header says {width}x{height} pixels; copy it from the camera again"
+        raise CaptureError("file-damaged", text)
     if width * height > most:
         wrong = f"{path}: its header says {width}x{height}, {width * height / 1e6:.0f} million pixels"
-        remedy = f"at most {most / 1e6:.0f} million are read: make it smaller, or copy it again"
+        remedy = (
+            f"at most {most / 1e6:.0f} million are read: make it smaller, or copy it again if it is damaged"
+        )
         raise CaptureError("picture-too-large", f"{wrong}; {remedy}")
 
 
@@ -53,5 +56,5 @@ def check_span(path: Path, seconds: float) -> None:
         CaptureError: They do.
     """
     if not seconds <= CLIP_S:
-        text = f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read; cut it, or copy it again"
-        raise CaptureError("clip-too-long", text)
+        wrong = f"{path}: its times are {seconds:.0f} s apart, at most {CLIP_S} s are read"
+        raise CaptureError("clip-too-long", f"{wrong}; cut the clip, or copy it again if it is damaged")

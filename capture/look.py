@@ -44,7 +44,9 @@ class Look:
     def __post_init__(self) -> None:
         numbers = np.array([*self.matrix, self.gains])
         if not np.isfinite(numbers).all() or not min(self.gains) > 0:
-            raise ValueError(f"look {self.matrix}, gains {self.gains}: expected finite, gains above 0")
+            raise ValueError(
+                f"look {self.matrix}, gains {self.gains}: expected finite numbers, gains above 0"
+            )
         if not abs(np.linalg.det(numbers[:3])) > 1e-6:
             raise ValueError(f"look {self.matrix} loses colours: its determinant is 0")
 
@@ -99,7 +101,8 @@ def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height wid
     except ArrayError as error:
         raise CaptureError(error.code, f"{error}; run again with --force colour") from None
     if cells.ndim != 2 or not min(cells.shape) > 1 or not np.all((cells > 0) & (cells <= 1)):
-        raise CaptureError("file-damaged", f"{flat}: values not in (0, 1]; run again with --force colour")
+        text = f"{flat}: expected a map with values in (0, 1]; run again with --force colour"
+        raise CaptureError("file-damaged", text)
     for axis, size in ((0, height), (1, width)):
         at = (np.arange(size) + 0.5) / size * cells.shape[axis] - 0.5
         low = np.clip(at.astype(int), 0, cells.shape[axis] - 2)

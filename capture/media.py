@@ -21,7 +21,8 @@ MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises again
 def check_file(path: Path) -> None:
     """Raise InputError unless `path` is a file with something in it."""
     if not path.exists():
-        raise InputError("file-missing", f"{path}: no such file; check the path (relative to scene.yaml)")
+        text = f"{path}: no such file; check the path in scene.yaml (relative to scene.yaml)"
+        raise InputError("file-missing", text)
     if path.is_dir():
         raise InputError("file-is-folder", f"{path}: is a folder, expected a video file")
     if path.stat().st_size == 0:
@@ -42,10 +43,11 @@ def open_media(path: Path) -> InputContainer:
     except FFmpegError as error:
         raise _what_is_it(path, error) from None
     except OSError as error:
-        raise InputError("file-unreadable", f"{path}: cannot be read ({error.strerror})") from None
+        text = f"{path}: cannot be read ({error.strerror}); check its permissions"
+        raise InputError("file-unreadable", text) from None
     if container.format.name in TEXT_FORMATS:
         container.close()
-        raise InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
+        raise _is_text(path)
     return container
 
 
@@ -70,7 +72,8 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        raise InputError("video-missing", f"{path}: has no video stream (it holds: {kinds}); check the path")
+        text = f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml"
+        raise InputError("video-missing", text)
     stream = streams[0]
     if stream.codec_context is None:
         text = f"{path}: its pictures are coded in a way that is not known; convert it to H.264"
@@ -88,12 +91,17 @@ def _what_is_it(path: Path, error: Exception) -> InputError:
     with path.open("rb") as file:
         head = file.read(SNIFF_BYTES)
     if b"ftyp" in head[:16]:
-        text = f"{path}: not a video (an mp4 or mov without its index); copy it again"
-        return InputError("file-cut-short", text)
+        why = "an mp4 or mov whose index is missing: the recording or the copy was cut short"
+        return InputError("file-cut-short", f"{path}: not a video ({why}); copy it again")
     try:
         head.decode("utf-8")
-        return InputError("file-is-text", f"{path}: not a video (it holds text); check the path")
+        return _is_text(path)
     except UnicodeDecodeError:
         reason = getattr(error, "strerror", None) or str(error)
-        text = f"{path}: not a video ({reason}); expected a format that ffmpeg reads"
-        return InputError("file-not-video", text)
+        expected = "expected mp4, mov, mkv, avi or another format ffmpeg reads"
+        return InputError("file-not-video", f"{path}: not a video ({reason}); {expected}")
+
+
+def _is_text(path: Path) -> InputError:
+    text = f"{path}: not a video (it holds text); check the path in scene.yaml"
+    return InputError("file-is-text", text)

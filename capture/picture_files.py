@@ -47,9 +47,11 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
     except (DevrfError, MemoryError):
         raise
     except FileNotFoundError:
-        raise CaptureError("picture-missing", f"{path}: no such file") from None
+        text = f"{path}: no such file; make it again or remove it from the set"
+        raise CaptureError("picture-missing", text) from None
     except UnidentifiedImageError:
-        raise CaptureError("picture-unreadable", f"{path}: not a picture; save it as PNG") from None
+        text = f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it"
+        raise CaptureError("picture-unreadable", text) from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes
         text = f"{path}: cannot be read as a picture ({error}); make it again or remove it from the set"
         raise CaptureError("picture-unreadable", text) from error
@@ -66,8 +68,8 @@ def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
             grey = _rounded(np.asarray(image))
             return grey[:, :, None].repeat(3, axis=2)
         if image.mode == "F":
-            text = f"{path}: pixels are real numbers, expected 8 or 16 bits"
-            raise CaptureError("picture-kind-unread", text)
+            wrong = f"{path}: its pixels are real numbers, expected 8 or 16 bits"
+            raise CaptureError("picture-kind-unread", f"{wrong}; make it again or remove it from the set")
         deep = _deep_colour(path, image)
         if deep is not None:
             return deep

@@ -74,9 +74,12 @@ def list_pictures(folder: Path) -> list[Path]:
     if pictures:
         return pictures
     if any(p.suffix.lower() in UNREADABLE_SUFFIXES for p in files):
-        raise InputError("picture-kind-unread", f"{folder}: HEIC/AVIF photos only; convert them to JPEG")
+        raise InputError(
+            "picture-kind-unread", f"{folder}: holds HEIC/AVIF photos only; convert them to JPEG"
+        )
     kinds = ", ".join(sorted({p.suffix or p.name for p in files})[:6]) or "nothing"
-    raise InputError("pictures-none", f"{folder}: no pictures (but {kinds}); expected JPEG, PNG or RAW files")
+    text = f"{folder}: no pictures in this folder (it holds: {kinds}); expected JPEG, PNG or RAW files"
+    raise InputError("pictures-none", text)
 
 
 def numbering(pictures: list[Path]) -> list[str]:
@@ -131,7 +134,8 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
         orientation = _orientation(header)
     image = _decoded(path, cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise CaptureError("picture-unreadable", f"{path}: does not decode; copy it from the camera again")
+        text = f"{path}: the picture does not decode; copy it from the camera again"
+        raise CaptureError("picture-unreadable", text)
     if image.dtype == np.uint16:
         image = np.round(image / 257.0).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -154,7 +158,8 @@ def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
     except CaptureError as error:
         raise CaptureError(error.code, f"{error}; run again with --from ingest") from None
     if grey is None:
-        raise CaptureError("picture-unreadable", f"{path}: cannot be read; run again with --from ingest")
+        text = f"{path}: cannot be read as a picture; run again with --from ingest"
+        raise CaptureError("picture-unreadable", text)
     return grey
 
 

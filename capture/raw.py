@@ -221,7 +221,8 @@ def _open(path: Path) -> "RawPy":
 
 
 def _damaged(path: Path, error: Exception) -> CaptureError:
-    return CaptureError("file-damaged", f"{path}: its RAW data is damaged ({_reason(error)}); copy it again")
+    text = f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again"
+    return CaptureError("file-damaged", text)
 
 
 def _header(path: Path, file: "RawPy") -> RawHeader:

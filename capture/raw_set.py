@@ -104,7 +104,8 @@ def read_raw_sidecar(path: Path) -> dict[str, Any]:
             raise ValueError(f"keys {sorted(sidecar)}, expected files and recipe")
         return sidecar
     except (OSError, ValueError) as error:
-        raise CaptureError("file-damaged", f"{path}: {error}; run again with --from ingest") from None
+        text = f"{path}: cannot be read ({error}); run again with --from ingest"
+        raise CaptureError("file-damaged", text) from None
 
 
 def _recipe(recipe: Recipe) -> dict[str, Any]:

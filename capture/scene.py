@@ -185,9 +185,9 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
     image = read_matted(frame, background)
     height, width = image.shape[:2]
     if (width, height) != (frame.camera.width, frame.camera.height):
-        wrong = f"{frame.path}: picture is {width}x{height}, its calibration is for"
-        remedy = f"{frame.camera.width}x{frame.camera.height}; calibrate at the size of the pictures"
-        raise CaptureError("picture-size-wrong", f"{wrong} {remedy}")
+        calibrated = f"{frame.camera.width}x{frame.camera.height}"
+        wrong = f"{frame.path}: picture is {width}x{height}, its calibration is for {calibrated}"
+        raise CaptureError("picture-size-wrong", f"{wrong}; calibrate at the size of the pictures")
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if image.shape[2] == 4:
         alpha = image[..., 3:].astype(np.float32) / 255
@@ -235,7 +235,7 @@ def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     matte = read_pixels(path)[..., 0]
     if matte.shape != size:
         wrong = f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}"
-        raise CaptureError("matte-size-wrong", f"{wrong}; save it as large")
+        raise CaptureError("matte-size-wrong", f"{wrong}; save it at the picture's size")
     return matte
 
 

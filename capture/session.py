@@ -161,8 +161,8 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
     names = list(cameras)
     absent = [name for name in names if name not in rows]
     if absent:
-        wrong = f"{path}: no rows for camera {', '.join(absent)} (it has {', '.join(rows) or 'none'})"
-        raise InputError("camera-missing", f"{wrong}; see capture.cameras")
+        wrong = f"{path}: no rows for camera {', '.join(absent)} (it has: {', '.join(rows) or 'no rows'})"
+        raise InputError("camera-missing", f"{wrong}; use the names of capture.cameras")
     out = {}
     for name in names:
         index = np.array(sorted(rows[name]))
@@ -182,9 +182,10 @@ def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
         index, time_s = int(row["frame_index"]), float(row["time_s"])
     except (TypeError, ValueError):
         wrong = f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}"
-        raise InputError("entry-wrong", f"{wrong}; expected whole number, seconds") from None
+        raise InputError("entry-wrong", f"{wrong}; expected a whole number and seconds") from None
     if index < 0 or not np.isfinite(time_s):
-        raise InputError("entry-wrong", f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more")
+        text = f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite"
+        raise InputError("entry-wrong", text)
     return (row["camera"] or "").strip(), index, time_s
 
 
@@ -196,7 +197,8 @@ def _check_sweep(path: Path) -> None:
         return
     pictures = _check_folder(path)
     if len(pictures) < MIN_SWEEP_FRAMES:
-        raise InputError("sweep-too-short", f"{path}: {len(pictures)} picture; a sweep needs 20 or more")
+        text = f"{path}: {len(pictures)} picture; a sweep needs many views of the scene, at least 20"
+        raise InputError("sweep-too-short", text)
 
 
 def _check_clip_or_folder(path: Path) -> None:

@@ -140,7 +140,8 @@ def _look_at_clip(path: Path, count: int) -> Look:
     runs = read_runs(path, times, spread_starts(times, count))
     pictures = tuple(small(run[0].rgb) for run in runs if run)
     if not pictures:
-        raise CaptureError("video-unreadable", f"{path}: no picture of {len(times)} decodes; copy it again")
+        text = f"{path}: none of its pictures decodes at {len(times)} times; record or copy it again"
+        raise CaptureError("video-unreadable", text)
     size = info.width, info.height
     return Look(path, True, *size, len(times), info.has_audio, "", info.notes, times, pictures)
 

@@ -151,8 +151,8 @@ class VideoReader:
             if self._first is None:
                 reason = self._failure or "the video stream is empty"
                 self._container.close()
-                text = f"{self.path}: no picture decodes ({reason}); record the clip again or leave it out"
-                raise InputError("video-unreadable", text)
+                wrong = f"{self.path}: no picture decodes ({reason}); expected at least one"
+                raise InputError("video-unreadable", f"{wrong}; record the clip again or leave it out")
         try:
             assert self._first is not None
             self.info = self._describe(self._first)
@@ -221,7 +221,9 @@ class VideoReader:
         while picture is not None:
             pts = picture.pts if shown is None or self.decoded >= len(shown) else int(shown[self.decoded])
             if pts is None or self._stream.time_base is None:
-                wrong = f"{self.path}: frame {self.decoded} has no timestamp (a stream without container?)"
+                wrong = (
+                    f"{self.path}: frame {self.decoded} has no timestamp (a raw stream without container?)"
+                )
                 remedy = "put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i in.h264 out.mp4`"
                 raise CaptureError("times-missing", f"{wrong}; {remedy}")
             time_s = float(pts * self._stream.time_base) - self._origin_s  # flushed ones know no unit

@@ -71,7 +71,8 @@ def write_video(
             if count:
                 container.mux(stream.encode(None))
     except (OSError, FFmpegError) as error:
-        raise CaptureError("file-unwritable", f"{path}: {error}; check the folder and free space") from error
+        text = f"{path}: cannot be written ({error}); check the folder and free space"
+        raise CaptureError("file-unwritable", text) from error
     if not count:
         path.unlink(missing_ok=True)
         raise CaptureError("pictures-none", f"{path.name}: no pictures to write, expected at least one")

@@ -35,7 +35,8 @@ def mean_white(path: Path) -> Float[np.ndarray, "rows columns 3"]:
         size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
         small = cv2.resize(linear, size, interpolation=cv2.INTER_AREA).astype(np.float64)
         if total is not None and small.shape != total.shape:
-            raise CaptureError("picture-size-wrong", f"{path}: pictures of several sizes; film in one mode")
+            text = f"{path}: pictures of several sizes; expected those of one camera in one mode"
+            raise CaptureError("picture-size-wrong", text)
         total = small if total is None else total + small
         clipped += clipped_share(rgb[:, :, :3])
         count += 1

@@ -26,7 +26,8 @@ def check_folder(folder: Path, what: str) -> None:
         reason = f"{there} takes no files"
     else:
         return
-    raise InputError("folder-unwritable", f"{what} {folder}: cannot be written ({reason}); choose another")
+    wrong = f"{what} {folder}: cannot be written ({reason})"
+    raise InputError("folder-unwritable", f"{wrong}; choose another folder, or make it writable")
 
 
 def _takes_files(folder: Path) -> bool:

@@ -58,8 +58,8 @@ def both_ways(
         shape, kind = getattr(found, "shape", ()), getattr(found, "dtype", type(found).__name__)
         if not isinstance(found, np.ndarray) or kind != np.float32 or shape != expected:
             wrong = f"flow.method {estimator.name}: estimate gave {kind} of shape {list(shape)}"
-            expected_array = f"a numpy array of float32 of shape {list(expected)}"
-            raise FlowError("estimator-result-wrong", f"{wrong}, expected {expected_array}")
+            what = f"a numpy array of float32 of shape {list(expected)}"
+            raise FlowError("estimator-result-wrong", f"{wrong}, expected {what}")
     return flow, *round_trip(flow, back)
 
 

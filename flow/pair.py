@@ -109,10 +109,12 @@ def check_pictures(image0: np.ndarray, image1: np.ndarray) -> None:
     for image in (image0, image1):
         if image.dtype != np.uint8 or image.ndim < 3 or image.shape[-1] != 3:
             wrong = f"a picture of shape {list(image.shape)} and type {image.dtype}"
-            expected = "expected [..., height, width, 3] in 8 bits; bring both of a pair to 8 bits by one fixed scale"
-            raise FlowError("picture-kind-unread", f"{wrong}, {expected}")
+            remedy = "bring both pictures of a pair to 8 bits by one fixed scale"
+            text = f"{wrong}, expected [..., height, width, 3] in 8 bits; {remedy}"
+            raise FlowError("picture-kind-unread", text)
     if image0.shape != image1.shape:
-        wrong = f"a pair has shapes {list(image0.shape)} and {list(image1.shape)}, expected the same"
+        shapes = f"{list(image0.shape)} and {list(image1.shape)}"
+        wrong = f"pictures of a pair have shapes {shapes}, expected the same"
         raise FlowError("picture-size-wrong", f"{wrong}; a clip must keep its size")
 
 

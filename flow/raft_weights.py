@@ -56,22 +56,24 @@ def load_raft(path: Path) -> Raft:
 
 def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
-        raise InputError("file-missing", f"flow.weights: {path}: no such file; expected RAFT's weights")
+        text = f"flow.weights: {path}: no such file; expected a checkpoint of RAFT (.pth)"
+        raise InputError("file-missing", text)
     try:
         found = read_weights(path)
     except DevrfError as error:
         raise InputError(error.code, f"flow.weights: {error}") from error
     except OSError as error:
-        raise InputError("file-unreadable", f"flow.weights: {path}: {error.strerror or error}") from error
+        text = f"flow.weights: {path}: cannot be read ({error.strerror or error})"
+        raise InputError("file-unreadable", text) from error
     except Exception as error:  # what torch's reader raises of other files depends on their first bytes
         wrong = f"flow.weights: {path}: not a file of plain weights"
-        raise InputError(
-            "file-damaged", f"{wrong}; expected RAFT's state dict (.pth), get it again"
-        ) from error
+        text = f"{wrong}; expected a state dict of RAFT (.pth), get it again"
+        raise InputError("file-damaged", text) from error
     if not isinstance(found, dict) or not all(
         isinstance(name, str) and isinstance(value, Tensor) for name, value in found.items()
     ):
-        raise InputError("weights-wrong", f"flow.weights: {path}: no state dict of names with tensors")
+        text = f"flow.weights: {path}: holds no state dict; expected names with tensors"
+        raise InputError("weights-wrong", text)
     return found
 
 

@@ -107,7 +107,8 @@ def _tensor(state: Mapping[str, Any], key: str, shape: tuple[int, ...], net: Net
         text = f"{name}: not LPIPS weights of {net}: {key} is {found}, {expected}"
         raise ReconstructError("weights-wrong", text)
     if not torch.isfinite(value).all():
-        raise ReconstructError("values-not-finite", f"{name}: {key} is not finite; get the file again")
+        text = f"{name}: {key} has values that are not finite; get the file again"
+        raise ReconstructError("values-not-finite", text)
     return value.detach().reshape(shape).float()
 
 
@@ -124,8 +125,8 @@ def _read(path: Path) -> Mapping[str, Any]:
     except DevrfError as error:
         raise ReconstructError(error.code, f"{error}; get the file again") from error
     except Exception as error:  # torch raises errors of many kinds
-        text = f"{path}: damaged, or holds more than weights ({_short(error)}); get the file again"
-        raise ReconstructError("file-damaged", text) from error
+        wrong = f"{path}: damaged, or holds more than weights, and is not used ({_short(error)})"
+        raise ReconstructError("file-damaged", f"{wrong}; get the file again") from error
     return state if isinstance(state, Mapping) else {}
 
 
@@ -140,7 +141,8 @@ def _downloaded(url: str) -> Mapping[str, Any]:
             url, map_location="cpu", progress=False, check_hash=True, weights_only=True
         )
     except Exception as error:  # no network, no space, another file: the metric is missing, no more
-        raise ReconstructError("download-failed", f"{url}: not downloaded ({_short(error)})") from error
+        text = f"{url}: could not be downloaded ({_short(error)})"
+        raise ReconstructError("download-failed", text) from error
     finally:
         socket.setdefaulttimeout(patience)
 

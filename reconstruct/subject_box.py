@@ -64,7 +64,10 @@ def subject_box(
         near_kept = grown(grown(kept))
     tight = box_of(kept, aabb, BOX_MARGIN)
     if tight is None:
-        remedy = "check poses and dataset.background, or raise reconstruct.canonical_iterations"
+        remedy = (
+            "check poses and background (dataset.background), "
+            "or train longer (reconstruct.canonical_iterations)"
+        )
         raise ReconstructError("subject-not-found", f"nothing was found in the scene box: {remedy}")
     return tight, (near_kept, aabb)
 

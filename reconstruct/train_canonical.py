@@ -76,7 +76,8 @@ def train_canonical(
     scene = scene.in_box_frame()
     frames = tuple(f for f in scene.static if f.split == "train")
     if not frames:
-        raise ReconstructError("pictures-none", "no training pictures of the scene at rest")
+        text = "the sweep has no training pictures; the scene at rest cannot be learned"
+        raise ReconstructError("pictures-none", text)
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
     fixed, shares = plates(scene, device)

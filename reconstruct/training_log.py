@@ -54,7 +54,10 @@ class TrainingLog:
         for name, value in means.items():
             if not math.isfinite(value):
                 text = f"training diverged: loss '{name}' is {value} at iteration {self.iteration}"
-                raise Diverged("training-diverged", f"{text}; check poses and times (report)")
+                remedy = (
+                    "check poses and times (report), then lower reconstruct.resolution or change the seed"
+                )
+                raise Diverged("training-diverged", f"{text}; {remedy}")
         row = {"iteration": float(self.iteration), "seconds": round(self.seconds, 2), **labels}
         if "mse" in means:
             row["psnr"] = round(psnr(means["mse"]), 3)

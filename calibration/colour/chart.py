@@ -48,7 +48,9 @@ def read_chart(path: Path, look: Look | None = None) -> Float[np.ndarray, "24 3"
             break
     if not seen:
         wrong = f"{path}: no colour chart in {count} picture{'s' if count > 1 else ''}"
-        remedy = "expected a chart of 6 x 4 patches on a quarter of the picture, unhidden and evenly lit"
+        remedy = (
+            "expected a chart of 6 x 4 patches that fills a quarter of the picture, unhidden and evenly lit"
+        )
         raise CalibrationError("chart-unfound", f"{wrong}; {remedy}")
     colours = np.median(seen, axis=0)
     whole = int(np.isfinite(colours).all(axis=1).sum())

@@ -112,7 +112,8 @@ def read_colours(folder: Path) -> Colours:
         cameras = {name: _camera(entry) for name, entry in content["cameras"].items()}
         return Colours(folder, content["reference"], cameras, Apart(**content["total"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CaptureError("file-damaged", f"{path}: {error}; run again with --from colour") from None
+        text = f"{path}: cannot be read ({error!r}); run again with --from colour"
+        raise CaptureError("file-damaged", text) from None
 
 
 def _camera(entry: dict[str, Any]) -> CameraColour:

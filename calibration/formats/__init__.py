@@ -105,7 +105,10 @@ def _from_folder(folder: Path) -> Found:
         if data is not None and is_single(data):
             singles[path.stem] = (path, data)
     if not singles:
-        expected = "a COLMAP model, intri.yml with extri.yml, intrinsics.yml with extrinsics.yml, or a file per camera"
-        text = f"{folder}: no calibration in this folder; expected {expected}; else name the file itself"
+        expected = (
+            "expected a COLMAP model, intri.yml and extri.yml, intrinsics.yml and extrinsics.yml, or OpenCV files, "
+            "one a camera"
+        )
+        text = f"{folder}: no calibration in this folder; {expected}; else name the file itself"
         raise InputError("calibration-unread", text)
     return read_singles(singles)

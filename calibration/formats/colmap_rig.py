@@ -47,7 +47,8 @@ def read_colmap_rig(folder: Path) -> Found:
         size = (camera.width, camera.height)
         seen.setdefault(name, []).append(FoundCamera(K, lens, lens_model, size, pose(image, where)))
     if not seen:
-        raise InputError("pictures-none", f"{place}: no image is registered; expected one of every camera")
+        text = f"{place}: no image is registered; expected a model with an image of every camera"
+        raise InputError("pictures-none", text)
     _check_fixed(place, seen)
     return Found(FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary")
 

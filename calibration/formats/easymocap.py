@@ -63,8 +63,8 @@ def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -
     """
     wide = [name for name, camera in cameras.items() if camera.model == "OPENCV_FISHEYE"]
     if wide:
-        text = f"camera '{wide[0]}' has a fisheye lens, which EasyMocap lacks; export to rig-opencv or rig-kalibr"
-        raise InputError("lens-unwritable", text)
+        wrong = f"camera '{wide[0]}' has a fisheye lens, which EasyMocap's files cannot say"
+        raise InputError("lens-unwritable", f"{wrong}; export to rig-opencv or rig-kalibr")
     intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
     extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
     for file in (intri, extri):
@@ -89,5 +89,6 @@ def _other(path: Path, name: str, required: bool) -> dict[str, Any]:
     other = path.with_name(name)
     found = storage(text_of(other)) if other.is_file() else None
     if found is None and required:
-        raise InputError("file-missing", f"{path}: poses, but no K_ of any camera; expected {name} beside it")
+        text = f"{path}: has poses, but no K_ of any camera; expected {name} beside it; copy it there"
+        raise InputError("file-missing", text)
     return found or {}

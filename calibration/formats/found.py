@@ -73,7 +73,8 @@ def text_of(path: Path) -> str:
     """
     try:
         if path.stat().st_size > LARGEST_BYTES:
-            raise InputError("file-too-large", f"{path}: {path.stat().st_size / 1e6:.0f} MB, no calibration")
+            text = f"{path}: has {path.stat().st_size / 1e6:.0f} MB; expected a calibration file"
+            raise InputError("file-too-large", text)
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError("file-damaged", f"{path}: not a text file; expected a calibration file") from None
@@ -153,7 +154,9 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
         raise InputError("entry-wrong", text) from None
     lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
-        expected = f"{' or '.join(map(str, lengths))} finite numbers{' of a fisheye lens' if fisheye else ''}"
+        expected = (
+            f"{' or '.join(map(str, lengths))} finite numbers{' of the fisheye model' if fisheye else ''}"
+        )
         wrong = f"{where} has {flat.size} coefficients ({_shorten(flat.tolist())})"
         raise InputError("entry-wrong", f"{wrong}; expected {expected}")
     beyond = {COEFFICIENTS[n]: flat[n] for n in range(HELD, flat.size) if flat[n] != 0}
@@ -184,9 +187,11 @@ def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"
         R = array
         off = float(np.abs(R @ R.T - np.eye(3)).max())
         if off > RIGID_TOLERANCE or np.linalg.det(R) < 0:
-            wrong = f"{where}: no rotation (R R^T differs from 1 by {off:.2g}, determinant {np.linalg.det(R):.3g})"
-            remedy = "expected an orthonormal matrix with determinant 1; is it cut, or are its axes mirrored?"
-            raise InputError("pose-not-rigid", f"{wrong}; {remedy}")
+            found = f"R R^T differs from 1 by {off:.2g}, determinant {np.linalg.det(R):.3g}"
+            remedy = (
+                "expected an orthonormal matrix with determinant 1; is the file cut or are its axes mirrored?"
+            )
+            raise InputError("pose-not-rigid", f"{where}: rotation is no rotation ({found}); {remedy}")
     return np.column_stack([R, t])
 
 

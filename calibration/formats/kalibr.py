@@ -74,7 +74,8 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             raise InputError("lens-unread", f"{wrong}; expected pinhole; calibrate with pinhole-radtan")
         lens = str(camera.get("distortion_model", "none"))
         if lens not in LENSES:
-            raise InputError("lens-unread", f"{where}: distortion_model {lens!r}, not {', '.join(LENSES)}")
+            text = f"{where}: distortion_model is {lens!r}; expected {', '.join(LENSES)}"
+            raise InputError("lens-unread", text)
         if n > 0:
             step = numbers(camera.get("T_cn_cnm1"), (4, 4), f"{where}: T_cn_cnm1")
             pose(step[:3, :3], step[:3, 3], f"{where}: T_cn_cnm1")

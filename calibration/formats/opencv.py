@@ -67,7 +67,8 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
     key = _first(data, MATRIX_KEYS)
     name = data.get("distortion_model")
     if name is not None and str(name) not in ROS_MODELS:
-        raise InputError("lens-unread", f"{path}: distortion_model {name!r}, not {', '.join(ROS_MODELS)}")
+        text = f"{path}: distortion_model is {name!r}; expected {', '.join(ROS_MODELS)}"
+        raise InputError("lens-unread", text)
     fisheye = ROS_MODELS.get(str(name), False) or bool(data.get("fisheye_model", 0))
     coefficients = _first(data, DISTORTION_KEYS)
     width, height = data.get(_first(data, WIDTH_KEYS)), data.get(_first(data, HEIGHT_KEYS))
@@ -101,7 +102,8 @@ def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
         other = path.with_name(name).with_suffix(path.suffix)
         more = storage(text_of(other)) if other.is_file() and other != path else None
         if more is None and "M1" not in both:
-            raise InputError("file-missing", f"{path}: R and T, but no M1; expected {other.name} beside it")
+            text = f"{path}: has R and T, but no M1; expected {other.name} beside it; copy it there"
+            raise InputError("file-missing", text)
         both |= more or {}
     cameras = {}
     for n in (1, 2):

@@ -88,6 +88,8 @@ def _values(camera: ElementTree.Element, tag: str, keys: tuple[str, ...], where:
         try:
             out.append(float(text if text is not None else "missing"))
         except ValueError:
-            wrong = f"{where}: {tag}.{key} is {text!r}; expected a number; export it from QTM again"
+            wrong = (
+                f"{where}: {tag}.{key} is {text!r}; expected a number; export the calibration from QTM again"
+            )
             raise InputError("entry-wrong", wrong) from None
     return out

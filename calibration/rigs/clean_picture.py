@@ -28,7 +28,8 @@ def clean_pictures(name: str, files: list[Path], rest: Rest, out: Path) -> list[
         out: Existing folder.
     """
     if not files:
-        raise CaptureError("pictures-none", f"camera '{name}' has no frames; check capture.range_s")
+        text = f"camera '{name}' has no frames; check its clip and capture.range_s"
+        raise CaptureError("pictures-none", text)
     chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
     candidates = {
         moment: [files[n] for n in rest_frames(moment, len(files))]

@@ -184,8 +184,10 @@ def _fitted(
         return camera, None
     if width * clip_height != height * clip_width:
         wrong = f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
-        remedy = "expected one size, or all of the picture made larger or smaller; a cropped clip needs a calibration"
-        raise InputError("picture-size-wrong", f"{wrong}; {remedy} of its own")
+        expected = "expected the same size, or all of the picture made larger or smaller"
+        raise InputError(
+            "picture-size-wrong", f"{wrong}; {expected}; a cropped clip needs a calibration of its own"
+        )
     scale = clip_width / width
     text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
     return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), GivenNote(check, text)
@@ -224,5 +226,5 @@ def _scale(
 def _check_apart(cameras: Mapping[str, RigCamera], where: str) -> None:
     for (a, first), (b, second) in combinations(cameras.items(), 2):
         if np.array_equal(first.camera.cam_from_world, second.camera.cam_from_world):
-            text = f"{where}: cameras '{a}' and '{b}' have one pose; calibrate the rig, not only the lenses"
-            raise InputError("poses-equal", text)
+            wrong = f"{where}: cameras '{a}' and '{b}' have the same pose; expected a pose each"
+            raise InputError("poses-equal", f"{wrong}; calibrate the rig, not only the lenses")

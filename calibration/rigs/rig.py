@@ -140,5 +140,7 @@ def read_rig(path: Path) -> Rig:
         raise InputError("file-unreadable", text) from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         why = f"{where}{error}{' is missing' if isinstance(error, KeyError) else ''}"
-        expected = "expected cameras with width, height, K, distortion and cam_from_world (docs/formats.md)"
+        expected = (
+            "expected cameras with width, height, K, distortion and cam_from_world, as docs/formats.md says"
+        )
         raise InputError("file-damaged", f"{path}: not a rig.json ({why}); {expected}") from None

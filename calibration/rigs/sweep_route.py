@@ -110,7 +110,10 @@ def rig_from_sweep(
             found[item.name] = (registration, label)
         progress(0.2 + 0.6 * (n + 1) / len(inputs), f"{item.name}: {most} inliers")
     if refused:
-        remedy = "Add sweep pictures from near these cameras, looking the same way; is it the same place?"
+        remedy = (
+            "Add sweep pictures from near these cameras, looking the same way, "
+            "and check that they film the same place"
+        )
         raise HealthError("rig-unlinked-camera", f"{'; '.join(refused)}. {remedy}")
     return _refined(model, inputs, found)
 

@@ -34,7 +34,8 @@ def prepare_masks(
         InputError: No folder, no mask at all, a mask of another size, or one that ignores everything.
     """
     if not folder.is_dir():
-        raise InputError("folder-missing", f"{folder}: no such folder; check calibration.static_poses.masks")
+        text = f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml"
+        raise InputError("folder-missing", text)
     without, problems = [], []
     for name, original in pictures.items():
         file = _find(folder, name, original)
@@ -51,8 +52,9 @@ def prepare_masks(
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         kept = cv2.erode(keep.astype(np.uint8) * 255, disc, borderType=cv2.BORDER_REPLICATE)
         if not kept.any():
-            text = f"{file}: ignores the whole picture, as it is black; invert it, or leave the picture out"
-            problems.append(InputError("mask-ignores-all", text))
+            wrong = f"{file}: ignores the whole picture; black is ignored, white is used"
+            remedy = "invert the mask, or take the picture out of the sweep"
+            problems.append(InputError("mask-ignores-all", f"{wrong}: {remedy}"))
             continue
         target = out / f"{name}.png"
         target.parent.mkdir(parents=True, exist_ok=True)

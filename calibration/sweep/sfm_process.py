@@ -70,7 +70,9 @@ def run_job(
     late = deadline is not None and time.monotonic() >= deadline
     ended = _how_it_ended(process.returncode, timeout_s if late else None)
     if not result.is_file():
-        text = f"structure from motion (pycolmap) {ended}; the end of its log ({log.name}):\n{_tail(log)}"
+        text = (
+            f"structure from motion (pycolmap) {ended}; the last lines of its log ({log.name}):\n{_tail(log)}"
+        )
         raise CalibrationError("sfm-timed-out" if late else "sfm-failed", text)
     return json.loads(result.read_text()) | {"stopped": None if process.returncode == 0 else ended}
 

@@ -308,7 +308,8 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
 def _cause(pairs: dict[str, Any], late: bool) -> tuple[str, str]:
     """The code of the likeliest reason why nothing was registered, and its text with a remedy."""
     if late:
-        return "sweep-out-of-time", "Raise calibration.static_poses.time_minutes, or use fewer pictures"
+        remedy = "raise calibration.static_poses.time_minutes, or use fewer pictures"
+        return "sweep-out-of-time", f"There was not enough time: {remedy}"
     if pairs["watermark_share"] > OVERLAY_SHARE:
         return (
             "sweep-under-overlay",

@@ -174,9 +174,11 @@ def check_sizes(frames: Iterable[PosedFrame]) -> None:
         other = first.setdefault(frame.camera_name, frame)
         size, expected = ((f.camera.width, f.camera.height) for f in (frame, other))
         if size != expected:
-            wrong = f"{frame.path}: picture is {size[0]}x{size[1]}, {other.path.name}"
-            remedy = f"of {frame.camera_name!r} is {expected[0]}x{expected[1]}; expected one size per camera"
-            raise CaptureError("picture-size-wrong", f"{wrong} {remedy}")
+            wrong = f"{frame.path}: picture is {size[0]}x{size[1]}"
+            other_is = (
+                f"{other.path.name} of the same camera {frame.camera_name!r} is {expected[0]}x{expected[1]}"
+            )
+            raise CaptureError("picture-size-wrong", f"{wrong}, {other_is}; expected one size per camera")
 
 
 def _scene(pictures: Pictures, background: Background, **box: Any) -> Scene:

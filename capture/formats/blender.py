@@ -37,7 +37,8 @@ def read_blender(folder: Path, notes: list[str]) -> Pictures:
     has_test = (folder / "transforms_test.json").is_file()
     frames += read_split(folder, "test", notes) if has_test else ()
     if len({f.time for f in frames}) > 1:
-        raise CaptureError("rest-missing", f"data set {folder}: all moves; a sweep of it at rest is needed")
+        wrong = f"data set {folder}: every picture is of the scene in motion"
+        raise CaptureError("rest-missing", f"{wrong}; a sweep of it at rest is needed")
     return Pictures(at_rest(frames), has_split=has_test, own=own_entry(folder / "transforms_train.json"))
 
 
@@ -169,7 +170,8 @@ def _camera_names(entries: list[dict[str, Any]], times: list[float | None], spli
 def _time(entry: dict[str, Any], where: str, moving: bool) -> float | None:
     if entry.get("time") is None:
         if moving:
-            raise CaptureError("entry-missing", f"{where}: no time; expected one in [0, 1] for each")
+            text = f"{where}: no time; expected a number in [0, 1] for every picture in motion"
+            raise CaptureError("entry-missing", text)
         return None
     return time_within(entry["time"], where)
 
@@ -182,5 +184,5 @@ def _check_one_size(meta: dict[str, Any], entries: list[dict[str, Any]], headers
     for header in shared:
         if (header.width, header.height) != (shared[0].width, shared[0].height):
             wrong = f"{header.path}: picture is {header.size}, {shared[0].path.name} is {shared[0].size}"
-            remedy = "for one camera_angle_x expected one size, else fl_x, fl_y, cx, cy per entry"
-            raise CaptureError("picture-size-wrong", f"{wrong}; {remedy}")
+            shares = "both share one camera_angle_x; expected one size, or fl_x, fl_y, cx, cy per entry"
+            raise CaptureError("picture-size-wrong", f"{wrong}, and {shares}")

@@ -60,7 +60,8 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
         undo = _undone(path.with_name(DATAPARSER))
         kind = str(meta.get("camera_type", "perspective")).lower()
         if kind != "perspective":
-            raise InputError("lens-unread", f"{path}: camera_type is {kind}; only perspective ones film")
+            text = f"{path}: camera_type is {kind}; only perspective cameras are filmed"
+            raise InputError("lens-unread", text)
         every_picture = bool(meta.get("camera_path"))
         entries = meta.get("camera_path") or meta.get("keyframes")
         if not isinstance(entries, list) or not 0 < len(entries) <= MOST_PICTURES:
@@ -76,7 +77,9 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
                 raise InputError("entry-wrong", text)
             fov = number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
-                raise InputError("entry-wrong", f"{where}: fov is {fov:g}; expected degrees from 0 to 180")
+                raise InputError(
+                    "entry-wrong", f"{where}: fov is {fov:g}; expected degrees between 0 and 180"
+                )
             f = 0.5 * height / np.tan(0.5 * np.radians(fov))
             K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
             pose = undo(_matrix(entry.get("camera_to_world", entry.get("matrix")), where))
@@ -140,5 +143,6 @@ def _time(entry: dict[str, Any], where: str) -> float | None:
         return None
     time = number(value, "render_time", where)
     if not 0 <= time <= 1:
-        raise InputError("entry-wrong", f"{where}: render_time is {time:g}, outside the clip, 0 to 1")
+        text = f"{where}: render_time is {time:g}, outside the clip; expected 0 to 1"
+        raise InputError("entry-wrong", text)
     return time

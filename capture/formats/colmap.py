@@ -54,7 +54,8 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     place = model_folder(folder)
     model = read_model(place)
     if not model.images:
-        raise CaptureError("pictures-none", f"{place}: no image is registered; expected one with pictures")
+        text = f"{place}: no image is registered; expected a model with pictures"
+        raise CaptureError("pictures-none", text)
     test = read_names(place / TEST_LIST)
     order = sorted(model.images, key=lambda number: natural_key(model.images[number].name))
     frames, grey = [], 0
@@ -151,8 +152,8 @@ def model_folder(folder: Path) -> Path:
     for place in places:
         if any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
             return place
-    text = f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or itself; expected a COLMAP model"
-    raise CaptureError("file-missing", text)
+    wrong = f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself"
+    raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model and images/")
 
 
 def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray, LensModel]:
@@ -171,15 +172,16 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]
     if not (np.isfinite(p).all() and min(fx, fy) > 0):
-        raise CaptureError("entry-wrong", f"{where}: parameters {list(p)}; expected focal lengths above 0")
+        text = f"{where}: camera parameters are {list(p)}; expected focal lengths above 0"
+        raise CaptureError("entry-wrong", text)
     model: LensModel = "OPENCV_FISHEYE" if camera.model == "OPENCV_FISHEYE" else "OPENCV"
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, model
 
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:
     if (header.width, header.height) != (camera.width, camera.height):
-        text = f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}; use the model's"
-        raise CaptureError("picture-size-wrong", text)
+        wrong = f"{header.path}: picture is {header.size}, {where} says {camera.width}x{camera.height}"
+        raise CaptureError("picture-size-wrong", f"{wrong}; use the pictures that the model was made from")
     K, distortion, model = intrinsics(camera, where)
     return Camera(camera.width, camera.height, K, pose(image, where), distortion, model)
 

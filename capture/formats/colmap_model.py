@@ -109,14 +109,16 @@ def read_model(folder: Path) -> Model:
             if name == "points3D":
                 parts.append({})
                 continue
-            raise CaptureError("file-missing", f"{folder}: no {name}.bin nor {name}.txt of a COLMAP model")
+            text = f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model"
+            raise CaptureError("file-missing", text)
         try:
             check_bytes(path, MODEL_BYTES)
             parts.append(
                 binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
             )
         except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
-            raise CaptureError("file-damaged", f"{path}: damaged, cut off ({error}); copy it again") from None
+            text = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
+            raise CaptureError("file-damaged", text) from None
     return Model(*parts)
 
 

@@ -15,7 +15,8 @@ def pose(image: ModelImage, where: str) -> np.ndarray:
     length = np.linalg.norm(image.quat_wxyz)
     if not (0.5 < length < np.inf and np.isfinite(image.translation).all()):
         values = [*image.quat_wxyz.tolist(), *image.translation.tolist()]
-        raise CaptureError("pose-wrong", f"{where}: {values} is no pose; remove the image from the model")
+        text = f"{where}: the pose is not one ({values}); remove the image from the model"
+        raise CaptureError("pose-wrong", text)
     w, x, y, z = image.quat_wxyz / length
     v = np.array([x, y, z])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

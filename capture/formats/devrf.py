@@ -44,15 +44,18 @@ def write_devrf(export: Export) -> None:
     """`static/`, `dynamic_<n>views/` and the flow of its training pictures, entries in order of time."""
     scene = export.scene
     if not scene.static or not scene.dynamic:
-        code, missing = ("motion-missing", "motion") if scene.static else ("rest-missing", "sweep")
-        text = f"devrf needs a sweep and motion, this scene has no {missing}; export to nerfstudio"
-        raise CaptureError(code, text)
+        code, missing = (
+            ("motion-missing", "pictures in motion") if scene.static else ("rest-missing", "sweep")
+        )
+        wrong = f"devrf holds a scene at rest and in motion, this scene has no {missing}"
+        raise CaptureError(code, f"{wrong}; export to nerfstudio")
     write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static, "static"), export)
     cameras = list(dict.fromkeys(f.camera_name for f in scene.dynamic))
     counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
     views = [count for count in counts if count]
     if not views:
-        raise CaptureError("motion-missing", "devrf needs moving training cameras, this scene has none")
+        text = "devrf needs training cameras of the moving scene, this scene has none"
+        raise CaptureError("motion-missing", text)
     folder = export.folder / f"dynamic_{len(views)}views"
     pinholes = Pinholes(export, scene.dynamic, folder.name)
     train = write_splits(folder, _in_order_of_time(scene.dynamic, cameras), pinholes, export)
@@ -98,8 +101,8 @@ def moving_folder(folder: Path, notes: list[str]) -> Path:
         if (m := re.fullmatch(r"dynamic_(\d+)views", p.name))
     }
     if not found or not (folder / "static").is_dir():
-        text = f"data set {folder}: no static/ and dynamic_4views/; check dataset.path and dataset.format"
-        raise CaptureError("folder-missing", text)
+        wrong = f"data set {folder}: expected the folders static/ and dynamic_4views/ (format devrf)"
+        raise CaptureError("folder-missing", f"{wrong}; check dataset.path and dataset.format")
     chosen = found[max(found)]
     if len(found) > 1:
         others = ", ".join(p.name for p in found.values() if p != chosen)

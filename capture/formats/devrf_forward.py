@@ -48,7 +48,8 @@ def read_devrf_forward(folder: Path, moving: Path, notes: list[str]) -> Pictures
     check_bounds(read_rows(moving / "bds.npy", 2), moving / "bds.npy")
     for name, count in (("poses.npy", len(poses)), ("static pictures", len(static))):
         if count < len(views):
-            text = f"{moving}: {count} {name}, expected {len(views)} or more: the fixed cameras are the last"
+            wrong = f"{moving}: {count} {name} for {len(views)} views"
+            text = f"{wrong}; expected {len(views)} or more: the fixed cameras are the last {len(views)}"
             raise CaptureError("count-mismatch", text)
     box_from_world = forward_frame([f.camera for f in static], bounds)
     dynamic: list[PosedFrame] = []
@@ -117,9 +118,12 @@ def _check_same_place(camera: Camera, static: Camera, path: Path, view: str) -> 
     cosine = (np.trace(camera.cam_from_world[:, :3] @ static.cam_from_world[:, :3].T) - 1) / 2
     turn = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     if miss > LARGEST_MISS or turn > LARGEST_TURN_DEG:
-        wrong = f"{path}: {view} is {miss:.3g} units and {turn:.1f} degrees from its pose at rest"
-        remedy = "the last pictures of static/ must be the fixed cameras, in order, and poses.npy recentred and scaled"
-        raise CaptureError("pose-differs", f"{wrong}; {remedy} by 1 / (0.75 nearest bound)")
+        wrong = f"{path}: {view} is {miss:.3g} units and {turn:.1f} degrees from its picture at rest"
+        remedy = (
+            "the last pictures of static/ must be the fixed cameras, in order, and poses.npy must be recentred and "
+            "scaled by 1 / (0.75 nearest bound), as the published loader does"
+        )
+        raise CaptureError("pose-differs", f"{wrong}, expected the same pose; {remedy}")
 
 
 def _number(path: Path) -> int:

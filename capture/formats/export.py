@@ -122,7 +122,8 @@ def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[P
         path = export.folder / part / f"{stem}{frame.path.suffix.lower() if as_it_is else '.png'}"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not frame.path.is_file():
-            raise CaptureError("picture-missing", f"{frame.path}: not found; run again with --force scene")
+            text = f"{frame.path}: picture not found; run the scene again with --force scene"
+            raise CaptureError("picture-missing", text)
         if as_it_is:
             shutil.copyfile(frame.path, path)
         else:
@@ -147,7 +148,8 @@ def static_of(export: Export, what: str, left_out: bool = True) -> tuple[PosedFr
     """
     scene = export.scene
     if not scene.static:
-        raise CaptureError("rest-missing", f"{what} needs a sweep, this scene has none; export to nerfstudio")
+        text = f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio"
+        raise CaptureError("rest-missing", text)
     if scene.dynamic and left_out:
         export.notes.append(
             f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio, colmap and "
@@ -191,8 +193,8 @@ class Pinholes:
         undistorter = self._of(frame.camera)
         rgba = _with_alpha(read_matted(frame, self.export.scene.background))
         if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
-            text = f"{frame.path}: not as large as calibrated; run again with --force scene"
-            raise CaptureError("picture-size-wrong", text)
+            wrong = f"{frame.path}: picture has another size than its calibration"
+            raise CaptureError("picture-size-wrong", f"{wrong}; run again with --force scene")
         picture = undistorter.picture(rgba)
         write_png(path, picture if alpha else picture[..., :3])
         return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None, matte=None)

@@ -78,11 +78,13 @@ def read_json(path: Path) -> dict[str, Any]:
         check_bytes(path, TEXT_BYTES)
         value = json.loads(path.read_text(), parse_int=_whole)
     except FileNotFoundError:
-        raise CaptureError("file-missing", f"{path}: no such file; check dataset.path") from None
+        text = f"{path}: file not found; check dataset.path and dataset.format"
+        raise CaptureError("file-missing", text) from None
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError("file-damaged", f"{path}: not a JSON file ({error}); copy it again") from None
     if not isinstance(value, dict):
-        raise CaptureError("file-damaged", f"{path}: a {type(value).__name__}, not an object with frames")
+        text = f"{path}: holds a {type(value).__name__}; expected an object with the key frames"
+        raise CaptureError("file-damaged", text)
     return value
 
 
@@ -96,7 +98,8 @@ def frames_of(meta: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     """The entries of a transforms file, each known to be an object with `file_path` and `transform_matrix`."""
     entries = meta.get("frames")
     if not isinstance(entries, list) or not entries:
-        raise CaptureError("pictures-none", f"{path}: no frames listed; expected a list with one per picture")
+        text = f"{path}: no frames listed; expected a list frames with an entry per picture"
+        raise CaptureError("pictures-none", text)
     for n, entry in enumerate(entries):
         if not isinstance(entry, dict):
             raise CaptureError("entry-wrong", f"{path}: frames[{n}] is {entry!r}; expected an object")

@@ -89,7 +89,8 @@ def with_flow_files(
             of = f"its picture {frame.path.name}" if size is None else "the pictures beside its folder"
             wrong = f"{path}: flow has shape {list(found[0])} and mask {list(found[1])}"
             expected = f"expected [{height}, {width}, 2] and [{height}, {width}], the size of {of}"
-            raise CaptureError("flow-size-wrong", f"{wrong}; {expected}; compute it on these pictures")
+            remedy = "compute the flow on the pictures of the data set"
+            raise CaptureError("flow-size-wrong", f"{wrong}; {expected}; {remedy}")
         out.append(replace(frame, flow=path.resolve()))
     return tuple(out)
 

@@ -109,7 +109,8 @@ def pinhole(
     """The camera of a row; its focal length is scaled from the size in the row to that of the picture."""
     height, width, focal = hwf
     if not (np.isfinite(hwf).all() and hwf.min() > 0):
-        raise CaptureError("entry-wrong", f"{where}: height, width, focal are {hwf.tolist()}, not above 0")
+        text = f"{where}: height, width, focal are {hwf.tolist()}; expected numbers above 0"
+        raise CaptureError("entry-wrong", text)
     ratio_x, ratio_y = header.width / width, header.height / height
     if (
         abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3
@@ -130,7 +131,8 @@ def read_rows(path: Path, columns: int) -> Float[np.ndarray, "n columns"]:
     try:
         table = read_npy(path).astype(np.float64)
     except ArrayError as error:
-        raise CaptureError(error.code, f"{error}; check dataset.path and dataset.format") from None
+        remedy = "expected a table of numbers: copy it again, or check dataset.path and dataset.format"
+        raise CaptureError(error.code, f"{error}; {remedy}") from None
     if table.ndim < 2 or len(table) == 0 or table[0].size != columns:
         text = f"{path}: has shape {list(table.shape)}; expected one row of {columns} numbers per picture"
         raise CaptureError("table-wrong", text)
@@ -146,8 +148,8 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
     good = np.isfinite(bounds).all(axis=1) & (bounds[:, 0] > 0) & (bounds[:, 1] > bounds[:, 0])
     if not good.all():
         n = int(np.argmin(good))
-        text = f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far; remove row and picture"
-        raise CaptureError("entry-wrong", text)
+        wrong = f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far"
+        raise CaptureError("entry-wrong", f"{wrong}; the picture saw no points: remove its row and its file")
     return bounds
 
 
@@ -166,7 +168,8 @@ def largest_pictures(folder: Path, count: int | None) -> list[Path]:
             seen.append(f"images{factor} {len(files)}")
     expected = f"{count} pictures" if count is not None else "pictures"
     wrong = f"{folder}: expected {expected} in images, images_2, images_4 or images_8"
-    raise CaptureError("count-mismatch", f"{wrong}, found {', '.join(seen) or 'none'}; a row is a picture")
+    text = f"{wrong}, found {', '.join(seen) or 'none'}; each row of the poses is one picture"
+    raise CaptureError("count-mismatch", text)
 
 
 def pictures_in(folder: Path) -> list[Path]:
@@ -187,4 +190,5 @@ def read_names(path: Path) -> frozenset[str] | None:
         check_bytes(path, TEXT_BYTES)
         return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
     except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError("file-damaged", f"{path}: {error}; write a name per line, or remove it") from None
+        text = f"{path}: no list of names ({error}); write one name per line, or remove it"
+        raise CaptureError("file-damaged", text) from None

@@ -30,7 +30,8 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     static = tuple(f for f in frames if f.time is None)
     dynamic = tuple(f for f in frames if f.time is not None)
     if not static:
-        raise CaptureError("rest-missing", f"data set {folder}: all has times; add a sweep of it at rest")
+        wrong = f"data set {folder}: no picture without a time, so none of the scene at rest"
+        raise CaptureError("rest-missing", f"{wrong}; add a sweep of it")
     own = read_json(path).get(OWN_KEY)
     return Pictures(
         static,
@@ -100,7 +101,8 @@ def _within_0_1(frames: tuple[PosedFrame, ...], notes: list[str]) -> tuple[Posed
         return frames
     first, last = float(times.min()), float(times.max())
     if last <= first:
-        raise CaptureError("times-equal", f"every moving picture has the time {first}; expected several")
+        text = f"every moving picture has the time {first}; expected more than one time"
+        raise CaptureError("times-equal", text)
     notes.append(f"times from {first:g} to {last:g} are taken as seconds and rescaled to [0, 1]")
     return tuple(
         replace(f, time=(t - first) / (last - first)) for f, t in zip(frames, times.tolist(), strict=True)

@@ -32,17 +32,19 @@ def cam_from_opengl(matrix: Any, where: str) -> Float[np.ndarray, "3 4"]:
     except (TypeError, ValueError):
         pose = np.zeros(0)
     if pose.shape not in ((3, 4), (4, 4)):
-        raise CaptureError("pose-wrong", f"{where}: the pose has shape {list(pose.shape)}; expected [4, 4]")
+        text = f"{where}: the pose has shape {list(pose.shape)}; expected 4 rows of 4 numbers"
+        raise CaptureError("pose-wrong", text)
     if not np.isfinite(pose).all():
-        raise CaptureError("pose-not-finite", f"{where}: pose {pose[:3].tolist()}; remove the picture")
+        wrong = f"{where}: the pose is not finite ({pose[:3].tolist()})"
+        raise CaptureError("pose-not-finite", f"{wrong}; remove the picture, it was not registered")
     full = np.vstack([pose[:3], [0, 0, 0, 1]]) @ FLIP_YZ
     u, s, vt = np.linalg.svd(full[:3, :3])
     if np.abs(s - 1).max() > RIGID_REPAIR:
-        text = f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}); take the scale out of it"
-        raise CaptureError("pose-not-rigid", text)
+        wrong = f"{where}: the pose is not rigid (singular values {s.round(4).tolist()}, expected 1, 1, 1)"
+        raise CaptureError("pose-not-rigid", f"{wrong}; take the scale out of its rotation")
     if np.linalg.det(full[:3, :3]) < 0:
-        text = f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}); turn one of its axes"
-        raise CaptureError("pose-mirrored", text)
+        wrong = f"{where}: the pose is a mirror (determinant {np.linalg.det(full[:3, :3]):.3f}, expected 1)"
+        raise CaptureError("pose-mirrored", f"{wrong}; one of its axes points the wrong way: turn it")
     R = (u @ vt).T
     return np.column_stack([R, -R @ full[:3, 3]])
 
@@ -59,19 +61,22 @@ def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
     )
     if stated != (width, height):
         wrong = f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}"
-        raise CaptureError("picture-size-wrong", f"{wrong}; use the calibrated ones")
+        raise CaptureError("picture-size-wrong", f"{wrong}; use the pictures that were calibrated")
     if "fl_x" in entry:
         fl_x = number(entry["fl_x"], "fl_x", where)
     elif "camera_angle_x" in entry:
         angle = number(entry["camera_angle_x"], "camera_angle_x", where)
         if not 0 < angle < np.pi:
-            raise CaptureError("entry-wrong", f"{where}: camera_angle_x is {angle}; expected 0 to 3.14")
+            text = f"{where}: camera_angle_x is {angle}; expected radians between 0 and 3.14"
+            raise CaptureError("entry-wrong", text)
         fl_x = 0.5 * width / np.tan(0.5 * angle)
     else:
-        raise CaptureError("entry-missing", f"{where}: has neither fl_x nor camera_angle_x; one is needed")
+        text = f"{where}: neither fl_x nor camera_angle_x given; one of them is needed"
+        raise CaptureError("entry-missing", text)
     fl_y = number(entry.get("fl_y", fl_x), "fl_y", where)
     if min(fl_x, fl_y) <= 0:
-        raise CaptureError("entry-wrong", f"{where}: focal length is {fl_x}, {fl_y}; expected above 0")
+        text = f"{where}: focal length is {fl_x}, {fl_y}; expected pixels above 0"
+        raise CaptureError("entry-wrong", text)
     cx, cy = (number(entry.get(key, side / 2), key, where) for key, side in (("cx", width), ("cy", height)))
     K = np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1.0]])
     model: LensModel = "OPENCV_FISHEYE" if entry.get("camera_model") == "OPENCV_FISHEYE" else "OPENCV"

@@ -62,7 +62,8 @@ def with_scene_entry(scene: Scene, entry: Any, path: Path) -> Scene:
     try:
         return replace(scene, **_values(entry))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise CaptureError("entry-wrong", f"{path}: {OWN_KEY}: {error}; remove it, or export again") from None
+        text = f"{path}: {OWN_KEY} is damaged ({error}); remove the key, or export again"
+        raise CaptureError("entry-wrong", text) from None
 
 
 def _values(meta: dict[str, Any]) -> dict[str, Any]:

@@ -101,14 +101,15 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
     """`frame_index` of an entry, else the number given."""
     index = entry.get("frame_index", number)
     if isinstance(index, bool) or not isinstance(index, int) or index < 0:
-        raise CaptureError("entry-wrong", f"{where}: frame_index is {index!r}, expected a whole number")
+        text = f"{where}: frame_index is {index!r}; expected a whole number from 0"
+        raise CaptureError("entry-wrong", text)
     return index
 
 
 def _check_model(model: object, path: Path) -> None:
     if model not in MODELS:
-        text = f"{path}: camera_model is {model}; expected OPENCV, PINHOLE or OPENCV_FISHEYE; undistort it"
-        raise CaptureError("lens-unread", text)
+        wrong = f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE"
+        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")
 
 
 def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
@@ -124,8 +125,10 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
         )
     except (TypeError, ValueError) as error:
         wrong = f"{where}: its look cannot be used ({error})"
-        remedy = "expected colour_matrix with 3 rows of 3 numbers, colour_gains with 3 above 0, or none"
-        raise CaptureError("entry-wrong", f"{wrong}; {remedy}") from None
+        expected = (
+            "colour_matrix with 3 rows of 3 numbers and colour_gains with 3 numbers above 0, or no such keys"
+        )
+        raise CaptureError("entry-wrong", f"{wrong}; expected {expected}") from None
 
 
 def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:

@@ -47,10 +47,13 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
     best = BIN_DEG * (int(histogram.argmax()) + 0.5)
     near = strong & (np.abs((angle - best + 180) % 360 - 180) < SECTOR_DEG)
     if near.mean() < LEAST_SHARE:
-        wrong = f"camera '{camera}': no key colour found: the commonest strong colour fills {100 * near.mean():.0f} %"
-        remedy = "name its colour (capture.mattes: {method: chroma, colour: '#00b140'}) or use another method"
+        wrong = f"camera '{camera}': no key colour found"
+        fills = f"the commonest strong colour fills {100 * near.mean():.0f} % of its pictures"
         expected = f"expected at least {100 * LEAST_SHARE:.0f} %; light the screen evenly"
-        raise CaptureError("key-colour-unfound", f"{wrong} of its pictures, {expected}, {remedy}")
+        remedy = (
+            "name its colour (capture.mattes: {method: chroma, colour: '#00b140'}), or use another method"
+        )
+        raise CaptureError("key-colour-unfound", f"{wrong}: {fills}, {expected}, {remedy}")
     return np.median(rgb[near], axis=0)
 
 
@@ -97,9 +100,10 @@ def parse_colour(text: str) -> Float[np.ndarray, "3"]:
     rgb = np.array([int(text[n : n + 2], 16) for n in (1, 3, 5)], np.float64)
     chroma = float(np.hypot(*_ycc(rgb.astype(np.float32)[None])[1][0]))
     if chroma < LEAST_CHROMA:
-        wrong = f"{text} is nearly grey (chroma {chroma:.0f} of 255), expected at least {LEAST_CHROMA:.0f}"
+        wrong = f"{text} is nearly grey (chroma {chroma:.0f} of 255)"
+        expected = f"expected a strong colour (at least {LEAST_CHROMA:.0f})"
         remedy = "a grey screen cannot be told from shadow and cloth; use another method"
-        raise InputError("key-colour-grey", f"{wrong}: {remedy}")
+        raise InputError("key-colour-grey", f"{wrong}, {expected}: {remedy}")
     return rgb
 
 

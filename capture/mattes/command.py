@@ -110,7 +110,8 @@ def _run(command: MatteCommand, picture: Path, name: Path, running: set[subproce
             stderr=subprocess.STDOUT, text=True, errors="replace", start_new_session=True,
         )  # fmt: skip
     except OSError as error:
-        raise CaptureError("command-unstartable", f"{_named(command)}: not started ({error})") from None
+        text = f"{_named(command)}: cannot be started ({error}); check capture.mattes"
+        raise CaptureError("command-unstartable", text) from None
     running.add(process)
     late = False
     try:

@@ -41,7 +41,8 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
     hint = f" (it holds {', '.join(others[:LISTED])})" if others else ""
     if not found:
         called = " or ".join(wanted[:LISTED])
-        raise InputError("folder-missing", f"{folder}: no folder called {called} in it{hint}; one per camera")
+        text = f"{folder}: no folder called {called} in it{hint}; expected one per camera"
+        raise InputError("folder-missing", text)
     if SWEEP in found and without:
         wrong = f"{folder}: mattes of the sweep but none of {', '.join(without)}{hint}"
         remedy = "before a plain background every picture needs one: add them, or take static away"
@@ -93,7 +94,8 @@ def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.
         return matte
     if abs(w * height - h * width) > SAME_SHAPE * h * width:
         wrong = f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright)"
-        raise CaptureError("matte-size-wrong", f"{wrong}; make it from the picture as filmed")
+        remedy = "make it from the picture as it was filmed, not cropped or turned"
+        raise CaptureError("matte-size-wrong", f"{wrong}; {remedy}")
     return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
 
 
@@ -126,5 +128,5 @@ def _missing(
     if by_number and 0 in wanted and min(by_number) == 1:
         text += "its files are numbered from 1, frames are counted from 0: rename them"
         return CaptureError("mattes-misnumbered", text)
-    wrong = f"{text}add them (black where no subject is), or leave the folder out"
-    return CaptureError("matte-missing", wrong)
+    remedy = "add them (black where no subject is seen), or leave the whole folder out"
+    return CaptureError("matte-missing", f"{text}{remedy}")

@@ -140,13 +140,15 @@ def check_arguments(
         InputError: Unknown scene, a picture too small or too large, too few or too many cameras.
     """
     if scene not in MODELS:
-        text = f"simulate --scene {scene}: expected one of {', '.join(MODELS)} (--protocol {protocol})"
+        expected = f"expected one of {', '.join(MODELS)} (--protocol {protocol})"
+        text = f"simulate --scene {scene}: unknown scene, {expected}"
         raise InputError("scene-unknown", text)
     if not 1 <= cameras <= most_cameras:
         text = f"simulate --cameras {cameras}: expected 1 to {most_cameras} (--protocol {protocol})"
-        raise InputError("option-wrong", text)
+        raise InputError("option-out-of-range", text)
     if not all(16 <= n <= 4096 for n in size):
-        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels")
+        text = f"simulate --size {size[0]}x{size[1]}: expected 16 to 4096 pixels each way"
+        raise InputError("option-out-of-range", text)
 
 
 def lens(size: tuple[int, int]) -> np.ndarray:

@@ -101,12 +101,12 @@ class OutputFolder:
             found = json.loads((path / MADE_BY).read_text(encoding="utf-8"))
             complete = bool(found.pop("complete"))
         except (OSError, ValueError, KeyError, AttributeError):
-            text = f"simulate {path}: not an empty folder, and none begun with {MADE_BY}; give a new one or empty it"
-            raise InputError("folder-exists", text) from None
+            wrong = f"simulate {path}: not an empty folder, and none that was begun with {MADE_BY}"
+            raise InputError("folder-exists", f"{wrong}; give a new one or empty it") from None
         changed = sorted(k for k in {*found, *self._made_by} if found.get(k) != self._made_by.get(k))
         if changed:
             key = changed[0]
-            wrong = f"simulate {path}: holds another data set ({key} {found.get(key)}, asked for"
-            remedy = f"{self._made_by.get(key)}); give a new folder or empty it"
-            raise InputError("folder-exists", f"{wrong} {remedy}")
+            differs = f"{key} {found.get(key)}, asked for {self._made_by.get(key)}"
+            wrong = f"simulate {path}: holds another data set ({differs})"
+            raise InputError("folder-exists", f"{wrong}; give a new folder or empty it")
         return complete

@@ -78,7 +78,8 @@ def simulate_forward(
     options = options or ForwardOptions()
     check_arguments("devrf-forward", scene, size, cameras, len(PLACES))
     if max(size) > 2 * min(size):
-        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1")
+        wrong = f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1"
+        raise InputError("option-out-of-range", f"{wrong} (--protocol devrf-forward)")
     made_by = {"protocol": "devrf-forward", "scene": scene, "seed": seed, "cameras": cameras, "size": size}
     folder = OutputFolder(out, {**made_by, "options": options.model_dump(mode="json")})
     path = out / "scene.yaml"

@@ -19,8 +19,12 @@ def load_mitsuba() -> Any:
     try:
         import mitsuba
     except ImportError as error:
-        remedy = "install it: python -m pip install 'devrf[simulate]' (in a clone: -c constraints.txt -e '.[simulate]')"
-        raise InputError("package-missing", f"simulate needs the renderer mitsuba; {remedy}") from error
+        text = (
+            "simulate needs the renderer mitsuba, which is not installed; install it with: "
+            "python -m pip install 'devrf[simulate]' "
+            "(in a clone: python -m pip install -c constraints.txt -e '.[simulate]')"
+        )
+        raise InputError("package-missing", text) from error
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba

@@ -140,14 +140,19 @@ def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: Se
         text = f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
         raise InputError("scene-unknown", text)
     if not 1 <= cameras <= 64:
-        raise InputError("option-wrong", f"simulate --cameras {cameras}: expected 1 to 64")
+        raise InputError("option-out-of-range", f"simulate --cameras {cameras}: expected 1 to 64")
     if any(n < 16 or n % 2 for n in size):
-        raise InputError("option-wrong", f"simulate --size {size[0]}x{size[1]}: expected even, at least 16")
+        text = f"simulate --size {size[0]}x{size[1]}: expected even numbers of at least 16 (H.264 in yuv420p)"
+        raise InputError("option-out-of-range", text)
     if options.duration_s <= 2 * options.offset_range_s:
-        wrong = f"duration_s {options.duration_s} is not over twice offset_range_s {options.offset_range_s}"
-        raise InputError("options-contradict", f"simulate: {wrong}; the clips would not overlap, raise it")
+        wrong = (
+            f"duration_s {options.duration_s} is not more than twice offset_range_s {options.offset_range_s}"
+        )
+        text = f"simulate: {wrong}; the clips would not overlap, raise duration_s"
+        raise InputError("options-contradict", text)
     if options.strip_m and scene != "sheet":
-        raise InputError("options-contradict", f"simulate: strip_m {options.strip_m} needs --scene sheet")
+        wrong = f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips"
+        raise InputError("options-contradict", f"{wrong}, expected --scene sheet")
 
 
 def _check_folder(out: Path) -> None:

@@ -168,10 +168,8 @@ class Store:
         files = [(f"{where}/{name}", folder / name, tuple(stamp["files"][name])) for name in wanted]
         for _, path, _ in files:
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise StoreError(
-                    "store-path-outside",
-                    f"{self.url}/runs/{scene}/{stage}.json: names {path}, outside of the stage; remove it there",
-                )
+                text = f"{self.url}/runs/{scene}/{stage}.json: names a file outside of the stage ({path})"
+                raise StoreError("store-path-outside", f"{text}; remove it there")
         self._get(files)
 
     @cached_property

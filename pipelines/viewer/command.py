@@ -81,9 +81,8 @@ def _check_free(host: str, port: int) -> None:
         raise InputError("host-unknown", text) from None
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            text = (
-                f"--host {host}: no address of this machine; expected such as 127.0.0.1, or 0.0.0.0 for all"
-            )
+            wrong = f"--host {host}: no address of this machine"
+            text = f"{wrong}; expected one, such as 127.0.0.1, or 0.0.0.0 for all"
             raise InputError("host-elsewhere", text) from None
         what = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
         raise InputError("port-unusable", f"--port {port}: {what}; try --port {_free(host, 0)}") from None

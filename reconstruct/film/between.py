@@ -43,7 +43,7 @@ def views_of(scene: Scene, names: Sequence[str] = ()) -> list[Camera]:
             text = f"--path between: no camera {', '.join(missing)}; expected some of {', '.join(known) or 'none'}"
             raise InputError("camera-unknown", text)
         if len(set(names)) < 2:
-            text = f"--path between:{','.join(names)}: one camera; expected two or more, or none for all"
+            text = f"--path between:{','.join(names)}: one camera is named; expected two or more, or none for all"
             raise InputError("cameras-too-few", text)
         return [known[name] for name in names]
     fixed = list(fixed_cameras(scene).values())

@@ -54,7 +54,8 @@ class TimeCurve:
             at = np.arange(count) / fps
             if not self.ping_pong and at[-1] > length + 1e-6:
                 text = f"--seconds {count / fps:g}: at --speed {self.speed:g} the clip lasts {length:.3g} s"
-                raise InputError("film-too-long", f"{text}; leave out one of the two, or add --ping-pong")
+                remedy = "leave out one of the two, or let time run back with --ping-pong"
+                raise InputError("film-too-long", f"{text}; {remedy}")
         there = at % (2 * length) if self.ping_pong else at
         return np.interp(np.minimum(there, 2 * length - there), marks, times)
 

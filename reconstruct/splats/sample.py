@@ -37,7 +37,8 @@ def sample(looks: Sequence[PlacedLook], count: int, seed: int) -> Gaussians:
     """
     places, colours, body = _points(looks, seed)
     if not len(places):
-        raise ReconstructError("model-without-surface", "the model shows no surface; train longer")
+        text = "the model shows no surface; look at it with render, and train longer"
+        raise ReconstructError("model-without-surface", text)
     centres = torch.stack([torch.from_numpy(look.camera.centre).to(places) for look in looks])
     focal = torch.tensor([look.camera.K[0, 0] for look in looks]).median()
     parts = []

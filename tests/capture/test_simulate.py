@@ -137,8 +137,8 @@ def test_same_seed_same_session(tmp_path: Path) -> None:
     ("change", "refusal"),
     [
         ({"scene": "flagg"}, ("scene-unknown", "flagg", "sheet, column")),
-        ({"cameras": 0}, ("option-wrong", "cameras 0")),
-        ({"size": (63, 48)}, ("option-wrong", "63x48")),
+        ({"cameras": 0}, ("option-out-of-range", "cameras 0")),
+        ({"size": (63, 48)}, ("option-out-of-range", "63x48")),
         ({"options": SessionOptions(duration_s=0.2)}, ("options-contradict", "duration_s 0.2")),
     ],
 )

@@ -152,9 +152,9 @@ def test_a_folder_that_holds_something_else_is_refused(dataset: Path, tmp_path: 
     ("change", "refusal"),
     [
         ({"scene": "sheet"}, ("scene-unknown", "sheet", "vehicle, robot, flower, glove, arm")),
-        ({"cameras": 0}, ("option-wrong", "cameras 0", "1 to 8")),
-        ({"cameras": 9}, ("option-wrong", "cameras 9", "1 to 8")),
-        ({"size": (8, 48)}, ("option-wrong", "8x48")),
+        ({"cameras": 0}, ("option-out-of-range", "cameras 0", "1 to 8")),
+        ({"cameras": 9}, ("option-out-of-range", "cameras 9", "1 to 8")),
+        ({"size": (8, 48)}, ("option-out-of-range", "8x48")),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_is_written(

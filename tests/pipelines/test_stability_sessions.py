@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_ends_the_suite(
 def test_a_session_lies_there_until_another_is_whole(session: Path, tmp_path: Path) -> None:
     folder = tmp_path / "session"
     shutil.copytree(session.parent, folder)
-    with refused("option-wrong", "--cameras 0", kind=InputError):
+    with refused("option-out-of-range", "--cameras 0", kind=InputError):
         rendered(folder, replace(made(), cameras=0))
     assert is_rendered(folder, made())
 

@@ -84,7 +84,9 @@ def session(out: Path, talk: Talk) -> Path:
         there = Simulated.of(folder / TRUTH)
         same = there is not None and replace(there, code=made.code) == made
         code = "session-outdated" if same else "session-differs"
-        what = "rendered by another version of the simulator" if same else "not the session rendered now"
+        what = (
+            "rendered by another version of the simulator" if same else "not the session that is rendered now"
+        )
         text = f"{folder}: {what}, so its cases would not compare; give another --out, or delete that folder"
         raise InputError(code, text)
     with talk.progress("simulate") as progress:
