@@ -44,6 +44,7 @@ def carve(
     aabb: Float[Tensor, "2 3"],
     size: int,
     near: float,
+    reach: float,
 ) -> tuple[Bool[Tensor, "N N N"], Bool[Tensor, "N N N"]]:
     """Vertices of the contracted cube (kernels/background.py) that are free, and those at a surface.
 
@@ -53,13 +54,14 @@ def carve(
         aabb: The box in the middle.
         size: Vertices of the cube along each axis.
         near: Distance from the centres at which lines begin.
+        reach: Half sizes of the box that the cube holds.
     """
     passed, ended = (torch.zeros(size**3) for _ in range(2))
     middle, half = (aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2
     voxel = 4 / (size - 1)
 
     def vertex(x: Tensor) -> Tensor:
-        at = ((contract((x - middle) / half) + 2) / voxel + 0.5).long().clamp(0, size - 1)
+        at = ((contract((x - middle) / half, reach) + 2) / voxel + 0.5).long().clamp(0, size - 1)
         return (at[:, 0] * size + at[:, 1]) * size + at[:, 2]
 
     for a, b in zip(start.split(BLOCK), end.split(BLOCK), strict=True):

@@ -34,7 +34,7 @@ from devrf.reconstruct.packing import (
     to_bytes,
 )
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.shell import REACH, Shell
 
 FILE = "model.safetensors"
 TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion
@@ -153,7 +153,8 @@ def rest_of(
 def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor) -> Shell:
     """Its surroundings."""
     final, near, far = (meta["shell"][name] for name in ("final", "near", "far"))
-    return Shell(aabb, grid, final=int(final), near=float(near), far=float(far))
+    reach = float(meta["shell"].get("reach", REACH))  # files of older versions do not say it
+    return Shell(aabb, grid, final=int(final), near=float(near), far=float(far), reach=reach)
 
 
 def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:

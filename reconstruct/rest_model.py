@@ -40,5 +40,6 @@ class RestModel:
             "far": self.far,
         }
         if shell is not None:
-            out["shell"] = {"size": shell.size, "final": shell.final, "near": shell.near, "far": shell.far}
+            names = ("size", "final", "near", "far", "reach")
+            out["shell"] = {name: getattr(shell, name) for name in names}
         return out

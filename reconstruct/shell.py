@@ -6,23 +6,41 @@ instead. Trained together with the scene at rest, then frozen. The inside of the
 stays empty here.
 """
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, shift_for
 from devrf.reconstruct.grids import grown, upsample, vertices
 from devrf.reconstruct.kernels.background import Surroundings, background
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.occupancy import distance
 
+REACH = 6.0  # the least: a room around its subject
+FARTHEST_REACH = 24.0  # beyond, depth gets too coarse near the box; and parallax is small
+REACH_PERCENTILE, REACH_MARGIN = (
+    98.0,
+    1.15,
+)  # of the points' distances: a few are wrong, and walls are behind them
 CUBE = torch.tensor([[-2.0] * 3, [2.0] * 3])
 ALPHA_INIT = 1e-3  # a ray takes about a hundred steps: enough to start from, little enough to see through
 SURFACE = 4.0  # raw density where a surface is known to be: fifty times as opaque as unknown space
 STEPSIZE = 1.0  # at the box's surface, in units of a voxel inside it: about half a voxel outside
 ALPHA_THRESHOLD = 1e-2  # below, a vertex counts as empty
 ALPHA_THRESHOLD_INSIDE = 1e-3  # while nothing is known, everything is
+
+
+def reach_of(scene: Scene) -> float:
+    """How far the surroundings are modelled, in half sizes of the box: to the farthest points, in the box frame."""
+    if scene.points is None or not len(scene.points.xyz):
+        return REACH
+    lo, hi = scene.aabb
+    away = np.abs((scene.points.xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
+    farthest = REACH_MARGIN * float(np.percentile(away, REACH_PERCENTILE))
+    return min(max(REACH, farthest), FARTHEST_REACH)
 
 
 class Shell:
@@ -34,6 +52,7 @@ class Shell:
         distance: Vertices to the nearest occupied vertex [N, N, N].
         final: N at the end of training; densities are per voxel of that size.
         near, far: Where rays start and where they have left all content behind.
+        reach: Half sizes of the box that the grid holds; what is farther lies on its faces, as if infinitely far away.
         inside: The box's inside is modelled here, too (for a first, coarse model of everything).
     """
 
@@ -45,10 +64,11 @@ class Shell:
         final: int,
         near: float,
         far: float,
+        reach: float = REACH,
         inside: bool = False,
     ) -> None:
         self.aabb, self.grid, self.final = aabb.cpu().float(), grid, final
-        self.near, self.far, self.inside = near, far, inside
+        self.near, self.far, self.reach, self.inside = near, far, reach, inside
         self.distance = torch.zeros(grid.shape[:3], dtype=torch.uint8, device=grid.device)
 
     @staticmethod
@@ -59,12 +79,13 @@ class Shell:
         *,
         near: float,
         far: float,
+        reach: float = REACH,
         device: str,
         inside: bool = False,
     ) -> "Shell":
         """Translucent grey surroundings, empty in the box unless `inside`."""
         grid = torch.zeros(size, size, size, 4, device=device)
-        shell = Shell(aabb, grid, final=final, near=near, far=far, inside=inside)
+        shell = Shell(aabb, grid, final=final, near=near, far=far, reach=reach, inside=inside)
         shell.clear_inside()
         shell.rebuild_occupancy()
         return shell
@@ -89,7 +110,14 @@ class Shell:
         step = STEPSIZE * 4 / (self.size - 1)
         shift = shift_for(ALPHA_INIT)
         return Surroundings(
-            self.grid, self.distance, self.aabb, shift, self.interval, step, self.alpha_threshold / 10
+            self.grid,
+            self.distance,
+            self.aabb,
+            shift,
+            self.interval,
+            step,
+            self.alpha_threshold / 10,
+            self.reach,
         )
 
     def render(

@@ -34,7 +34,7 @@ from devrf.reconstruct.plates import draw_with_plates, plates
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.shell import Shell, reach_of
 from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.subject_box import subject_box
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
@@ -176,6 +176,7 @@ class _Recipe:
                 options.shell_resolution,
                 near=scene.near,
                 far=scene.far,
+                reach=reach_of(scene),
                 device=device,
             )
         self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), LR_MLP, BETAS, EPS)

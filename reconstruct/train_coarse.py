@@ -22,7 +22,7 @@ from devrf.reconstruct.losses import rendering_loss
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.plates import draw_with_plates
 from devrf.reconstruct.rays import RayBatch, RaySet
-from devrf.reconstruct.shell import CUBE, Shell
+from devrf.reconstruct.shell import CUBE, Shell, reach_of
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, take_up_grids
 
@@ -49,9 +49,11 @@ def train_coarse(
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     sizes = [max(8, round(share * options.coarse_size)) for share in (SIZES if lines is None else (1.0,))]
     per_size = max(1, options.coarse_iterations // len(sizes))
-    model = Shell.new(aabb, sizes[0], sizes[-1], near=near, far=far, device=device, inside=True)
+    model = Shell.new(
+        aabb, sizes[0], sizes[-1], near=near, far=far, reach=reach_of(scene), device=device, inside=True
+    )
     if lines is not None:
-        model.start_from(*carve(*lines, aabb, sizes[0], near))
+        model.start_from(*carve(*lines, aabb, sizes[0], near, model.reach))
     trainer = GridTrainer(model.grid, copies_for(model.grid.device))
     begin, saved = 0, checkpoint.found(log)
     if saved is not None:

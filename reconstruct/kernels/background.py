@@ -4,12 +4,13 @@
 """Render the static surroundings of the box in one pass, forward and backward, without keeping samples.
 
 The surroundings are one grid over space contracted to [-2, 2]^3: u is the position in half sizes of the box
-from its centre, r = max |u|, and y = u inside the box, (1 + log r / log REACH) u / r outside, at most 2. Like
+from its centre, r = max |u|, and y = u inside the box, (1 + log r / log reach) u / r outside, at most 2. Like
 mip-NeRF 360's (2 - 1/r) u / r (Barron et al. 2022, Eq. 10; here with the largest component in place of the
 length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, three or
-four half sizes away, keep twice the resolution in depth. What is farther than REACH lies on the cube's faces. The
-grid holds raw density and raw colour; steps grow with r. The backward pass walks the same samples again: what
-lies behind sample i is the final colour minus what has been passed, so nothing needs to be stored.
+four half sizes away, keep twice the resolution in depth. What is farther than the reach lies on the cube's faces, as
+if it were infinitely far away. The grid holds raw density and raw colour; steps grow with r. The backward pass walks
+the same samples again: what lies behind sample i is the final colour minus what has been passed, so nothing needs to
+be stored.
 """
 
 import math
@@ -26,8 +27,6 @@ from devrf.reconstruct.kernels.launch import array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest
 from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, gathered_in, trilinear_ref
 
-REACH = 6.0  # half sizes of the box that the cube holds: a room around its subject
-LOG_REACH = wp.constant(math.log(REACH))
 vec4 = wp.types.vector(length=4, dtype=wp.float32)
 
 
@@ -43,6 +42,7 @@ class Surroundings:
         interval: Step length in base voxels.
         step: Step length in contracted units at the box's surface.
         alpha_threshold: Samples at or below are dropped.
+        reach: Half sizes of the box that the cube holds.
     """
 
     grid: Float[Tensor, "X Y Z 4"]
@@ -52,6 +52,7 @@ class Surroundings:
     interval: float
     step: float
     alpha_threshold: float
+    reach: float
 
 
 def background(
@@ -85,16 +86,16 @@ def background(
     return _Background.apply(grid, rays, surroundings, closed, wanted, target is not None, grid_grad, seen)  # type: ignore[return-value]
 
 
-def contract(u: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+def contract(u: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
     """Contract positions in half sizes of the box to [-2, 2]^3."""
     r = u.abs().amax(-1, keepdim=True).clamp(min=1)
-    return (1 + torch.log(r) / math.log(REACH)).clamp(max=2) * u / r
+    return (1 + torch.log(r) / math.log(reach)).clamp(max=2) * u / r
 
 
-def expand(y: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+def expand(y: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
     """Undo `contract`."""
     s = y.abs().amax(-1, keepdim=True)
-    return torch.where(s > 1, y / s.clamp(min=1) * REACH ** (s - 1), y)
+    return torch.where(s > 1, y / s.clamp(min=1) * reach ** (s - 1), y)
 
 
 def background_ref(
@@ -114,7 +115,7 @@ def background_ref(
     last = torch.tensor(surroundings.grid.shape[:3], device=t.device) - 1
     while bool((t < rays.t_out).any()):
         u = u0 + t[:, None] * du
-        y = contract(u)
+        y = contract(u, surroundings.reach)
         vertex = ((y + 2) / 4 * last + 0.5).floor().long().clamp(min=torch.zeros_like(last), max=last)
         away = surroundings.distance[tuple(vertex.unbind(-1))].float()
         valid = (t < rays.t_out) & (away == 0) & (trans >= STOP)
@@ -186,6 +187,7 @@ def _arguments(
         *(array(rays.t_in), array(rays.t_out), array(rays.jitter)),
         *(array(surroundings.grid, vec4), array(surroundings.distance), wp.vec3(*centre), wp.vec3(*per_half)),
         *(surroundings.shift, surroundings.interval, surroundings.step, surroundings.alpha_threshold),
+        math.log(surroundings.reach),
         *(int(closed), array(target.contiguous(), wp.vec3), int(has_target)),
     ]
 
@@ -256,9 +258,9 @@ def colour_of(v: vec4) -> wp.vec3:
 
 @wp.func
 @no_type_check
-def index_of(u: wp.vec3, r: float, grid: wp.array3d(dtype=vec4)) -> wp.vec3:
+def index_of(u: wp.vec3, r: float, log_reach: float, grid: wp.array3d(dtype=vec4)) -> wp.vec3:
     """Index coordinates of a position given in half sizes of the box."""
-    y = u * (wp.min(1.0 + wp.log(r) / LOG_REACH, 2.0) / r) + wp.vec3(2.0, 2.0, 2.0)
+    y = u * (wp.min(1.0 + wp.log(r) / log_reach, 2.0) / r) + wp.vec3(2.0, 2.0, 2.0)
     return wp.vec3(
         y[0] * 0.25 * float(grid.shape[0] - 1),
         y[1] * 0.25 * float(grid.shape[1] - 1),
@@ -283,6 +285,7 @@ def _forward(
     interval: float,
     step: float,
     alpha_threshold: float,
+    log_reach: float,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
@@ -305,7 +308,7 @@ def _forward(
     while t < t_out[n]:
         u = u0 + du * t
         r = radius_of(u)
-        q = index_of(u, r, grid)
+        q = index_of(u, r, log_reach, grid)
         away = int(
             distance[nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])]
         )
@@ -328,7 +331,7 @@ def _forward(
         t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
         far = du / wp.max(wp.max(wp.abs(du[0]), wp.abs(du[1])), wp.abs(du[2]))
-        total += colour_of(look_up(grid, index_of(far * 1.0e6, 1.0e6, grid))) * trans
+        total += colour_of(look_up(grid, index_of(far * 1.0e6, 1.0e6, log_reach, grid))) * trans
         trans = 0.0
     rgb[n] = total
     left[n] = trans
@@ -352,6 +355,7 @@ def _backward(
     interval: float,
     step: float,
     alpha_threshold: float,
+    log_reach: float,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
@@ -375,7 +379,7 @@ def _backward(
     while t < t_out[n]:
         u = u0 + du * t
         r = radius_of(u)
-        q = index_of(u, r, grid)
+        q = index_of(u, r, log_reach, grid)
         away = int(
             distance[nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])]
         )
@@ -403,7 +407,7 @@ def _backward(
         t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
         far = du / wp.max(wp.max(wp.abs(du[0]), wp.abs(du[1])), wp.abs(du[2]))
-        q = index_of(far * 1.0e6, 1.0e6, grid)
+        q = index_of(far * 1.0e6, 1.0e6, log_reach, grid)
         c = colour_of(look_up(grid, q))
         h = g * trans
         scatter(

@@ -67,7 +67,10 @@ def test_near_does_not_cut_the_box_and_far_reaches_the_walls():
     unit = np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
     for camera in fixed:
         assert bounds.near / unit <= np.linalg.norm(camera.centre - BALL) - RADIUS
-    assert bounds.far / unit >= np.percentile(distances, 99)
+    for (
+        camera
+    ) in fixed:  # the sightings are those of the first alone, and another stands farther from some wall
+        assert bounds.far / unit >= np.percentile(np.linalg.norm(points - camera.centre, axis=1), 99)
 
 
 def test_up_is_up():

@@ -1,14 +1,18 @@
 """Grids, opacity, occupancy and colour of the scene at rest; its surroundings; the visual hull."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 
+from devrf.capture.scene import SparsePoints
 from devrf.reconstruct.canonical import EMPTY, Canonical, shift_for
 from devrf.reconstruct.grids import grid_shape, grown, upsample, vertices, voxel_size
 from devrf.reconstruct.hull import box_of, visual_hull
 from devrf.reconstruct.options import PRESETS, preset
 from devrf.reconstruct.render import Grads, Rendered, render_rest
-from devrf.reconstruct.shell import CUBE, Shell
+from devrf.reconstruct.shell import CUBE, FARTHEST_REACH, REACH, Shell, reach_of
 
 AABB = torch.tensor([[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]])
 
@@ -155,6 +159,20 @@ def test_shell_is_empty_in_the_box_only() -> None:
     assert (shell.grid[..., 0][outside] == 0).all()  # also near a camera: what stands there is seen by others
     shell.refine(48)
     assert (shell.grid[..., 0][vertices(CUBE, (48, 48, 48)).abs().amax(-1) < 0.7] == EMPTY).all()
+
+
+def test_surroundings_reach_as_far_as_the_points(ball) -> None:
+    """A wall beyond the reach lies on the cube's faces, as if infinitely far away: from elsewhere it hangs wrong."""
+
+    def reach(*away: float) -> float:
+        xyz = np.array([[0.0, share * ball.scene.aabb[1, 1], 0.0] for share in away]).reshape(-1, 3)
+        none = np.zeros(0, np.int64)
+        return reach_of(replace(ball.scene, points=SparsePoints(xyz, none, none)))
+
+    assert reach() == reach(1.0, 3.0) == REACH
+    assert 10 < reach(1.0, 2.0, 10.0, 10.0) < 12
+    assert reach(1.0, 1e3, 1e3) == FARTHEST_REACH
+    assert reach_of(replace(ball.scene, points=None)) == REACH
 
 
 def test_hull_contains_the_ball_and_little_else(ball) -> None:

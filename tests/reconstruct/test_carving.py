@@ -10,11 +10,11 @@ from devrf.reconstruct.carving import carve, trained_lines
 from devrf.reconstruct.kernels.background import contract
 
 AABB = torch.tensor([[-1.0, -1, -1], [1, 1, 1]])
-SIZE = 41
+SIZE, REACH = 41, 6.0
 
 
 def _at(grid: torch.Tensor, point: list[float]) -> bool:
-    index = ((contract(torch.tensor(point)) + 2) / 4 * (SIZE - 1)).round().long().tolist()
+    index = ((contract(torch.tensor(point), REACH) + 2) / 4 * (SIZE - 1)).round().long().tolist()
     return bool(grid[index[0], index[1], index[2]])
 
 
@@ -23,7 +23,7 @@ def test_a_wall_seen_through_the_box() -> None:
     g = torch.Generator().manual_seed(0)
     ends = torch.rand(4000, 3, generator=g) * torch.tensor([0.0, 4, 4]) + torch.tensor([3.0, -2, -2])
     starts = torch.rand(4000, 3, generator=g) * torch.tensor([0.0, 1, 1]) + torch.tensor([-2.0, -0.5, -0.5])
-    free, surface = carve(starts, ends, AABB, SIZE, 0.1)
+    free, surface = carve(starts, ends, AABB, SIZE, 0.1, REACH)
     assert not (free & surface).any()
     assert _at(free, [0.0, 0, 0]) and _at(free, [2.0, 0.3, -0.3])
     assert _at(surface, [3.0, 0.0, 0.0]) and _at(surface, [3.0, 1.0, -1.0])
@@ -32,7 +32,7 @@ def test_a_wall_seen_through_the_box() -> None:
 
 
 def test_one_wrong_match_carves_nothing() -> None:
-    free, surface = carve(torch.tensor([[-2.0, 0, 0]]), torch.tensor([[3.0, 0, 0]]), AABB, SIZE, 0.1)
+    free, surface = carve(torch.tensor([[-2.0, 0, 0]]), torch.tensor([[3.0, 0, 0]]), AABB, SIZE, 0.1, REACH)
     assert not free.any() and _at(surface, [3.0, 0, 0])
 
 

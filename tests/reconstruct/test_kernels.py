@@ -208,13 +208,13 @@ def test_zero_motion_marches_as_at_rest() -> None:
 
 
 @pytest.mark.parametrize("closed", [False, True])
-@pytest.mark.parametrize("share", [0.5, 0.01])
-def test_background_matches_reference(closed: bool, share: float) -> None:
+@pytest.mark.parametrize(("share", "reach"), [(0.5, 6.0), (0.01, 6.0), (0.01, 20.0)])
+def test_background_matches_reference(closed: bool, share: float, reach: float) -> None:
     g = torch.Generator().manual_seed(4)
     grid = torch.randn(15, 16, 17, 4, generator=g)
     grid[..., 0] = grid[..., 0] * 2 - 3
     occupied = torch.rand(15, 16, 17, generator=g) < share  # little: most steps are leaps
-    surroundings = Surroundings(grid.requires_grad_(), distance(occupied), AABB, 0.0, 0.7, 0.06, 1e-4)
+    surroundings = Surroundings(grid.requires_grad_(), distance(occupied), AABB, 0.0, 0.7, 0.06, 1e-4, reach)
     rays = _rays(150, g, AABB)._replace(t_in=torch.full((150,), 0.3), t_out=torch.full((150,), 9.0))
     target = torch.rand(150, 3, generator=g)
     out = background(rays, surroundings, closed, target)
@@ -242,7 +242,7 @@ def test_background_learns_without_warp(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(around, "use_warp", lambda device: False)
     grid = torch.zeros(9, 9, 9, 4)
     nothing_empty = torch.zeros(9, 9, 9, dtype=torch.uint8)
-    surroundings = Surroundings(grid, nothing_empty, AABB, 0.0, 0.7, 0.1, 1e-4)
+    surroundings = Surroundings(grid, nothing_empty, AABB, 0.0, 0.7, 0.1, 1e-4, 6.0)
     rays = _rays(20, torch.Generator().manual_seed(0), AABB)
     buffer = torch.zeros(1, *grid.shape)
     colours, _, _ = background(rays, surroundings, True, None, buffer)
@@ -250,15 +250,17 @@ def test_background_learns_without_warp(monkeypatch: pytest.MonkeyPatch) -> None
     assert buffer.abs().sum() > 0 and grid.grad is None
 
 
-def test_contraction_keeps_the_box_and_brings_infinity_to_two() -> None:
-    u = torch.tensor([[0.5, -1.0, 0.2], [around.REACH**0.5, 0, 0], [1e9, 1e9, -1e9]])
+@pytest.mark.parametrize("reach", [6.0, 20.0])
+def test_contraction_keeps_the_box_and_brings_infinity_to_two(reach: float) -> None:
+    u = torch.tensor([[0.5, -1.0, 0.2], [reach**0.5, 0, 0], [1e9, 1e9, -1e9]])
     expected = torch.tensor([[0.5, -1.0, 0.2], [1.5, 0, 0], [2.0, 2.0, -2.0]])
-    torch.testing.assert_close(contract(u), expected)
+    torch.testing.assert_close(contract(u, reach), expected)
 
 
-def test_expand_undoes_contraction() -> None:
-    u = torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) * 2 * around.REACH - around.REACH
-    torch.testing.assert_close(expand(contract(u)), u, rtol=1e-5, atol=1e-5)
+@pytest.mark.parametrize("reach", [6.0, 20.0])
+def test_expand_undoes_contraction(reach: float) -> None:
+    u = torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) * 2 * reach - reach
+    torch.testing.assert_close(expand(contract(u, reach), reach), u, rtol=1e-5, atol=1e-5)
 
 
 def test_adam_matches_torch() -> None:
