@@ -95,7 +95,9 @@ def test_pictures(make: Callable[[int], bytes], tmp_path: Path, run: Fuzzer) -> 
     path.write_bytes(make(WIDE))
     assert path.stat().st_size < 25_000
     for read in (read_pixels, read_picture, read_grey, probe_picture, read_header):
-        with raises("picture-too-large", path, "60000x60000", "3600 million", "250 million", kind=CaptureError):
+        with raises(
+            "picture-too-large", path, "60000x60000", "3600 million", "250 million", kind=CaptureError
+        ):
             read(path)
     scene = scene_yaml(tmp_path / "scene", capture={"static": "photos"})
     (scene / "photos").mkdir()

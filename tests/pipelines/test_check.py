@@ -23,7 +23,7 @@ from devrf.capture.video_writer import write_video
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
-from devrf.pipelines.check.command import left_out
+from devrf.pipelines.check.command import WORDS, left_out
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 
@@ -97,7 +97,7 @@ def test_a_quiet_no_go_says_what_is_wrong(devrf: Callable, tmp_path: Path) -> No
     (tmp_path / "scene.yaml").write_text("name: x\npreset: tiny\ncapture: {static: sweep.mp4}\n")
     result = devrf("check", tmp_path, "--quiet")
     assert result.code == 3 and result.out == "", result.said
-    assert re.search(r"sweep: picture of the sweep: .*\[check-failed\]", result.err)
+    assert re.search(rf"{WORDS['fail']}  sweep: picture of the sweep: black; .*\[check-failed\]", result.err)
     assert "[check-no-go]" in result.err and "disk" not in result.err
 
 

@@ -168,7 +168,7 @@ def test_d10_a_clock_that_drifts():
     result = synchronise({n: (0.0, 60.0 - 1 / FPS) for n in cameras}, sounds, {})
     assert result.cameras["cam1"].drift_ppm == pytest.approx(45.0, abs=10)
     row = rows_of(result, cameras)["drift"]
-    assert row.verdict == "ok" and "cam1 +" in str(row.value) and " ppm" in str(row.value)
+    assert row.verdict == "ok" and re.search(r"cam1 \+\d+ ppm: \+2\.\d ms", str(row.value))
 
 
 def test_d13_a_wrong_time_base():
@@ -328,6 +328,6 @@ def test_d9_sound_travels():
 
     (small,), (large,) = (sound_travel(rig(size), HEARD) for size in (2.0, 4.0))
     assert small.verdict == "ok" and "up to 5.8 ms" in str(small.value)  # 2 m at 343 m/s
-    assert large.verdict == "warn" and large.check == small.check
+    assert large.verdict == "warn" and large.check == small.check and "up to 11.7 ms" in str(large.value)
     silent = {n: replace(c, method="motion") for n, c in HEARD.items()}
     assert sound_travel(rig(4.0), silent) == []

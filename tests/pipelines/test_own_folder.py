@@ -53,7 +53,7 @@ def test_names_that_differ_only_in_case(scene: Path) -> None:
 
 @pytest.mark.parametrize(
     ("output", "named"),
-    [("/", "output: "), ("~", "output: "), ("photos", "capture.static"), ("a\0b", "output: ")],
+    [("/", "output: '/' "), ("~", "output: '~' "), ("photos", "capture.static"), ("a\0b", " zero byte")],
 )
 def test_outputs_that_are_something_else(scene: Path, output: str, named: str) -> None:
     (scene / "photos").mkdir()
