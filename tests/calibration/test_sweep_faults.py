@@ -283,7 +283,8 @@ def test_lenses_beyond_their_model_are_named(corner, check, lens):
 def test_a_principal_point_that_was_put_back_is_named(corner):
     """B14: it ran away in the adjustment."""
     adjustment = {"converged": True, "principal_point_free": False, "principal_point_put_back": [1]}
-    assert "principal point" in fired(changed(corner.model, adjustment=adjustment))
+    row = fired(changed(corner.model, adjustment=adjustment))["principal point"]
+    assert " 5 %" in str(row.value) and "capture.board.clips.static" in row.remedy
 
 
 def test_an_adjustment_that_did_not_end_is_named(corner):

@@ -42,7 +42,7 @@ def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
     said = mistakes(
         scene, json.dumps({"name": "x", "capture": {"static": "a.mp4", "cameras": {name: "b.mp4"}}})
     )
-    assert "capture.cameras" in said
+    assert f"capture.cameras: {name!r} " in said
 
 
 def test_names_that_differ_only_in_case(scene: Path) -> None:
