@@ -283,14 +283,11 @@ def test_a_range_outside_the_first_clip(
     devrf: Callable, tmp_path: Path, material: Path, range_s: list[float]
 ) -> None:
     path = scene(tmp_path, material, range_s=range_s)
-    for command, refusal in (
-        (["run", path, "--dry-run"], "inputs-unusable"),
-        (["check", path], "check-no-go"),
-    ):
+    for command in (["run", path, "--dry-run"], ["check", path]):
         result = devrf(*command)
         assert result.code == 2, result.said
         named = f"capture.range_s: {range_s}: ", "cam0", " 0.00 ", f" {(CLIP_FRAMES - 1) / 10:.2f} s"
-        assert all(name in result.err for name in (*named, f"[{refusal}]")), result.err
+        assert all(name in result.err for name in (*named, "[inputs-unusable]")), result.err
     overlaps = devrf("run", scene(tmp_path, material, range_s=[0.5, 60]), "--dry-run")
     assert overlaps.code == 0, overlaps.said
 
@@ -324,7 +321,7 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, cameras=cameras(material, "elsewhere.mp4"))
     result = devrf("run", path, "--until", "rig", "--set", "calibration.sync.method=none")
     assert result.code == 3, result.said
-    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 .*\[rig-unlinked-camera\]", result.err)
+    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 ", result.err) and "[rig-unlinked-camera]" in result.err
     assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
 
 
