@@ -18,8 +18,11 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from tests.refused import refused
 from tests.waiting import wait_for
 
+from devrf.capture.errors import InputError
+from devrf.capture.video import probe_video
 from devrf.capture.video_writer import write_video
 
 SIZE = (320, 240)
@@ -155,11 +158,29 @@ def cameras(material: Path, second: str) -> dict[str, str]:
 # --- seen before anything is started: 2 ---
 
 
-@pytest.mark.parametrize("name", ["gone.mp4", "text.mp4", "empty.mp4", "truncated.mp4", "only_sound.mp4"])
-def test_a_clip_that_is_none(devrf: Callable, tmp_path: Path, material: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "refusal"),
+    [
+        ("gone.mp4", "file-missing"),
+        ("text.mp4", "file-is-text"),
+        ("empty.mp4", "file-empty"),
+        ("truncated.mp4", "file-cut-short"),
+        ("only_sound.mp4", "video-missing"),
+    ],
+)
+def test_a_clip_that_is_none(
+    devrf: Callable, tmp_path: Path, material: Path, name: str, refusal: str
+) -> None:
     result = devrf("run", scene(tmp_path, material, cameras=cameras(material, name)))
     assert result.code == 2, result.said
-    assert name in result.err and "cam1" in result.err
+    with refused(refusal, name, kind=InputError) as why:
+        probe_video(material / name)
+    if name == "gone.mp4":  # seen as the configuration is read
+        assert (
+            f"capture.cameras.cam1: '{material / name}': " in result.err and "[configuration]" in result.err
+        )
+    else:
+        assert f"cam1: {why.value} [inputs-unusable]" in result.err
     assert "Traceback" not in result.said
     assert not (tmp_path / "run" / "ingest").exists()
 
@@ -178,14 +199,14 @@ def test_misspelt_unknown_and_out_of_range_keys(devrf: Callable, tmp_path: Path,
     assert result.code == 2
     assert re.search(r"scene\.yaml: reconstruct\.resolutoin: .*\bresolution\b", result.err)
     assert "scene.yaml: reconstruct.rays: -5; " in result.err
-    assert "scene.yaml: frobnicate: " in result.err
+    assert "scene.yaml: frobnicate: " in result.err and "[configuration]" in result.err
 
 
 def test_a_board_no_marker_of_which_exists(devrf: Callable, tmp_path: Path, material: Path) -> None:
     board = {"squares": [8, 6], "square_m": 0.06, "marker_m": 0.045, "dictionary": "DICT_4X4_77"}
     result = devrf("run", scene(tmp_path, material, board=board))
     assert result.code == 2 and not (tmp_path / "run" / "ingest").exists()
-    assert re.search(r"DICT_4X4_77\b.*DICT_4X4_[15]", result.err)
+    assert re.search(r"DICT_4X4_77\b.*DICT_4X4_[15].*\[inputs-unusable\]", result.err)
 
 
 def test_joint_clips_of_some_cameras_without_a_sweep(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -194,7 +215,7 @@ def test_joint_clips_of_some_cameras_without_a_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, board=board, cameras={"cam0": clip, "cam1": clip}, static=None)
     result = devrf("run", path)
     assert result.code == 2
-    assert re.search(r"capture\.board\.joint_clips: .*\bcam1\b", result.err)
+    assert re.search(r"capture\.board\.joint_clips: .*\bcam1\b.*\[configuration\]", result.err)
 
 
 def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -202,7 +223,7 @@ def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, mater
     output = tmp_path / "file" / "run"
     result = devrf("run", scene(tmp_path, material), "--set", f"output={output}", "--until", "ingest")
     assert result.code == 2
-    assert str(output) in result.err and "output:" in result.err
+    assert str(output) in result.err and "output:" in result.err and "[folder-unwritable]" in result.err
 
 
 @pytest.mark.skipif(
@@ -211,7 +232,7 @@ def test_an_output_that_cannot_be_written(devrf: Callable, tmp_path: Path, mater
 def test_an_output_without_permission(devrf: Callable, tmp_path: Path, material: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
     result = devrf("run", scene(tmp_path, material), "--set", f"output={tmp_path / 'locked' / 'run'}")
-    assert result.code == 2 and str(tmp_path / "locked") in result.err
+    assert result.code == 2 and str(tmp_path / "locked") in result.err and "[folder-unwritable]" in result.err
 
 
 # --- found while a stage runs: 1, or 3 where the material itself is at fault ---
@@ -222,7 +243,7 @@ def test_a_clip_that_ends_early(devrf: Callable, tmp_path: Path, material: Path)
     path = scene(tmp_path, material, cameras=cameras(material, "ends_early.mp4"))
     result = devrf("run", path, "--until", "ingest")
     assert result.code == 1, result.said
-    assert re.search(r"ends_early\.mp4 .*\b[1-6]\b", result.err)
+    assert re.search(r"ends_early\.mp4 .*\b[1-6]\b.*\[clip-too-damaged\]", result.err)
     assert "Traceback" not in result.said
 
 
@@ -241,7 +262,9 @@ def test_clips_without_sound_that_are_to_be_heard(devrf: Callable, tmp_path: Pat
     path = scene(tmp_path, material, cameras=cameras(material, "silent_cam1.mp4"))
     result = devrf("run", path, "--set", "calibration.sync.method=audio")
     assert result.code == 2 and not (tmp_path / "run" / "ingest").exists(), result.said
-    assert re.search(r"calibration\.sync\.method: .*\bcam1 \(.*/silent_cam1\.mp4\)", result.err)
+    assert re.search(
+        r"calibration\.sync\.method: .*\bcam1 \(.*/silent_cam1\.mp4\).*\[inputs-unusable\]", result.err
+    )
 
 
 def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, material: Path) -> None:
@@ -250,7 +273,9 @@ def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, mat
     path = scene(tmp_path, material, timestamps=str(tmp_path / "times.csv"), range_s=[0, 1])
     result = devrf("run", path)
     assert result.code == 2 and not (tmp_path / "run" / "ingest").exists(), result.said
-    assert re.search(r"capture\.range_s: \[0, 1\]: .*\bcam1\b.* 40\.00 .* 41\.10 s", result.err)
+    assert re.search(
+        r"capture\.range_s: \[0, 1\]: .*\bcam1\b.* 40\.00 .* 41\.10 s.*\[inputs-unusable\]", result.err
+    )
 
 
 @pytest.mark.parametrize("range_s", [[50, 60], [-9, -2]])
@@ -262,7 +287,7 @@ def test_a_range_outside_the_first_clip(
         result = devrf(*command)
         assert result.code == 2, result.said
         named = f"capture.range_s: {range_s}: ", "cam0", " 0.00 ", f" {(CLIP_FRAMES - 1) / 10:.2f} s"
-        assert all(name in result.err for name in named), result.err
+        assert all(name in result.err for name in (*named, "[inputs-unusable]")), result.err
     overlaps = devrf("run", scene(tmp_path, material, range_s=[0.5, 60]), "--dry-run")
     assert overlaps.code == 0, overlaps.said
 
@@ -272,6 +297,7 @@ def test_a_blank_wall_cannot_be_registered(devrf: Callable, tmp_path: Path, mate
     result = devrf("run", path, "--until", "static_poses")
     assert result.code == 3, result.said
     assert result.err.startswith("static_poses: ") and f"0 of {SWEEP_FRAMES} " in result.err
+    assert "[sweep-unregistered]" in result.err
     assert (tmp_path / "run" / "ingest" / "stamp.json").exists()
 
 
@@ -287,6 +313,7 @@ def test_a_board_that_is_never_seen(devrf: Callable, tmp_path: Path, material: P
     result = devrf("run", path, "--until", "rig")
     assert result.code == 3, result.said
     assert "'cam0'" in result.err and "capture.board" in result.err and f"0 of {CLIP_FRAMES} " in result.err
+    assert "[board-never-seen]" in result.err
 
 
 @pytest.mark.full
@@ -294,7 +321,7 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     path = scene(tmp_path, material, cameras=cameras(material, "elsewhere.mp4"))
     result = devrf("run", path, "--until", "rig", "--set", "calibration.sync.method=none")
     assert result.code == 3, result.said
-    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 ", result.err)
+    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 ", result.err) and "[rig-unlinked-camera]" in result.err
     assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
 
 
@@ -344,7 +371,7 @@ def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk
     before = devrf(*run, "static_poses")
     assert (writing.code, before.code) == (1, 1), writing.said + before.said
     for result in (writing, before):
-        assert str(small_disk) in result.err and "output:" in result.err
+        assert str(small_disk) in result.err and "[disk-full]" in result.err
         assert "Traceback" not in result.said
     assert (run_dir / "ingest/stamp.json").exists() and not list(run_dir.glob(".new-*"))
     (small_disk / "filler").unlink()

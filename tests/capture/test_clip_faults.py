@@ -287,7 +287,7 @@ def test_a_range_is_jumped_to_and_nothing_else_is_decoded(make_clip, tmp_path):
 @pytest.mark.parametrize(
     "names, notes",
     [
-        (["f1", "f2", "f10"], [""]),
+        (["f1", "f2", "f10"], ["f1.png to f10.png"]),
         ([f"IMG_{n:04d}" for n in (7, 8, 9, 11, 12, 14)], ["between 7 and 14: 10, 13"]),
         ([f"{n:03d}" for n in range(5)], []),
         (["a", "b", "c"], []),

@@ -60,7 +60,7 @@ def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background):
     check_frames(scene.static, again.static, name not in ("llff", "colmap"))
     check_frames(() if name in AT_REST else scene.dynamic, again.dynamic, True)
     text = (tmp_path / "out" / "README.txt").read_text()
-    assert "Axes:" in text
+    assert "Axes:" in text and "metres" in text
     # lenses, principal points off the middle and different focal lengths are said where a format cannot hold them
     undistorted = any("undistorted" in note for note in notes)
     assert undistorted == (name not in ("nerfstudio", "colmap"))

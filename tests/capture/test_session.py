@@ -5,8 +5,9 @@ import pytest
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
-from devrf.capture.pictures import write_picture
+from devrf.capture.pictures import probe_picture, write_picture
 from devrf.capture.session import CaptureSession, preflight, read_timestamps
+from devrf.capture.video import probe_video
 
 TABLE = "camera,frame_index,time_s\n"
 
@@ -55,11 +56,12 @@ def test_all_problems_at_once(make_clip, pictures, tmp_path):
         joint_clips={"d": good, "a": tmp_path / "text.mp4"},
     )
     problems = preflight(session)
+    for camera, refusal in (("a", "file-missing"), ("b", "file-is-text"), ("c", "file-empty")):
+        with refused(refusal) as why:
+            probe_video(session.cameras[camera])
+        assert f"capture camera {camera}: {why.value}" in problems
     for words in (
         ("capture.static", "nothing"),
-        ("camera a", "missing.mp4"),
-        ("camera b", "text.mp4"),
-        ("camera c", "zero.mp4"),
         ("camera e", "good.mp4", "camera d"),
         ("board.clips.a", "missing_board.mp4"),
         ("joint_clips.a", "text.mp4"),
@@ -75,7 +77,9 @@ def test_broken_photo_is_named(tmp_path):
     write_picture(tmp_path / "a.png", np.zeros((8, 8, 3), np.uint8))
     (tmp_path / "b.jpg").write_text("not a photo")
     problems = preflight(CaptureSession(static=tmp_path))
-    assert len(problems) == 1 and "b.jpg" in problems[0]
+    with refused("picture-unreadable", "b.jpg") as why:
+        probe_picture(tmp_path / "b.jpg")
+    assert problems == [f"capture.static: {why.value}"]
 
 
 def test_raw_photos_are_looked_into(tmp_path):

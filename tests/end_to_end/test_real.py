@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from devrf.pipelines.stages import NO_CAMERAS
 from devrf.reconstruct.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full
@@ -44,7 +45,7 @@ def test_fox_is_a_scene_at_rest(devrf: Callable, fox: Path) -> None:
     stages = {stage["stage"]: stage for stage in json.loads(result.out)["stages"]}
     for name in ("sync", "rig", "flow", "deformation"):
         assert stages[name]["state"] == "not applicable"
-        assert len(stages[name]["why"]) == 1
+        assert stages[name]["why"] == [NO_CAMERAS]
     assert all(stage["state"] == "fresh" for name, stage in stages.items() if not stage["why"])
     assert (fox / "run/report/index.html").is_file()
     assert list((fox / "run/render").glob("*.mp4"))

@@ -57,7 +57,7 @@ def test_a_full_disk_costs_no_more_than_the_stage(
         assert result.returncode in (DONE, FAILED), result.stderr
         if result.returncode == FAILED:
             count.took_effect += 1
-            assert str(on_disk.run_dir) in result.stderr and "output:" in result.stderr
+            assert str(on_disk.run_dir) in result.stderr and "[disk-full]" in result.stderr
             assert not list(on_disk.run_dir.glob(".new-*"))  # its room is free again
         resize(disk, 20_000)
         go_on(on_disk, reference, count)

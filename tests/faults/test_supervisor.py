@@ -16,20 +16,20 @@ from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 
 
 @pytest.mark.parametrize(
-    ("fault", "named"),
+    ("fault", "code", "named"),
     [
-        ("segfault", "SIGSEGV"),
-        ("exit", r"\(exit code 0\)"),
-        ("abort", "SIGABRT"),
-        ("killed", r"SIGKILL.* 0\.\d GB"),
+        ("segfault", "library-crashed", "SIGSEGV"),
+        ("exit", "library-ended-program", r"\(exit code 0\)"),
+        ("abort", "library-crashed", "SIGABRT"),
+        ("killed", "program-killed", r"SIGKILL.* 0\.\d GB"),
     ],
 )
-def test_a_death_is_explained(tiny: Tiny, fault: str, named: str) -> None:
+def test_a_death_is_explained(tiny: Tiny, fault: str, code: str, named: str) -> None:
     result = tiny.run(f"fault={fault}")
     assert result.returncode == FAILED
-    assert "Traceback" not in result.stderr
+    assert "Traceback" not in result.stderr and result.stderr.endswith(f"[{code}]\n")
     remembered = json.loads((tiny.run_dir / ".failed-parts.json").read_text())
-    assert remembered["code"] == FAILED
+    assert (remembered["code"], remembered["error"]) == (FAILED, code)
     assert not [p.name for p in tiny.run_dir.iterdir() if p.name.startswith((".new", ".lock"))]
     log = (tiny.run_dir / "devrf.log").read_text()
     for said in (result.stderr, remembered["message"], log):
@@ -47,7 +47,7 @@ def test_a_signal_is_passed_on_once(tiny: Tiny, sign: signal.Signals) -> None:
     started.send_signal(sign)
     ended = started.end()
     assert ended.returncode == STOPPED
-    assert len(ended.stderr.splitlines()) == 1
+    assert ended.stderr.endswith("[stopped]\n") and ended.stderr.count("\n") == 1
     assert not list(tiny.run_dir.glob(".new-*"))
 
 
@@ -66,7 +66,7 @@ def test_one_that_hears_no_signal_is_killed_at_the_second(tiny: Tiny) -> None:
     assert not ends(child, 0.5)
     started.terminate()
     ended = started.end(timeout=10)  # before the time to end by itself is over
-    assert ended.returncode == STOPPED and len(ended.stderr.splitlines()) == 1
+    assert ended.returncode == STOPPED and ended.stderr.endswith("[stopped]\n")
     assert ends(child, 30)
     assert not list(tiny.run_dir.glob(".new-*")) and not (tiny.run_dir / ".lock").exists()
 
@@ -124,7 +124,7 @@ def test_what_the_child_started_ends_with_it(tiny: Tiny) -> None:
 def test_more_memory_than_allowed_ends_the_run_before_the_system_does(tiny: Tiny) -> None:
     result = tiny.run("fault=eat", "budget.memory_gb=0.3")
     assert result.returncode == FAILED
-    assert "budget.memory_gb" in result.stderr
+    assert "budget.memory_gb" in result.stderr and "[no-memory]" in result.stderr
     used, allowed = map(float, re.findall(r"([\d.]+) GB", result.stderr))
     assert result.stderr.startswith("parts: ") and allowed == 0.3 <= used < 1
     assert json.loads((tiny.run_dir / ".failed-parts.json").read_text())["code"] == FAILED

@@ -111,7 +111,7 @@ def test_rows_that_cannot_be_written_are_refused_before_training(
         said = _bench(devrf, "views", dataset, "--out", str(tmp_path / "o"), "--json", str(path), code=2)
         assert f"--json {path}" in said or f"--json {path.parent}" in said
     said = _bench(devrf, "views", dataset, "--out", str(tmp_path / "file"), code=2)
-    assert f"--out {tmp_path / 'file'}: " in said
+    assert f"--out {tmp_path / 'file'}: " in said and "[folder-unwritable]" in said
     assert not (tmp_path / "o").exists()
 
 

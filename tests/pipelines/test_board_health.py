@@ -55,7 +55,7 @@ BLURRED = tuple(range(0, 24, 3))
             {},
             {"cells": np.pad(np.full((3, 3), 9), (0, 2))},
             "picture covered by board corners, cam1",
-            "",
+            "top-right corner, bottom-left corner, bottom-right corner, ",
         ),
         (
             {"views": 16, "blurred": BLURRED},

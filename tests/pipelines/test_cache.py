@@ -82,9 +82,9 @@ def test_status_and_dry_run_know(folder: Path, capsys: pytest.CaptureFixture) ->
     run.talk = Talk("normal")
     dry_run(run, run.standings())
     said = capsys.readouterr().out
-    assert re.search("second: .*: reconstruct.rays: 200 .* 100", said)
-    assert re.search("third: .*: second ", said)  # known by what second holds
-    assert re.search("other: .*: reconstruct.seed: 1 .* 5", said)
+    assert re.search("second: .*cache.*: reconstruct.rays: 200 .* 100", said)
+    assert re.search("third: .*cache.*: second ", said)  # known by what second holds
+    assert re.search("other: would run: reconstruct.seed: 1 .* 5", said)
     assert [now.cached is not None for now in run.standings()] == [False, True, False, True]
 
 

@@ -23,7 +23,7 @@ from devrf.capture.video_writer import write_video
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
-from devrf.pipelines.check.command import left_out
+from devrf.pipelines.check.command import WORDS, left_out
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 
@@ -97,7 +97,7 @@ def test_a_quiet_no_go_says_what_is_wrong(devrf: Callable, tmp_path: Path) -> No
     (tmp_path / "scene.yaml").write_text("name: x\npreset: tiny\ncapture: {static: sweep.mp4}\n")
     result = devrf("check", tmp_path, "--quiet")
     assert result.code == 3 and result.out == "", result.said
-    assert re.search(r"sweep: picture of the sweep: .*\[check-failed\]", result.err)
+    assert re.search(rf"{WORDS['fail']}  sweep: picture of the sweep: black; .*\[check-failed\]", result.err)
     assert "[check-no-go]" in result.err and "disk" not in result.err
 
 
@@ -245,7 +245,9 @@ def test_a_board_clip_without_its_board_is_a_no_go(tmp_path: Path, textures: Cal
     session = CaptureSession(board_clips=paths, joint_clips={"cam2": paths["cam2"]})
     rows = board_rows(session, spec, no_progress)
     assert [row.verdict for row in rows] == ["ok", "warn", "fail", "warn"]
-    assert "cam2" in f"{rows[2].check} {rows[2].remedy}"
+    assert rows[2].value == rows[3].value == "never" and rows[2].check.startswith(
+        "share of the board clip of cam2 "
+    )
 
 
 def charuco_picture() -> np.ndarray:

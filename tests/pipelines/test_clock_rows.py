@@ -168,7 +168,7 @@ def test_d10_a_clock_that_drifts():
     result = synchronise({n: (0.0, 60.0 - 1 / FPS) for n in cameras}, sounds, {})
     assert result.cameras["cam1"].drift_ppm == pytest.approx(45.0, abs=10)
     row = rows_of(result, cameras)["drift"]
-    assert row.verdict == "ok" and "cam1 +" in str(row.value) and " ppm" in str(row.value)
+    assert row.verdict == "ok" and re.search(r"cam1 \+\d+ ppm: \+2\.\d ms", str(row.value))
 
 
 def test_d13_a_wrong_time_base():
@@ -287,7 +287,7 @@ def test_d22_d23_geometry_against_the_clocks():
         row.check: row for row in check_rows(check(cam1=(0.0, 1e-3), cam2=(0.03, 0.2)), HEARD, HEARD, CAMERAS)
     }
     row = flat["clocks that geometry cannot check"]
-    assert str(row.value).startswith("cam2: ")
+    assert row.value == "cam2: cam0 and cam2: not observable, ..."
 
 
 def test_clips_too_short_for_geometry_are_named(tmp_path: Path):
@@ -328,6 +328,6 @@ def test_d9_sound_travels():
 
     (small,), (large,) = (sound_travel(rig(size), HEARD) for size in (2.0, 4.0))
     assert small.verdict == "ok" and "up to 5.8 ms" in str(small.value)  # 2 m at 343 m/s
-    assert large.verdict == "warn" and large.check == small.check
+    assert large.verdict == "warn" and large.check == small.check and "up to 11.7 ms" in str(large.value)
     silent = {n: replace(c, method="motion") for n, c in HEARD.items()}
     assert sound_travel(rig(4.0), silent) == []

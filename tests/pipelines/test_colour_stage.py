@@ -232,12 +232,9 @@ def test_a_picture_without_a_chart_stops_the_run(devrf: Command, matched: Path, 
         (["method=chart"], "calibration.colour.chart: "),
         (
             ["chart={cam0: chart_cam0.png, cam11: chart_cam1.png}"],
-            "calibration.colour.chart.cam11: ",
+            r"calibration.colour.chart.cam11: .* cam1\?",
         ),
-        (
-            [charts("cam1")],
-            "calibration.colour.chart.cam0: ",
-        ),
+        ([charts("cam1")], "calibration.colour.chart.cam0: "),
         ([charts("cam0", "cam1").replace("cam1.png", "gone.png")], "'chart_gone.png': "),
         (["method=guess"], "calibration.colour.method: 'guess'; "),
     ],
@@ -245,7 +242,7 @@ def test_a_picture_without_a_chart_stops_the_run(devrf: Command, matched: Path, 
 def test_settings_that_cannot_be(session: Path, settings: list[str], expected: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_scene(session, [f"calibration.colour.{setting}" for setting in settings])
-    assert any(expected in mistake for mistake in caught.value.mistakes), caught.value.mistakes
+    assert any(re.search(expected, mistake) for mistake in caught.value.mistakes), caught.value.mistakes
 
 
 # --- against a sweep ---

@@ -216,16 +216,15 @@ def test_bad_input_is_refused_before_anything_is_written(made: Path, tmp_path: P
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
     one, two, out = made / "one", made / "two", tmp_path / "out"
-    for named, where, rows, said in (
-        ([one], out, None, "compare: 1 run"),
-        ([one, tmp_path / "nowhere"], out, None, f"{tmp_path / 'nowhere'}: "),
-        ([one, tmp_path / "empty"], out, None, f"{tmp_path / 'empty'}: "),
-        ([one, two], tmp_path / "file", None, f"--out {tmp_path / 'file'}: "),
-        ([one, two], out, tmp_path, f"--json {tmp_path}: "),
+    for named, where, rows, refusal, said in (
+        ([one], out, None, "compare-one-run", "compare: 1 run"),
+        ([one, tmp_path / "nowhere"], out, None, "run-missing", f"{tmp_path / 'nowhere'}: "),
+        ([one, tmp_path / "empty"], out, None, "run-missing", f"{tmp_path / 'empty'}: "),
+        ([one, two], tmp_path / "file", None, "folder-unwritable", f"--out {tmp_path / 'file'}: "),
+        ([one, two], out, tmp_path, "file-is-folder", f"--json {tmp_path}: "),
     ):
-        with pytest.raises(InputError) as caught:
+        with refused(refusal, said, kind=InputError):
             compare(Talk("quiet"), named, where, rows)
-        assert str(caught.value).startswith(said)
     assert not out.exists()
 
 

@@ -9,12 +9,14 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from tests.refused import refused
 
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.rig import Rig, read_rig
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
 from devrf.capture.formats.export import MARKER, README
+from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Scene
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.command import export
@@ -51,7 +53,7 @@ def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Sc
     assert again.code == 0, again.said
     assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "given"
     twice = devrf("export", scene_yaml, "--format", "colmap", "--out", out)
-    assert twice.code == 2 and f"--out {out}: " in twice.err
+    assert twice.code == 2 and f"--out {out}: " in twice.err and "[folder-exists]" in twice.err
     strided = devrf(
         "run",
         folder / "again.yaml",
@@ -87,24 +89,26 @@ def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "file", "text"),
+    ("name", "file", "text", "refusal"),
     [
-        ("nerfstudio", "transforms.json", "{"),
-        ("devrf", "dynamic_2views/transforms_train.json", '{"frames": []}'),
-        ("devrf", "dynamic_2views/train_flow/003_bwd.npz", "x"),
-        ("colmap", "sparse/0/images.bin", "x"),
-        ("llff", "poses_bounds.npy", "x"),
-        ("blender", "transforms_train.json", "[]"),
+        ("nerfstudio", "transforms.json", "{", "file-damaged"),
+        ("devrf", "dynamic_2views/transforms_train.json", '{"frames": []}', "pictures-none"),
+        ("devrf", "dynamic_2views/train_flow/003_bwd.npz", "x", "file-damaged"),
+        ("colmap", "sparse/0/images.bin", "x", "file-damaged"),
+        ("llff", "poses_bounds.npy", "x", "file-damaged"),
+        ("blender", "transforms_train.json", "[]", "file-damaged"),
     ],
 )
 def test_a_damaged_data_set_is_seen_before_anything_starts(
-    devrf: Callable, odd_scene: Scene, tmp_path: Path, name, file: str, text: str
+    devrf: Callable, odd_scene: Scene, tmp_path: Path, name, file: str, text: str, refusal: str
 ) -> None:
     write_dataset(name, odd_scene, tmp_path / "data", _flow_of_nothing)
     (tmp_path / "data" / file).write_text(text)
     result = devrf("run", written(tmp_path, name, tmp_path / "data", "run"))
     assert result.code == 2, result.said
-    assert Path(file).name in result.err and "[inputs-unusable]" in result.err
+    with refused(refusal, Path(file).name) as why:
+        read_dataset(name, tmp_path / "data")
+    assert f"{why.value}" in result.err and "[inputs-unusable]" in result.err
     assert not (tmp_path / "run" / "scene").exists()
 
 
@@ -115,10 +119,12 @@ def test_a_picture_that_ends_early_is_seen_before_anything_starts(
     picture = next((tmp_path / "data" / "images" / "witness").iterdir())  # a test picture, read last of all
     picture.write_bytes(picture.read_bytes()[:-200])
     scene = written(tmp_path, "nerfstudio", tmp_path / "data", "run")
+    with refused("picture-unreadable", picture) as why:
+        read_pixels(picture)
     for choice in ((), ("--dry-run",)):
         result = devrf("run", scene, *choice)
         assert result.code == 2, result.said
-        assert str(picture) in result.err and "[inputs-unusable]" in result.err
+        assert f"{why.value}" in result.err and "[inputs-unusable]" in result.err
     assert not (tmp_path / "run").exists()
 
 
@@ -130,7 +136,8 @@ def test_a_data_set_without_scene_yaml_says_who_writes_one(
         result = devrf("status", tmp_path / name)
         assert result.code == 2 and f"devrf-pipeline init {tmp_path / name}" in result.err
     nowhere = tmp_path / "nowhere" / "scene.yaml"
-    assert f"{nowhere}: " in devrf("status", nowhere).err
+    said = devrf("status", nowhere).err
+    assert f"{nowhere}: " in said and "init" not in said and "[configuration]" in said
 
 
 def _flow_of_nothing(frame):

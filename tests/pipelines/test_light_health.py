@@ -109,7 +109,7 @@ def test_rows_of_clips():
     assert re.fullmatch(".* -10 % at 3.00 s; .* 4 %", str(colour.value))
     assert re.search(" 10 % .* 50 Hz", str(lamps.value)) and "1/50 or 1/100 s" in lamps.remedy
     (hidden,) = clip_rows("cam1", "cam1.mp4", LightFound(None, None, None, 0.2))
-    assert hidden.verdict == "ok" and hidden.check.endswith("cam1") and not hidden.remedy
+    assert hidden.verdict == "ok" and hidden.check == "light of cam1" and not hidden.remedy
 
 
 def test_light_that_gains_make_up_for_is_no_warning_but_in_test_pictures():
@@ -169,7 +169,9 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
     out = tmp_path / "run" / "ingest"
     rows = {row["check"]: row for row in json.loads((out / "health.json").read_text())["rows"]}
     assert rows["exposure of cam0"]["value"].startswith("+0.4")
-    assert "gains" in rows["exposure of cam0"]["value"] and rows["white balance of cam1"]["value"]
+    assert "gains" in rows["exposure of cam0"]["value"] and re.search(
+        r" [+-]\d+ % ", rows["white balance of cam1"]["value"]
+    )
     assert " 60 Hz" in rows["lamps seen by cam2"]["value"]
     about_light = ("exposure of", "white balance of", "lamps seen by", "highlights", "light of")
     assert not [check for check in rows if check.startswith(about_light) and "cam3" in check]

@@ -173,4 +173,4 @@ def test_of_many_that_start_at_once_one_gets_it(tmp_path: Path) -> None:
         ]
         said = [process.communicate() for process in started]
         assert sorted(out for out, _ in said) == ["", "", "", "held\n"], said
-        assert sum("InputError: " in err for _, err in said) == 3
+        assert sum(f"InputError: {tmp_path}: " in err for _, err in said) == 3

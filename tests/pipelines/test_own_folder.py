@@ -42,7 +42,7 @@ def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
     said = mistakes(
         scene, json.dumps({"name": "x", "capture": {"static": "a.mp4", "cameras": {name: "b.mp4"}}})
     )
-    assert "capture.cameras" in said
+    assert f"capture.cameras: {name!r} " in said
 
 
 def test_names_that_differ_only_in_case(scene: Path) -> None:
@@ -53,7 +53,7 @@ def test_names_that_differ_only_in_case(scene: Path) -> None:
 
 @pytest.mark.parametrize(
     ("output", "named"),
-    [("/", "output: "), ("~", "output: "), ("photos", "capture.static"), ("a\0b", "output: ")],
+    [("/", "output: '/' "), ("~", "output: '~' "), ("photos", "capture.static"), ("a\0b", " zero byte")],
 )
 def test_outputs_that_are_something_else(scene: Path, output: str, named: str) -> None:
     (scene / "photos").mkdir()

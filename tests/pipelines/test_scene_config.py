@@ -158,7 +158,7 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         ("{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}", "capture.white.cam1: "),
         ("{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}", "capture.raw.white_balance: [2, 1, 0, 1]; "),
         ("{static: static.mp4, raw: {white_balance: camera}}", "capture.raw.white_balance: 'camera'; … 'auto'"),
-        ("{}", "capture: "),
+        ("{}", "capture: … static"),
         ("null", "capture: … dataset"),
     ],
 )  # fmt: skip
@@ -200,17 +200,17 @@ calibration: {static_poses: {check_seed: true}}
     ("text", "expected"),
     [
         ("name: [1, 2\npreset: fast", "line 2"),
-        ("name: a\nname: b", "scene.yaml: line 2, column 1: key 'name' "),
+        ("name: a\nname: b", "scene.yaml: line 2, column 1: key 'name' … line 1"),
         ("reconstruct: {rays: 100, rays: 200}", "key 'rays' "),
-        ("", "scene.yaml: "),
-        ("- a\n- b", "scene.yaml: "),
+        ("", "scene.yaml: … name"),
+        ("- a\n- b", "scene.yaml: … list"),
         ("name: !!python/object:os.system x", "python/object"),
         ("\x00", "scene.yaml: "),
     ],
 )
 def test_not_a_scene_file(folder: Path, text: str, expected: str) -> None:
     found = mistakes(folder, text)
-    assert len(found) == 1 and expected in found[0], found
+    assert len(found) == 1 and all(part in found[0] for part in expected.split("… ")), found
 
 
 def test_missing_scene_file_is_named(tmp_path: Path) -> None:
@@ -266,11 +266,11 @@ def test_a_background_that_is_none(tmp_path: Path, written: str) -> None:
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("a\0b", ""),
+        ("a\0b", " zero byte"),
         ("x" * 300, " 255 "),
         ("x/" * 600, " 1000 "),
         ("~nobody-of-this-name/x", "~"),
-        ("\ud800", ""),
+        ("\ud800", " half a character"),
     ],
 )
 def test_what_no_system_takes_as_a_path(folder: Path, key: str, text: str, named: str) -> None:
@@ -281,5 +281,6 @@ def test_what_no_system_takes_as_a_path(folder: Path, key: str, text: str, named
 def test_devices_pipes_and_loops_are_no_files(folder: Path) -> None:
     os.mkfifo(folder / "pipe")
     (folder / "loop").symlink_to("loop")
-    for name in ("pipe", "/dev/zero", "loop"):
-        assert f"capture.static: '{name}'" in mistakes(folder, GOOD, (f"capture.static={name}",))[0]
+    for name, named in (("pipe", " pipe"), ("/dev/zero", " device"), ("loop", "symbolic link")):
+        (found,) = mistakes(folder, GOOD, (f"capture.static={name}",))
+        assert f"capture.static: '{name}'" in found and named in found

@@ -126,7 +126,7 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     for name in ("canonical.density", "canonical.occupied", "shell.codes"):
         save_file(tensors | {name: tensors[name][..., :-1].contiguous()}, str(path), metadata=meta)
-        with refused("file-damaged", path, kind=ReconstructError):
+        with refused("file-damaged", path, " fit ", kind=ReconstructError):
             load_rest(path)
     save_file({k: v for k, v in tensors.items() if k != "shell.low"}, str(path), metadata=meta)
     with refused("file-damaged", path, "shell.low", kind=ReconstructError):
@@ -153,7 +153,7 @@ def test_damaged_motion_is_refused(tmp_path: Path) -> None:
     }
     for parts in damaged.values():
         save_file(tensors | parts, str(path), metadata=meta)
-        with refused("file-damaged", path, kind=ReconstructError):
+        with refused("file-damaged", path, " fit ", kind=ReconstructError):
             load_motion(path)
 
 

@@ -146,10 +146,10 @@ def test_surroundings_are_learned_without_mattes(ball) -> None:
 
 
 def test_scene_without_pictures_is_refused(ball, rest: RestModel) -> None:
-    with refused("pictures-none", kind=ReconstructError):
+    with refused("pictures-none", "in motion", kind=ReconstructError):
         train_motion(replace(ball.scene, dynamic=()), rest, {}, MOTION)
     held_out = tuple(replace(f, split="test") for f in ball.scene.static)
-    with refused("pictures-none", kind=ReconstructError):
+    with refused("pictures-none", "at rest", kind=ReconstructError):
         train_canonical(replace(ball.scene, static=held_out), REST)
 
 
