@@ -18,6 +18,7 @@ NO_MEMORY = (
     "bad_alloc",
     "bad allocation",
     "insufficient memory",
+    "start new thread",  # which needs memory for its stack
 )  # messages
 
 logger = logging.getLogger(__name__)

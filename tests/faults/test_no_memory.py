@@ -18,7 +18,7 @@ from devrf.pipelines.exit_codes import DONE, FAILED
 
 pytestmark = pytest.mark.full
 SAID = {
-    "allocation": r"\[no-memory\]|can't start new thread",  # the latter a library's
+    "allocation": r"\[no-memory\]",
     "budget": r"budget\.memory_gb.* \[no-memory\]",
     "system": r"SIGKILL.* \[program-killed\]",
 }
