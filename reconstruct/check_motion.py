@@ -158,7 +158,7 @@ def _at_rest(model: DynamicModel, rays_o: Tensor, rays_d: Tensor) -> tuple[Tenso
     for o, d in zip(rays_o.split(CHUNK), rays_d.split(CHUNK), strict=True):
         middle = torch.full((2, len(o)), 0.5, device=o.device)
         rest = model.rest
-        seen = render_rest(rest.canonical, None, black, o, d, near=rest.near, far=rest.far, jitter=middle)
+        seen = render_rest(rest.canonical, None, black, o, d, near=rest.near, jitter=middle)
         parts.append((seen.rgb, seen.left))
     rgb, left = (torch.cat(part) for part in zip(*parts, strict=True))
     return rgb, left

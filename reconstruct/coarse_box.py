@@ -78,7 +78,7 @@ def find_subject(
         batch = rays.draw(most, generator)
         jitter = torch.rand(2, most, generator=generator, device=generator.device).to(batch.rgb)
         out = render_rest(
-            model, None, plain, batch.rays_o, batch.rays_d, near=near, far=near, jitter=jitter,
+            model, None, plain, batch.rays_o, batch.rays_d, near=near, jitter=jitter,
             grads=(density.grad[0], features.grad[0], None),
         )  # fmt: skip
         loss = rendering_loss(out.rgb, batch.rgb) + ENTROPY * entropy_loss(out.left)

@@ -164,7 +164,7 @@ class _Recipe:
         batch = self.rays_at_rest.draw(o.rays, self.generator)
         out = render_rest(
             canonical, self.rest.shell, self.plain, batch.rays_o, batch.rays_d, near=self.rest.near,
-            far=self.rest.far, jitter=self._jitter(2, batch), grads=(*grads, None),
+            jitter=self._jitter(2, batch), grads=(*grads, None),
         )  # fmt: skip
         parts_at_rest = rendering_loss(out.rgb, batch.rgb), entropy_loss(out.left)
         (parts_at_rest[0] + ENTROPY * parts_at_rest[1]).backward()

@@ -158,9 +158,9 @@ class DynamicModel:
         assert rest.shell is not None  # surroundings are modelled wherever nothing plain is behind
         t_in, t_out, _ = intersect(rays_o, rays_d, rest.canonical.aabb, rest.near)
         middle = rays_o.new_full((n,), 0.5)
-        near, far = torch.full_like(t_in, rest.near), torch.full_like(t_in, rest.far)
+        near = torch.full_like(t_in, rest.near)
         front, through, _ = rest.shell.render(RaySegments(rays_o, rays_d, near, t_in, middle), False)
-        back, _, _ = rest.shell.render(RaySegments(rays_o, rays_d, t_out, far, middle), True)
+        back, _, _ = rest.shell.render(RaySegments(rays_o, rays_d, t_out, t_out, middle), True)
         return Around(front, through, back)
 
 
@@ -265,9 +265,7 @@ def _layers(
             seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
         else:
             black, still = torch.zeros(3, device=device), middle.expand(2, -1)
-            seen = render_rest(
-                rest.canonical, None, black, o, d, near=rest.near, far=rest.far, jitter=still.contiguous()
-            )
+            seen = render_rest(rest.canonical, None, black, o, d, near=rest.near, jitter=still.contiguous())
         out.append((seen.rgb, seen.left, seen.depth))
     rgb, left, depth = (torch.cat(parts) for parts in zip(*out, strict=True))
     size = (camera.height, camera.width)

@@ -152,9 +152,9 @@ def rest_of(
 
 def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor) -> Shell:
     """Its surroundings."""
-    final, near, far = (meta["shell"][name] for name in ("final", "near", "far"))
+    final, near = (meta["shell"][name] for name in ("final", "near"))
     reach = float(meta["shell"].get("reach", REACH))  # files of older versions do not say it
-    return Shell(aabb, grid, final=int(final), near=float(near), far=float(far), reach=reach)
+    return Shell(aabb, grid, final=int(final), near=float(near), reach=reach)
 
 
 def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:

@@ -21,6 +21,7 @@ from devrf.reconstruct.rays import intersect
 from devrf.reconstruct.shell import Shell
 
 FAINT = 1e-4  # opacity of a ray below which its mean features no longer grow
+BEYOND = 1e9  # everything: a segment that begins there has no samples
 SEEN = 1e-3  # transmittance below which what is behind is not looked at
 
 
@@ -63,7 +64,6 @@ def render_rest(
     rays_d: Float[Tensor, "R 3"],
     *,
     near: float,
-    far: float,
     jitter: Float[Tensor, "2 R"],
     target: Float[Tensor, "R 3"] | None = None,
     grads: Grads = (None, None, None),
@@ -83,7 +83,7 @@ def render_rest(
             shell,
             rays_o,
             rays_d,
-            (near, segments.t_in, segments.t_out, far),
+            (near, segments.t_in, segments.t_out),
             jitter[1],
             rgb,
             left,
@@ -162,7 +162,7 @@ def _with_surroundings(
     shell: Shell,
     rays_o: Tensor,
     rays_d: Tensor,
-    borders: tuple[float, Tensor, Tensor, float],
+    borders: tuple[float, Tensor, Tensor],
     jitter: Tensor,
     rgb: Tensor,
     left: Tensor,
@@ -170,12 +170,12 @@ def _with_surroundings(
     grid_grad: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
     """Put the surroundings before and behind what the box shows; also their per-point loss."""
-    near, t_in, t_out, far = borders
+    near, t_in, t_out = borders
     before = RaySegments(rays_o, rays_d, torch.full_like(t_in, near), t_in, jitter)
     front, through, apart = shell.render(before, False, target, grid_grad)
     hidden = (through * left).detach() < SEEN
-    begin = torch.where(hidden, far, t_out)
-    behind = RaySegments(rays_o, rays_d, begin, torch.full_like(t_in, far), jitter)
+    begin = torch.where(hidden, BEYOND, t_out)
+    behind = RaySegments(rays_o, rays_d, begin, begin, jitter)
     back, _, apart_behind = shell.render(behind, True, target, grid_grad)
     rgb = front + through[:, None] * (rgb + left[:, None] * back)
     return rgb, apart + (through * left).detach() * apart_behind

@@ -40,6 +40,6 @@ class RestModel:
             "far": self.far,
         }
         if shell is not None:
-            names = ("size", "final", "near", "far", "reach")
+            names = ("size", "final", "near", "reach")
             out["shell"] = {name: getattr(shell, name) for name in names}
         return out

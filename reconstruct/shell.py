@@ -34,13 +34,20 @@ ALPHA_THRESHOLD_INSIDE = 1e-3  # while nothing is known, everything is
 
 
 def reach_of(scene: Scene) -> float:
-    """How far the surroundings are modelled, in half sizes of the box: to the farthest points, in the box frame."""
-    if scene.points is None or not len(scene.points.xyz):
-        return REACH
+    """How far the surroundings are modelled, in half sizes of the box: to the cameras and to the farthest points.
+
+    Args:
+        scene: In the box frame.
+    """
     lo, hi = scene.aabb
-    away = np.abs((scene.points.xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
-    farthest = REACH_MARGIN * float(np.percentile(away, REACH_PERCENTILE))
-    return min(max(REACH, farthest), FARTHEST_REACH)
+
+    def away(xyz: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        return np.abs((xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
+
+    farthest = float(away(np.array([frame.camera.centre for frame in scene.frames])).max())
+    if scene.points is not None and len(scene.points.xyz):
+        farthest = max(farthest, float(np.percentile(away(scene.points.xyz), REACH_PERCENTILE)))
+    return min(max(REACH, REACH_MARGIN * farthest), FARTHEST_REACH)
 
 
 class Shell:
@@ -51,8 +58,8 @@ class Shell:
         grid: Raw density and colour [N, N, N, 4].
         distance: Vertices to the nearest occupied vertex [N, N, N].
         final: N at the end of training; densities are per voxel of that size.
-        near, far: Where rays start and where they have left all content behind.
-        reach: Half sizes of the box that the grid holds; what is farther lies on its faces, as if infinitely far away.
+        near: Where rays start.
+        reach: Half sizes of the box that the grid holds; what is farther lies on its faces, where rays end.
         inside: The box's inside is modelled here, too (for a first, coarse model of everything).
     """
 
@@ -63,12 +70,11 @@ class Shell:
         *,
         final: int,
         near: float,
-        far: float,
         reach: float = REACH,
         inside: bool = False,
     ) -> None:
         self.aabb, self.grid, self.final = aabb.cpu().float(), grid, final
-        self.near, self.far, self.reach, self.inside = near, far, reach, inside
+        self.near, self.reach, self.inside = near, reach, inside
         self.distance = torch.zeros(grid.shape[:3], dtype=torch.uint8, device=grid.device)
 
     @staticmethod
@@ -78,14 +84,13 @@ class Shell:
         final: int,
         *,
         near: float,
-        far: float,
         reach: float = REACH,
         device: str,
         inside: bool = False,
     ) -> "Shell":
         """Translucent grey surroundings, empty in the box unless `inside`."""
         grid = torch.zeros(size, size, size, 4, device=device)
-        shell = Shell(aabb, grid, final=final, near=near, far=far, reach=reach, inside=inside)
+        shell = Shell(aabb, grid, final=final, near=near, reach=reach, inside=inside)
         shell.clear_inside()
         shell.rebuild_occupancy()
         return shell

@@ -175,7 +175,6 @@ class _Recipe:
                 self._shell_size(0),
                 options.shell_resolution,
                 near=scene.near,
-                far=scene.far,
                 reach=reach_of(scene),
                 device=device,
             )
@@ -267,7 +266,7 @@ class _Recipe:
         grads = (self.density.grad[0], self.features.grad[0], around)
         out = render_rest(
             self.canonical, self.shell, self.plain, batch.rays_o, batch.rays_d,
-            near=self.near, far=self.far, jitter=jitter, target=batch.rgb, grads=grads,
+            near=self.near, jitter=jitter, target=batch.rgb, grads=grads,
         )  # fmt: skip
         mse = rendering_loss(out.rgb, batch.rgb)
         entropy = entropy_loss(out.left)

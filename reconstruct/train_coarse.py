@@ -45,13 +45,11 @@ def train_coarse(
     checkpoint: Checkpoint = NOWHERE,
 ) -> Shell:
     """Train the coarse model on the sweep and on plates; from the sweep's points where there are any."""
-    lines, near, far = trained_lines(scene), scene.near, scene.far
+    lines, near = trained_lines(scene), scene.near
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     sizes = [max(8, round(share * options.coarse_size)) for share in (SIZES if lines is None else (1.0,))]
     per_size = max(1, options.coarse_iterations // len(sizes))
-    model = Shell.new(
-        aabb, sizes[0], sizes[-1], near=near, far=far, reach=reach_of(scene), device=device, inside=True
-    )
+    model = Shell.new(aabb, sizes[0], sizes[-1], near=near, reach=reach_of(scene), device=device, inside=True)
     if lines is not None:
         model.start_from(*carve(*lines, aabb, sizes[0], near, model.reach))
     trainer = GridTrainer(model.grid, copies_for(model.grid.device))
@@ -96,9 +94,9 @@ def visible(
     for _ in range(batches):
         batch = rays.draw(size, generator)
         half = torch.full((size,), 0.5, device=seen.device)
-        begin, end = torch.full_like(half, model.near), torch.full_like(half, model.far)
+        begin = torch.full_like(half, model.near)
         with torch.no_grad():
-            model.render(RaySegments(batch.rays_o, batch.rays_d, begin, end, half), True, seen=seen)
+            model.render(RaySegments(batch.rays_o, batch.rays_d, begin, begin, half), True, seen=seen)
     return grown(seen > SEEN_WEIGHT)
 
 
@@ -131,7 +129,7 @@ def _loss(
 ) -> Float[Tensor, ""]:
     """Of rays that were drawn."""
     jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
-    begin, end = torch.full_like(jitter, model.near), torch.full_like(jitter, model.far)
-    segment = RaySegments(batch.rays_o, batch.rays_d, begin, end, jitter)
+    begin = torch.full_like(jitter, model.near)
+    segment = RaySegments(batch.rays_o, batch.rays_d, begin, begin, jitter)
     rgb, _, apart = model.render(segment, True, batch.rgb, grad)
     return rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()

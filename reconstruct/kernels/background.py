@@ -7,8 +7,8 @@ The surroundings are one grid over space contracted to [-2, 2]^3: u is the posit
 from its centre, r = max |u|, and y = u inside the box, (1 + log r / log reach) u / r outside, at most 2. Like
 mip-NeRF 360's (2 - 1/r) u / r (Barron et al. 2022, Eq. 10; here with the largest component in place of the
 length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, three or
-four half sizes away, keep twice the resolution in depth. What is farther than the reach lies on the cube's faces, as
-if it were infinitely far away. The grid holds raw density and raw colour; steps grow with r. The backward pass walks
+four half sizes away, keep twice the resolution in depth. What is farther than the reach lies on the cube's faces,
+where rays end. The grid holds raw density and raw colour; steps grow with r. The backward pass walks
 the same samples again: what lies behind sample i is the final colour minus what has been passed, so nothing needs to
 be stored.
 """
@@ -27,6 +27,8 @@ from devrf.reconstruct.kernels.launch import array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest
 from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, gathered_in, trilinear_ref
 
+PARALLEL = 1e-9  # speeds along an axis below this are held to it: the ray leaves the cube by another face
+LEAST_SPEED = wp.constant(PARALLEL)
 vec4 = wp.types.vector(length=4, dtype=wp.float32)
 
 
@@ -68,7 +70,7 @@ def background(
     Args:
         rays: Segments that do not enter the box.
         surroundings: What to render.
-        closed: The segment ends at infinity: what is left takes the colour of the cube's face there.
+        closed: Segments end where they leave the cube instead: what is left takes the colour of its face there.
         target: True colours, for the third result.
         grid_grad: Where given, the grid's gradient is added here instead of being returned to autograd: to one
             copy or, in parts, to `copies_for(device)` of them.
@@ -113,12 +115,15 @@ def background_ref(
     t = rays.t_in + rays.jitter * surroundings.step * r / speed
     trans, rgb, per_point = torch.ones_like(t), torch.zeros_like(u0), torch.zeros_like(t)
     last = torch.tensor(surroundings.grid.shape[:3], device=t.device) - 1
-    while bool((t < rays.t_out).any()):
+    end = rays.t_out
+    if closed:
+        end = ((surroundings.reach - du.sign() * u0) / du.abs().clamp(min=PARALLEL)).amin(-1)
+    while bool((t < end).any()):
         u = u0 + t[:, None] * du
         y = contract(u, surroundings.reach)
         vertex = ((y + 2) / 4 * last + 0.5).floor().long().clamp(min=torch.zeros_like(last), max=last)
         away = surroundings.distance[tuple(vertex.unbind(-1))].float()
-        valid = (t < rays.t_out) & (away == 0) & (trans >= STOP)
+        valid = (t < end) & (away == 0) & (trans >= STOP)
         raw = trilinear_ref(surroundings.grid, y, cube)
         alpha = 1 - torch.exp(-surroundings.interval * F.softplus(raw[:, 0] + surroundings.shift))
         alpha = torch.where(valid & (alpha > surroundings.alpha_threshold), alpha, 0.0)
@@ -130,7 +135,7 @@ def background_ref(
         room = (away - 1).clamp(min=0) * 4 / last.max()
         t = t + (room / (2 + room)).clamp(min=surroundings.step) * u.abs().amax(-1).clamp(min=1) / speed
     if closed:
-        face = 2 * du / du.abs().amax(-1, keepdim=True)
+        face = contract(u0 + torch.maximum(end, rays.t_in)[:, None] * du, surroundings.reach)
         rgb = rgb + trans[:, None] * torch.sigmoid(trilinear_ref(surroundings.grid, face, cube)[:, 1:])
         trans = trans * 0
     return rgb, trans, per_point
@@ -187,7 +192,7 @@ def _arguments(
         *(array(rays.t_in), array(rays.t_out), array(rays.jitter)),
         *(array(surroundings.grid, vec4), array(surroundings.distance), wp.vec3(*centre), wp.vec3(*per_half)),
         *(surroundings.shift, surroundings.interval, surroundings.step, surroundings.alpha_threshold),
-        math.log(surroundings.reach),
+        surroundings.reach,
         *(int(closed), array(target.contiguous(), wp.vec3), int(has_target)),
     ]
 
@@ -196,6 +201,16 @@ def _arguments(
 @no_type_check
 def radius_of(u: wp.vec3) -> float:
     return wp.max(1.0, wp.max(wp.max(wp.abs(u[0]), wp.abs(u[1])), wp.abs(u[2])))
+
+
+@wp.func
+@no_type_check
+def exit_of(u0: wp.vec3, du: wp.vec3, reach: float) -> float:
+    """Where a ray leaves the cube of this half size."""
+    x = (reach - wp.sign(du[0]) * u0[0]) / wp.max(wp.abs(du[0]), LEAST_SPEED)
+    y = (reach - wp.sign(du[1]) * u0[1]) / wp.max(wp.abs(du[1]), LEAST_SPEED)
+    z = (reach - wp.sign(du[2]) * u0[2]) / wp.max(wp.abs(du[2]), LEAST_SPEED)
+    return wp.min(wp.min(x, y), z)
 
 
 @wp.func
@@ -285,7 +300,7 @@ def _forward(
     interval: float,
     step: float,
     alpha_threshold: float,
-    log_reach: float,
+    reach: float,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
@@ -300,12 +315,16 @@ def _forward(
     du = wp.cw_mul(rays_d[n], per_half)
     stride = step / wp.length(du)
     voxel = 4.0 / float(wp.max(wp.max(grid.shape[0], grid.shape[1]), grid.shape[2]) - 1)
+    log_reach = wp.log(reach)
+    end = t_out[n]
+    if closed == 1:
+        end = exit_of(u0, du, reach)
     t = t_in[n]
     t += jitter[n] * stride * radius_of(u0 + du * t)
     trans = float(1.0)
     total = wp.vec3(0.0, 0.0, 0.0)
     apart = float(0.0)
-    while t < t_out[n]:
+    while t < end:
         u = u0 + du * t
         r = radius_of(u)
         q = index_of(u, r, log_reach, grid)
@@ -330,8 +349,8 @@ def _forward(
                     break
         t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
-        far = du / wp.max(wp.max(wp.abs(du[0]), wp.abs(du[1])), wp.abs(du[2]))
-        total += colour_of(look_up(grid, index_of(far * 1.0e6, 1.0e6, log_reach, grid))) * trans
+        far = u0 + du * wp.max(end, t_in[n])
+        total += colour_of(look_up(grid, index_of(far, radius_of(far), log_reach, grid))) * trans
         trans = 0.0
     rgb[n] = total
     left[n] = trans
@@ -355,7 +374,7 @@ def _backward(
     interval: float,
     step: float,
     alpha_threshold: float,
-    log_reach: float,
+    reach: float,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
@@ -371,12 +390,16 @@ def _backward(
     du = wp.cw_mul(rays_d[n], per_half)
     stride = step / wp.length(du)
     voxel = 4.0 / float(wp.max(wp.max(grid.shape[0], grid.shape[1]), grid.shape[2]) - 1)
+    log_reach = wp.log(reach)
+    end = t_out[n]
+    if closed == 1:
+        end = exit_of(u0, du, reach)
     t = t_in[n]
     t += jitter[n] * stride * radius_of(u0 + du * t)
     g = rgb_grad[n]
     trans = float(1.0)
     behind = wp.dot(g, rgb[n]) + left_grad[n] * left[n]
-    while t < t_out[n]:
+    while t < end:
         u = u0 + du * t
         r = radius_of(u)
         q = index_of(u, r, log_reach, grid)
@@ -406,8 +429,8 @@ def _backward(
                     break
         t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
-        far = du / wp.max(wp.max(wp.abs(du[0]), wp.abs(du[1])), wp.abs(du[2]))
-        q = index_of(far * 1.0e6, 1.0e6, log_reach, grid)
+        far = u0 + du * wp.max(end, t_in[n])
+        q = index_of(far, radius_of(far), log_reach, grid)
         c = colour_of(look_up(grid, q))
         h = g * trans
         scatter(

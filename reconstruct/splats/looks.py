@@ -132,9 +132,7 @@ def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell |
     is_body = points.isfinite().all(-1)
     points[~torch.from_numpy(view.kept).to(device)] = torch.nan
     if coded is not None:
-        front, left, back = _surroundings(
-            coded, model.rest.near, model.rest.far, *camera_rays(camera, device)
-        )
+        front, left, back = _surroundings(coded, model.rest.near, *camera_rays(camera, device))
         points = torch.where(is_body[..., None], points, back.reshape(size))
         hidden = (left < 1 - SOLID).reshape(size[:2])
         points, is_body = torch.where(hidden[..., None], front.reshape(size), points), is_body & ~hidden
@@ -145,13 +143,13 @@ def coded_shell(shell: Shell) -> Shell:
     """Surroundings with their contracted places for colours: rendered, they say where what is seen lies."""
     y = vertices(CUBE, (shell.size, shell.size, shell.size)).to(shell.grid)
     grid = torch.cat([shell.grid[..., :1], torch.logit((y / EDGE + 1) / 2)], dim=-1)
-    coded = Shell(shell.aabb, grid, final=shell.final, near=shell.near, far=shell.far, reach=shell.reach)
+    coded = Shell(shell.aabb, grid, final=shell.final, near=shell.near, reach=shell.reach)
     coded.distance = shell.distance
     return coded
 
 
 def _surroundings(
-    coded: Shell, near: float, far: float, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]
+    coded: Shell, near: float, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]
 ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, "R 3"]]:
     """Mean places of what rays see before the box, how much light that lets through, and of what is behind it."""
     t_in, t_out, _ = intersect(rays_o, rays_d, coded.aabb, near)
@@ -163,5 +161,5 @@ def _surroundings(
 
     before = RaySegments(rays_o, rays_d, torch.full_like(t_in, near), t_in, middle)
     front, left, _ = coded.render(before, False)
-    back, _, _ = coded.render(RaySegments(rays_o, rays_d, t_out, torch.full_like(t_in, far), middle), True)
+    back, _, _ = coded.render(RaySegments(rays_o, rays_d, t_out, t_out, middle), True)
     return world(front / (1 - left).clamp(min=1e-6)[:, None]), left, world(back)

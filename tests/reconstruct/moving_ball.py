@@ -35,6 +35,6 @@ def moving_ball(background: str = "white", resolution: int = 40) -> DynamicModel
         motion.forward[key, ..., 0] = TRAVEL * key / (KEYS - 1)
     shell = None
     if background == "shell":
-        shell = Shell.new(AABB, 12, 12, near=0.3, far=9.0, device="cpu")
+        shell = Shell.new(AABB, 12, 12, near=0.3, device="cpu")
         shell.rebuild_occupancy()
     return DynamicModel(RestModel(canonical, shell, background, 0.3, 9.0, {}), motion)

@@ -78,7 +78,7 @@ def _rays_into(model: Canonical, n: int = 50) -> dict[str, torch.Tensor]:
 
 def _rendered(model: Canonical, deferred: bool, grads: Grads = (None, None, None)) -> Rendered:
     model.deferred = deferred
-    return render_rest(model, None, None, **_rays_into(model), near=0.1, far=9.0, grads=grads)
+    return render_rest(model, None, None, **_rays_into(model), near=0.1, grads=grads)
 
 
 def test_deferred_colours_are_those_of_the_samples_where_features_do_not_vary() -> None:
@@ -150,7 +150,7 @@ def test_colour_depends_on_the_view_and_is_the_same_for_the_same_seed() -> None:
 
 
 def test_shell_is_empty_in_the_box_only() -> None:
-    shell = Shell.new(AABB, 33, 33, near=0.4, far=20.0, device="cpu")
+    shell = Shell.new(AABB, 33, 33, near=0.4, device="cpu")
     y = vertices(CUBE, (33, 33, 33))
     inside = y.abs().amax(-1) < 0.7
     assert (shell.grid[..., 0][inside] == EMPTY).all()

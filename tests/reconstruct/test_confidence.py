@@ -189,7 +189,7 @@ def test_rooms_and_forward_scenes(ball, kind: str, tmp_path: Path) -> None:
     canonical.net.requires_grad_(False)
     shell = None
     if ndc is None:
-        shell = Shell.new(aabb, 12, 12, near=0.3, far=9.0, device="cpu")
+        shell = Shell.new(aabb, 12, 12, near=0.3, device="cpu")
         shell.rebuild_occupancy()
     model = RestModel(canonical, shell, "white" if ndc else "shell", 0.3, 9.0, {})
     motion = MotionField.still(aabb, 3, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")

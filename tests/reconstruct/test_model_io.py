@@ -48,7 +48,7 @@ def _model(background: str = "shell", deferred: bool = False, seed: int = 0) -> 
     canonical.net.requires_grad_(False)
     shell = None
     if background == "shell":
-        shell = Shell.new(AABB, 12, 12, near=0.3, far=9.0, reach=8.5, device="cpu")
+        shell = Shell.new(AABB, 12, 12, near=0.3, reach=8.5, device="cpu")
         shell.grid += torch.randn(shell.grid.shape, generator=g)
         shell.rebuild_occupancy()
     motion = MotionField.still(AABB, 3, 5, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
