@@ -34,11 +34,11 @@ from devrf.reconstruct.packing import (
     to_bytes,
 )
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import REACH, Shell
+from devrf.reconstruct.shell import Shell
 
 FILE = "model.safetensors"
 TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion
-FORMAT = 5
+FORMAT = 6
 BYTES, STREAM = ("codes", "low", "step"), ("stream", "ends")
 MOTION_STEP = 0.05  # voxels of the scene at rest
 
@@ -152,9 +152,8 @@ def rest_of(
 
 def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor) -> Shell:
     """Its surroundings."""
-    final, near = (meta["shell"][name] for name in ("final", "near"))
-    reach = float(meta["shell"].get("reach", REACH))  # files of older versions do not say it
-    return Shell(aabb, grid, final=int(final), near=float(near), reach=reach)
+    final, near, reach = (meta["shell"][name] for name in ("final", "near", "reach"))
+    return Shell(aabb, grid, final=int(final), near=float(near), reach=float(reach))
 
 
 def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:
@@ -242,7 +241,8 @@ def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[s
         raise _damaged(path, f"cannot be read ({error})") from None
     if meta.get("format") != FORMAT or meta.get("kind") != kind:
         found = f"{meta.get('kind', 'something else')}, format {meta.get('format')}"
-        raise ReconstructError("model-wrong-kind", f"{path}: holds {found}; expected {kind}, format {FORMAT}")
+        text = f"{path}: holds {found}; expected {kind}, format {FORMAT}; run its stage again"
+        raise ReconstructError("model-wrong-kind", text)
     if not all(torch.isfinite(t).all() for t in tensors.values() if t.is_floating_point()):
         raise ReconstructError("values-not-finite", f"{path}: holds values that are not finite; train again")
     return tensors, meta
