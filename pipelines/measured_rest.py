@@ -98,8 +98,8 @@ def _told(camera: RestSeen) -> str:
     if not camera.told_by_points:
         ends = " and ".join(end for end, still in zip(("start", "end"), camera.still, strict=True) if still)
         return f"stands still at {ends or 'neither end'} (too few points among what moves)"
-    shares = (0 if n is None else round(100 * n / camera.expected) for n in camera.seen)
-    return "recognises " + ", ".join(f"{share}" for share in shares) + " % from start to end"
+    shares = ("–" if n is None else f"{round(100 * n / camera.expected)}" for n in camera.seen)
+    return f"recognises {', '.join(shares)} % from start to end"
 
 
 def _vote(votes: np.ndarray, time: float | None) -> float:
