@@ -21,7 +21,8 @@ Moment = Literal["start", "middle", "end", "none"]
 
 MOMENTS = 7  # that are looked at: the start, the end, and five between
 FEWEST = 20  # points to be recognised among what moves, before they tell anything
-# Of the points that would be recognised if nothing had moved; at rest 0.47 to 0.98 of them are, in motion up to 0.25.
+# Of the points that would be recognised if nothing had moved. In five captures 0.47 and more are at rest, and in motion
+# mostly less than 0.3; before a small robot, whose points are few, up to 0.6.
 AS_USUAL = 0.35
 AS_BEST = 0.85  # of the most that are recognised at any moment
 

@@ -90,10 +90,9 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     context.health.extend(box_health(bounds, masks, mattes, dynamic))
     rest = None
     if dynamic:
-        trained = {
-            n: [f for f in dynamic if f.camera_name == n] for n in moves if frames.moving[n].role != "test"
-        }
-        rest, seen = rest_time(config.capture.rest, trained, moves, model, factor, ingest)
+        of_camera = {n: [f for f in dynamic if f.camera_name == n and f.split == "train"] for n in moves}
+        filmed = {name: clip for name, clip in of_camera.items() if len(clip) > 1}
+        rest, seen = rest_time(config.capture.rest, filmed, moves, model, factor, ingest)
         context.health.append(seen)
     scene = Scene(
         static=static,

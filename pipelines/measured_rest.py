@@ -1,7 +1,6 @@
 """When the moving clips show the scene as in the sweep, measured in a run's pictures: `capture.rest: auto`."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from devrf.pipelines.health.rows import HealthRow, note
 CHECK = "scene at rest in the clips"
 SUCCESSIVE = 4  # pictures, to see whether anything moves
 WITHIN_GAPS = (
-    1.5  # of a camera's pictures: clocks that run free have one within one of every time that they film
+    1.5  # of a camera's pictures: clocks that run free have one within one of all times that they film
 )
 REMEDY = (
     "Let the fixed cameras run for a second before the action, or say in capture.rest when their clips show the "
@@ -45,14 +44,13 @@ def rest_time(
 
     Args:
         asked: What scene.yaml says.
-        clips: Training cameras: their pictures in the order of time.
+        clips: Training cameras: their pictures in the order of time, two or more.
         masks: What moves in each.
         model: The sweep; without one nothing is measured.
         factor: From the sweep's unit to the cameras'.
         ingest: Folder of that stage.
     """
 
-    @lru_cache(maxsize=64)
     def read(name: str) -> np.ndarray:
         return read_pixels(ingest / "frames" / name)[..., :3]
 

@@ -21,10 +21,8 @@ from devrf.reconstruct.kernels.occupancy import distance
 
 REACH = 6.0  # the least: a room around its subject
 FARTHEST_REACH = 24.0  # beyond, depth gets too coarse near the box; and parallax is small
-REACH_PERCENTILE, REACH_MARGIN = (
-    98.0,
-    1.15,
-)  # of the points' distances: a few are wrong, and walls are behind them
+REACH_PERCENTILE = 98.0  # of the points' distances: a few are wrong
+REACH_MARGIN = 1.15  # walls are a little behind what stands before them
 CUBE = torch.tensor([[-2.0] * 3, [2.0] * 3])
 ALPHA_INIT = 1e-3  # a ray takes about a hundred steps: enough to start from, little enough to see through
 SURFACE = 4.0  # raw density where a surface is known to be: fifty times as opaque as unknown space

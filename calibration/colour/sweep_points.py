@@ -13,11 +13,15 @@ from devrf.calibration.colour.surface import Pairs, View, shared_colours
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
 from devrf.capture.frames import SWEEP
+from devrf.capture.resize import shrink
 
 MOST_POINTS = 3000  # of a camera, those that the sweep's model knows best
 MOST_PICTURES = 40  # of the sweep that are read for a camera: a second or two
 WIDEST_DEG = 40.0  # between the two lines of sight; beyond, even matt surfaces change
 DISTANCE_PER_OCTAVE_DEG = 10.0  # twice the distance counts as much as so many degrees
+SIGHTED_SIDE_PX = (
+    640  # of pictures in which points are only recognised: seven of a camera, in a second or two
+)
 MAX_ERROR_PX = 2.0  # mean reprojection error of a point
 
 
@@ -52,12 +56,23 @@ def sweep_sightings(
 
     Other arguments as `sweep_pairs`'.
     """
+    views = [_small(View(camera, rgb)) for rgb in pictures]
     places, found = [np.zeros((0, 2))], [np.zeros((len(pictures), 0), bool)]
     for xyz, swept, seen in _by_picture(camera, model, factor, read):
+        small = _small(swept)
+        at = seen * (small.camera.width / swept.camera.width)
         places.append(camera.project(xyz))
-        usable = [shared_colours(xyz, swept, View(camera, rgb), (seen, None))[1] for rgb in pictures]
-        found.append(np.stack(usable))
+        found.append(np.stack([shared_colours(xyz, small, view, (at, None))[1] for view in views]))
     return np.concatenate(places), np.concatenate(found, axis=1)
+
+
+def _small(view: View) -> View:
+    """The same with a longer side of at most `SIGHTED_SIDE_PX`."""
+    scale = SIGHTED_SIDE_PX / max(view.camera.width, view.camera.height)
+    if scale >= 1:
+        return view
+    camera = view.camera.scaled(scale)
+    return View(camera, shrink(view.rgb, camera.width, camera.height))
 
 
 def _by_picture(
