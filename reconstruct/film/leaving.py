@@ -39,8 +39,8 @@ class Leaving:
         outside: Pictures from outside.
         farthest_deg: Largest angle of a picture from the nearest training camera.
         cut: Pictures in which something solid lies nearer than the nearest distance at which anything is shown.
-        unseen: Places in the path of cameras from which nothing can be shown: inside of something solid, or so far
-            away that all of the scene lies behind the farthest distance.
+        unseen: Places in the path of cameras from which nothing can be shown: inside of something solid, or farther
+            from the scene than anything was filmed from.
     """
 
     outside: int
