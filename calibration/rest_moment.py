@@ -19,7 +19,7 @@ from devrf.capture.camera import Camera
 
 Moment = Literal["start", "middle", "end", "none"]
 
-MOMENTS = 7  # that are looked at: the start, the end, and five between
+MOMENTS = 7  # that are looked at: the start, the end, and five between; also the first and last that all cameras film
 FEWEST = 20  # points to be recognised among what moves, before they tell anything
 # Of the points that would be recognised if nothing had moved. In five captures 0.47 and more are at rest, and in motion
 # mostly less than 0.3; before a small robot, whose points are few, up to 0.6.
@@ -90,26 +90,48 @@ def rest_seen(
 
 
 def rest_votes(cameras: Sequence[RestSeen]) -> Float[np.ndarray, " moments"]:
-    """Share of the cameras that show the rest at each moment; those that are told by points before others."""
+    """Share of the cameras that show the rest at each moment; those that are told by points before others.
+
+    Not a number where none of them films.
+    """
     asked = [camera for camera in cameras if camera.told_by_points] or list(cameras)
     votes = np.stack([camera.moments for camera in asked])
-    filmed = np.isfinite(votes)
-    return np.where(filmed, votes, 0).sum(axis=0) / np.maximum(filmed.sum(axis=0), 1)
+    filmed = np.isfinite(votes).sum(axis=0)
+    return np.where(filmed > 0, np.nansum(votes, axis=0) / np.maximum(filmed, 1), np.nan)
 
 
-def rest_moment(votes: Float[np.ndarray, " moments"]) -> tuple[Moment, float | None]:
-    """When most cameras show the rest, and that time in [0, 1].
+def moments_of(shared: tuple[float, float]) -> Float[np.ndarray, " moments"]:
+    """Times in [0, 1] to look at, where all cameras film from `shared[0]` to `shared[1]`."""
+    return np.unique(np.concatenate([np.linspace(0, 1, MOMENTS), np.clip(shared, 0, 1)]))
 
-    The start counts before the end, and both before what lies between: clips are meant to begin at rest.
+
+def rest_moment(
+    times: Float[np.ndarray, " moments"], votes: Float[np.ndarray, " moments"], shared: tuple[float, float]
+) -> tuple[Moment, float | None]:
+    """When most cameras show the rest, and that time in [0, 1]; of moments at which somebody films.
+
+    The start counts before the end, and both before what lies between: clips are meant to begin at rest. As long as
+    the rest lasts, the time is the one at which the most cameras film: `shared[0]` or `shared[1]`.
     """
-    if votes[0] > 0.5:
-        return "start", 0.0
-    if votes[-1] > 0.5:
-        return "end", 1.0
-    middle = middle_of(votes)
-    return ("middle", middle) if votes.max() > 0.5 else ("none", None)
+    shown = votes > 0.5
+    if shown[0]:
+        return "start", start_of(times, votes, shared)
+    if shown[-1]:
+        return "end", end_of(times, votes, shared)
+    return ("middle", middle_of(times, votes)) if shown.any() else ("none", None)
 
 
-def middle_of(votes: Float[np.ndarray, " moments"]) -> float:
+def start_of(times: np.ndarray, votes: np.ndarray, shared: tuple[float, float]) -> float:
+    """The last time up to `shared[0]` to which a rest at the start lasts."""
+    lasting = np.cumprod(votes > 0.5).astype(bool) & (times <= max(shared[0], 0.0))
+    return float(times[lasting][-1]) if lasting.any() else 0.0
+
+
+def end_of(times: np.ndarray, votes: np.ndarray, shared: tuple[float, float]) -> float:
+    """The first time from `shared[1]` on at which a rest at the end has begun."""
+    return 1.0 - start_of(1 - times[::-1], votes[::-1], (1 - shared[1], 1 - shared[0]))
+
+
+def middle_of(times: np.ndarray, votes: np.ndarray) -> float:
     """The time between start and end at which most cameras show the rest."""
-    return (1 + int(votes[1:-1].argmax())) / (len(votes) - 1)
+    return float(times[1 + int(votes[1:-1].argmax())])

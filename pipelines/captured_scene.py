@@ -92,7 +92,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n and f.split == "train"] for n in moves}
         filmed = {name: clip for name, clip in of_camera.items() if len(clip) > 1}
-        rest, seen = rest_time(config.capture.rest, filmed, moves, model, factor, ingest)
+        rest, seen = rest_time(config.capture.rest, filmed, moves, _shared(dynamic), model, factor, ingest)
         context.health.append(seen)
     scene = Scene(
         static=static,
@@ -209,6 +209,14 @@ def span_of(filmed: Sequence[tuple[float, float]]) -> tuple[float, float] | None
     shared = [(max(a[0], b[0]), min(a[1], b[1])) for a, b in combinations(filmed, 2)]
     shared = [(begin, end) for begin, end in shared if begin < end] if len(filmed) > 1 else list(filmed)
     return (min(begin for begin, _ in shared), max(end for _, end in shared)) if shared else None
+
+
+def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:
+    """The first and the last time at which all cameras film; may be none, the first after the last."""
+    times: dict[str, list[float]] = {}
+    for frame in dynamic:
+        times.setdefault(frame.camera_name, []).append(frame.time or 0.0)
+    return max(min(t) for t in times.values()), min(max(t) for t in times.values())
 
 
 def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask | None:

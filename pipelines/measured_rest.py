@@ -4,12 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from devrf.calibration.bounds import MotionMask
 from devrf.calibration.rest_moment import (
-    MOMENTS,
     RestSeen,
     middle_of,
+    moments_of,
     rest_moment,
     rest_seen,
     rest_votes,
@@ -23,6 +24,7 @@ from devrf.pipelines.health.rows import HealthRow, note
 
 CHECK = "scene at rest in the clips"
 SUCCESSIVE = 4  # pictures, to see whether anything moves
+LATEST = 0.25  # of the time: a camera that begins to film later does not see a rest that scene.yaml puts at the start
 WITHIN_GAPS = (
     1.5  # of a camera's pictures: clocks that run free have one within one of all times that they film
 )
@@ -36,6 +38,7 @@ def rest_time(
     asked: Rest,
     clips: Mapping[str, Sequence[PosedFrame]],
     masks: Mapping[str, MotionMask],
+    shared: tuple[float, float],
     model: SweepModel | None,
     factor: float,
     ingest: Path,
@@ -46,6 +49,7 @@ def rest_time(
         asked: What scene.yaml says.
         clips: Training cameras: their pictures in the order of time, two or more.
         masks: What moves in each.
+        shared: The first and the last time at which all cameras film, test cameras too, in [0, 1].
         model: The sweep; without one nothing is measured.
         factor: From the sweep's unit to the cameras'.
         ingest: Folder of that stage.
@@ -54,22 +58,29 @@ def rest_time(
     def read(name: str) -> np.ndarray:
         return read_pixels(ingest / "frames" / name)[..., :3]
 
+    begin = shared[0] if shared[0] <= LATEST else 0.0
+    end = shared[1] if shared[1] >= 1 - LATEST else 1.0
+    said = {"end": end, "middle": 0.5, "none": None}.get(asked, begin)
     if model is None or not clips:
-        return {"end": 1.0, "middle": 0.5, "none": None}.get(asked, 0.0), note(CHECK, "not measured")
-    seen = {name: _seen(clip, masks[name], model, factor, read) for name, clip in clips.items()}
+        return said, note(CHECK, "not measured")
+    times = moments_of(shared)
+    seen = {name: _seen(clip, times, masks[name], model, factor, read) for name, clip in clips.items()}
     votes = rest_votes(list(seen.values()))
-    moment, time = rest_moment(votes)
+    times, votes = times[np.isfinite(votes)], votes[np.isfinite(votes)]
+    moment, time = rest_moment(times, votes, shared)
     if asked != "auto":
-        time = {"start": 0.0, "end": 1.0, "none": None}.get(asked, middle_of(votes))
+        time = middle_of(times, votes) if asked == "middle" else said
     told = "; ".join(f"{name} {_told(camera)}" for name, camera in seen.items())
     found = "at no moment" if moment == "none" else f"at the {moment}"
-    doubtful = moment == "none" if asked == "auto" else asked != "none" and _vote(votes, time) <= 0.5
-    said = "" if asked in ("auto", moment) else f", capture.rest says {asked}"
-    return time, note(CHECK, f"{found}{said}; {told}", remedy=REMEDY if doubtful else "")
+    nobody = time is not None and votes[np.abs(times - time).argmin()] == 0
+    doubtful = nobody or (asked == "auto" and time is None)
+    against = "" if asked in ("auto", moment) else f", capture.rest says {asked}"
+    return time, note(CHECK, f"{found}{against}; {told}", remedy=REMEDY if doubtful else "")
 
 
 def _seen(
     clip: Sequence[PosedFrame],
+    moments: Float[np.ndarray, " moments"],
     mask: MotionMask,
     model: SweepModel,
     factor: float,
@@ -82,7 +93,7 @@ def _seen(
         n = int(np.abs(times - time).argmin())
         return read_pixels(clip[n].path)[..., :3] if abs(times[n] - time) <= longest else None
 
-    pictures = [picture(time) for time in np.linspace(0, 1, MOMENTS)]
+    pictures = [picture(time) for time in moments]
     still = (_still(clip[:SUCCESSIVE]), _still(clip[-SUCCESSIVE:]))
     return rest_seen(clip[0].camera, pictures, mask.mask, still, model, factor, read)
 
@@ -98,7 +109,3 @@ def _told(camera: RestSeen) -> str:
         return f"stands still at {ends or 'neither end'} (too few points among what moves)"
     shares = ("–" if n is None else f"{round(100 * n / camera.expected)}" for n in camera.seen)
     return f"recognises {', '.join(shares)} % from start to end"
-
-
-def _vote(votes: np.ndarray, time: float | None) -> float:
-    return 1.0 if time is None else float(votes[round(time * (len(votes) - 1))])

@@ -9,6 +9,7 @@ from devrf.calibration.rest_moment import (
     MOMENTS,
     RestSeen,
     middle_of,
+    moments_of,
     rest_moment,
     rest_seen,
     rest_votes,
@@ -16,6 +17,8 @@ from devrf.calibration.rest_moment import (
 from devrf.calibration.rigs.clean_picture import REST_FRAMES, rest_frames
 from devrf.pipelines.captured_scene import span_of
 
+TIMES = np.linspace(0, 1, MOMENTS)
+ALWAYS = (0.0, 1.0)  # all cameras film
 COLUMNS = slice(140, 340)  # of the picture, in which something moves
 
 
@@ -61,14 +64,14 @@ def seen_at(swept, moved_px: list[int | None], still: tuple[bool, bool] = (False
 def test_points_tell_when_the_scene_is_at_rest(swept, moved_px, moment, time) -> None:
     seen = seen_at(swept, moved_px)
     assert seen.told_by_points and len(seen.seen) == MOMENTS
-    found, at = rest_moment(rest_votes([seen]))
+    found, at = rest_moment(TIMES, rest_votes([seen]), ALWAYS)
     assert found == moment and at == (None if time is None else pytest.approx(time))
 
 
 def test_what_stands_still_need_not_be_the_rest(swept) -> None:
     """Someone has put the thing elsewhere before the clip: nothing moves at its start, but it is not the rest."""
     seen = seen_at(swept, [40, 40, 40, 30, 20, 10, 10], still=(True, True))
-    assert rest_moment(rest_votes([seen])) == ("none", None)
+    assert rest_moment(TIMES, rest_votes([seen]), ALWAYS) == ("none", None)
 
 
 def test_without_points_what_stands_still_decides() -> None:
@@ -77,20 +80,39 @@ def test_without_points_what_stands_still_decides() -> None:
         for still in ((False, True), (False, True), (True, True))
     ]
     assert not any(camera.told_by_points for camera in plain)
-    assert rest_moment(rest_votes(plain)) == ("end", 1.0)
-    assert rest_moment(rest_votes([RestSeen(0.0, (0,) * MOMENTS, (False, False))])) == ("none", None)
+    assert rest_moment(TIMES, rest_votes(plain), ALWAYS) == ("end", 1.0)
+    assert rest_moment(TIMES, rest_votes([RestSeen(0.0, (0,) * MOMENTS, (False, False))]), ALWAYS) == (
+        "none",
+        None,
+    )
 
 
 def test_cameras_told_by_points_count_before_others() -> None:
     told = RestSeen(100.0, (3, 2, 2, 2, 2, 2, 95), (False, False))
     plain = [RestSeen(0.0, (0,) * MOMENTS, (True, False))] * 3
-    assert rest_moment(rest_votes([told, *plain])) == ("end", 1.0)
+    assert rest_moment(TIMES, rest_votes([told, *plain]), ALWAYS) == ("end", 1.0)
 
 
 def test_a_middle_is_never_the_start_or_the_end() -> None:
     votes = np.array([1.0, 0, 0.25, 0.5, 0, 0, 1])
-    assert middle_of(votes) == pytest.approx(3 / 6)
-    assert 0 < middle_of(np.zeros(MOMENTS)) < 1
+    assert middle_of(TIMES, votes) == pytest.approx(3 / 6)
+    assert 0 < middle_of(TIMES, np.zeros(MOMENTS)) < 1
+
+
+@pytest.mark.parametrize(
+    ("shared", "until", "moment", "time"),
+    [
+        ((0.05, 1.0), 0.3, "start", 0.05),  # the last camera begins to film while the scene is still at rest
+        ((0.25, 1.0), 0.2, "start", 1 / 6),  # it begins later: as many cameras as possible
+        ((0.05, 1.0), 0.01, "start", 0.0),
+        ((0.0, 0.9), -0.3, "end", 0.9),
+        ((0.8, 0.2), 0.3, "start", 0.2),  # never do all of them film
+    ],
+)
+def test_of_a_rest_that_lasts_the_moment_that_all_cameras_film(shared, until, moment, time) -> None:
+    times = moments_of(shared)
+    votes = ((times <= until) if until > 0 else (times >= 1 + until)).astype(float)
+    assert rest_moment(times, votes, shared) == (moment, pytest.approx(time))
 
 
 @pytest.mark.parametrize(
