@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,9 +19,8 @@ from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
 from devrf.capture.raw import WhiteBalance
 from devrf.capture.sampled import picture_times
+from devrf.capture.scene import Rest
 from devrf.capture.video import VideoInfo, probe_video
-
-Rest = Literal["auto", "start", "middle", "end", "none"]
 
 TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
 MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check

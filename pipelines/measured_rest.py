@@ -17,8 +17,7 @@ from devrf.calibration.rest_moment import (
 )
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.scene import PosedFrame
-from devrf.capture.session import Rest
+from devrf.capture.scene import PosedFrame, Rest
 from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
 from devrf.pipelines.health.rows import HealthRow, note
 

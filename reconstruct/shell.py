@@ -42,9 +42,10 @@ def reach_of(scene: Scene) -> float:
     def away(xyz: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         return np.abs((xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
 
-    farthest = float(away(np.array([frame.camera.centre for frame in scene.frames])).max())
-    if scene.points is not None and len(scene.points.xyz):
-        farthest = max(farthest, float(np.percentile(away(scene.points.xyz), REACH_PERCENTILE)))
+    if scene.points is None or not len(scene.points.xyz):
+        return FARTHEST_REACH  # nobody knows where walls are: what is far hardly moves against what is near
+    cameras = away(np.array([frame.camera.centre for frame in scene.frames]))
+    farthest = max(float(cameras.max()), float(np.percentile(away(scene.points.xyz), REACH_PERCENTILE)))
     return min(max(REACH, REACH_MARGIN * farthest), FARTHEST_REACH)
 
 

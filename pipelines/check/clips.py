@@ -14,7 +14,7 @@ from devrf.capture.ingest import MAX_SWEEP_FRAMES
 from devrf.capture.pictures import list_pictures, read_picture
 from devrf.capture.progress import Progress
 from devrf.capture.sampled import read_runs
-from devrf.capture.session import Rest
+from devrf.capture.scene import Rest
 from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.pipelines.health.rows import HealthRow, listed, note, row

@@ -35,7 +35,7 @@ from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
 from devrf.flow import weights_file
 from devrf.flow.weights_file import read_weights
-from devrf.reconstruct.model_io import load_rest
+from devrf.reconstruct.model_io import FORMAT, load_rest
 
 LITTLE_MB = 700  # the libraries, and a few pictures; what these files claim is a hundred times that
 WIDE = 60_000
@@ -236,7 +236,7 @@ def test_models_that_claim_more(tmp_path: Path) -> None:
         with raises("file-damaged", path, kind=ReconstructError):
             load_rest(path)
     numbers = json.dumps(
-        {"format": 5, "kind": "rest", "channels": 10**6, "mlp_width": 10**6, "view_frequencies": 10**6}
+        {"format": FORMAT, "kind": "rest", "channels": 10**6, "mlp_width": 10**6, "view_frequencies": 10**6}
     )
     header = json.dumps({"__metadata__": {"devrf": numbers}}).encode()
     path.write_bytes(struct.pack("<Q", len(header)) + header)

@@ -16,7 +16,8 @@ from devrf.calibration.field.matching import features
 from devrf.calibration.field.overlap import overlap_of
 from devrf.capture.progress import no_progress
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
-from devrf.capture.session import CaptureSession, Rest
+from devrf.capture.scene import Rest
+from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, look_at
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video

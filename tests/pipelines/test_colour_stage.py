@@ -281,7 +281,7 @@ def swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Stag
         )
         stands = {name: RigCamera(room.camera(0.5 + 0.2 * n), "self") for n, name in enumerate(names)}
         for n, (name, stand) in enumerate(stands.items()):
-            write_png(clean / f"{name}_rest.png", room.show(stand.camera, LOOKS[name], seed=50 + n).rgb)
+            write_png(clean / f"{name}_start.png", room.show(stand.camera, LOOKS[name], seed=50 + n).rgb)
         if names:
             write_rig(tmp_path / "rig" / "rig.json", Rig(stands, Scale(True, "board", 1.0, None)))
         content = {

@@ -48,7 +48,7 @@ def test_good_file_and_its_defaults(folder: Path) -> None:
     assert config.run_dir(folder) == (folder / "runs/kuka").resolve()
     assert config.evaluate.holdout_every == 8
     assert config.flow.method == "dis"
-    assert config.capture is not None and config.capture.rest == "start"
+    assert config.capture is not None and config.capture.rest == "auto"
     assert config.reconstruct.image_scale is None  # chosen by the preset
     assert load(folder, GOOD + "evaluate: {lpips_weights: download}").evaluate.lpips_weights == "download"
     assert load(folder, "name: a\ncapture: {static: static.mp4}").run_dir(folder) == folder / "runs/a"

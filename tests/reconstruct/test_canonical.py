@@ -169,10 +169,10 @@ def test_surroundings_reach_as_far_as_the_points(ball) -> None:
         none = np.zeros(0, np.int64)
         return reach_of(replace(ball.scene, points=SparsePoints(xyz, none, none)))
 
-    assert reach() == reach(1.0, 3.0) == REACH
+    assert reach(1.0, 3.0) == REACH
     assert 10 < reach(1.0, 2.0, 10.0, 10.0) < 12
     assert reach(1.0, 1e3, 1e3) == FARTHEST_REACH
-    assert reach_of(replace(ball.scene, points=None)) == REACH
+    assert reach() == reach_of(replace(ball.scene, points=None)) == FARTHEST_REACH
 
 
 def test_hull_contains_the_ball_and_little_else(ball) -> None:
