@@ -3,9 +3,11 @@
 import errno
 import os
 import tempfile
+from collections.abc import Collection
 from pathlib import Path
 
 from devrf.capture.errors import InputError
+from devrf.capture.limits import TEXT_BYTES
 
 
 def check_folder(folder: Path, what: str) -> None:
@@ -39,12 +41,28 @@ def _takes_files(folder: Path) -> bool:
         return error.errno in (errno.ENOSPC, errno.EDQUOT)  # room may be made until it is needed
 
 
-def check_file(path: Path, what: str) -> None:
-    """Refuse a file that cannot be written; its folder may be missing.
+def check_file(path: Path, what: str, ours: Collection[str]) -> None:
+    """Refuse a file that cannot be written, or that somebody else wrote; its folder may be missing.
 
+    Args:
+        path: The file. What is no file, such as a pipe or the terminal, holds nothing to be lost.
+        what: Names it in the message: `--json`.
+        ours: Texts that each such file of ours holds.
     Raises:
-        InputError: It is a folder, or its folder cannot be written.
+        InputError: It is a folder, its folder cannot be written, or it holds something else.
     """
     if path.is_dir():
         raise InputError("file-is-folder", f"{what} {path}: is a folder; expected the name of a file")
     check_folder(path.parent, what)
+    if path.is_file() and path.stat().st_size and not _holds(path, ours):
+        wrong = f"{what} {path}: is there and no earlier result of this command"
+        raise InputError("file-exists", f"{wrong}; name another file, or move it away")
+
+
+def _holds(path: Path, texts: Collection[str]) -> bool:
+    try:
+        with path.open("rb") as file:
+            content = file.read(TEXT_BYTES)
+    except OSError:
+        return False
+    return all(text.encode() in content for text in texts)

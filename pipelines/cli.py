@@ -73,9 +73,10 @@ def check(
     job = run_command.prepare(talk, scene, preset, overrides, None)
     with errors_told(talk):
         check_folder(job.run_dir, "output:")
-        if as_json is not None:
-            check_file(as_json, "--json")
         from devrf.pipelines.check import command as check_command
+
+        if as_json is not None:
+            check_file(as_json, "--json", check_command.IN_JSON)
         from devrf.pipelines.preflight import check_inputs
 
         check_inputs(job.config, job.scene_dir, {"ingest", "scene"})

@@ -21,10 +21,11 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.report.pictures import picture_uri
 from devrf.pipelines.report.run import METRICS, at, evenly
-from devrf.pipelines.report.templates import readable, render
+from devrf.pipelines.report.templates import MADE_BY, readable, render
 from devrf.reconstruct.paired import CONFIDENCE
 
 PAGE, ROWS = "compare.html", "compare.json"
+IN_JSON = ('"not_compared": ', '"differences": ')  # what tells its file from others
 WORDS = {"better": "better", "worse": "worse", "open": "cannot be told apart", "same": "the same"}
 WIDTH, MAX_PICTURES, MAX_VIEWS = 480, 48, 8
 
@@ -43,8 +44,8 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
     """
     rows = json_path or out / ROWS
     check_folder(out, "--out")
-    check_file(out / PAGE, "--out")
-    check_file(rows, "--json")
+    check_file(out / PAGE, "--out", [MADE_BY])
+    check_file(rows, "--json", IN_JSON)
     runs = find_runs(named)
     found = compare_runs(runs)
     for folder, option in ((out, "--out"), (rows.parent, "--json")):

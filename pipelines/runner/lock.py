@@ -170,6 +170,11 @@ def is_held(folder: Path) -> bool:
     return age_s < LEASE_S and not (holder is not None and _has_ended(holder))
 
 
+def is_lock(path: Path) -> bool:
+    """Whether a file is a lock of ours; one that was only just made is empty."""
+    return path.is_file() and (path.stat().st_size == 0 or _holder(path) is not None)
+
+
 def _myself() -> dict[str, Any]:
     """What a lock says of its holder."""
     return {
