@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from devrf.capture.durable import write_json
@@ -17,7 +16,7 @@ from devrf.pipelines.bench.rows import PIPE_WIDTH
 from devrf.pipelines.compare.differing import differing_code, differing_config, differing_versions
 from devrf.pipelines.compare.measures import MEASURES, Difference, differences, seed_differences, value_of
 from devrf.pipelines.compare.runs import ComparedRun, common_views, find_runs, limits_of
-from devrf.pipelines.console import Talk
+from devrf.pipelines.console import Talk, console_on
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.report.pictures import picture_uri
 from devrf.pipelines.report.run import METRICS, at, evenly
@@ -156,7 +155,7 @@ def _print(talk: Talk, runs: Sequence[ComparedRun], found: dict[str, Any], rows:
     for name, cells in rows:
         table.add_row(name, *(f"{value}\n{gain} {words}".strip() for value, gain, words in cells))
     width = None if talk.out.is_terminal else PIPE_WIDTH
-    Console(file=talk.out.file, width=width, highlight=False).print(table)
+    console_on(talk.out.file, width=width).print(table)
     for name, why in found["not_compared"].items():
         talk.say(f"not compared: {name}: {why}", style="yellow")
     for note in found["notes"]:
