@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from devrf.capture.durable import read_json
 from devrf.capture.errors import DevrfError, InputError
 
 if TYPE_CHECKING:
@@ -189,7 +190,7 @@ def _myself() -> dict[str, Any]:
 def _holder(path: Path) -> dict[str, Any] | None:
     """Who a lock names; None where there is none, or it is empty or cannot be read, as after a power cut."""
     try:
-        holder = json.loads(path.read_text())
+        holder = read_json(path)
     except (FileNotFoundError, ValueError):
         return None
     return holder if isinstance(holder, dict) and {"pid", "host", "since"} <= holder.keys() else None

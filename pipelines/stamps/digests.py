@@ -7,7 +7,6 @@ the same although the content is not (below), the file is read again; only conte
 
 import errno
 import hashlib
-import json
 import os
 import re
 import time
@@ -15,7 +14,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from devrf.capture.durable import write_json
+from devrf.capture.durable import read_json, write_json
 from devrf.capture.errors import InputError
 from devrf.pipelines.logs import LOG_FILE
 
@@ -168,7 +167,7 @@ def _seen(stat: os.stat_result) -> Seen:
 def _read(path: Path) -> dict[str, list]:
     """What was remembered; nothing where the file is damaged or of an earlier version."""
     try:
-        known = json.loads(path.read_text())
+        known = read_json(path)
     except (OSError, ValueError):
         return {}
     if not isinstance(known, dict):

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from devrf.capture.durable import parse_json
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.code_version import Code, code_of, series
 from devrf.pipelines.stamps.digests import Digests
@@ -120,7 +121,7 @@ def read_stamp(folder: Path) -> dict | None:
 def parse_stamp(text: bytes) -> dict | None:
     """A stamp from its text; None where that is damaged."""
     try:
-        stamp = json.loads(text)
+        stamp = parse_json(text)
     except ValueError:
         return None
     made_from = stamp.get("identity") if isinstance(stamp, dict) else None
@@ -200,7 +201,7 @@ def damage(folder: Path, stamp: dict, digests: Digests) -> list[str]:
     for name, (size, digest) in stamp["files"].items():
         try:
             now = (folder / name).stat().st_size
-        except OSError:
+        except (OSError, ValueError):  # a damaged name can hold what no system takes
             bad.append(f"{folder.name}/{name} is missing")
             continue
         if now != size:

@@ -39,3 +39,11 @@ def test_only_a_file_of_ours_is_written_over(tmp_path: Path) -> None:
         with refused("file-exists", f"--json {file}", kind=InputError):
             check_file(file, "--json", ('"go": ', '"rows": '))
     check_file(Path("/dev/null"), "--json", ("x",))  # holds nothing to be lost
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "zero\0byte"])
+def test_names_that_no_system_takes(tmp_path: Path, name: str) -> None:
+    with refused("folder-unwritable", name, kind=InputError):
+        check_folder(tmp_path / name / "x", "--out")
+    with refused("file-unwritable", name, kind=InputError):
+        check_file(tmp_path / name, "--json", ())

@@ -97,7 +97,7 @@ def test_a_folder_counts_by_names_and_contents(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", '{"a": 1}', '{"clip.mp4": [1, 2]}', '{"clip.mp4": [1,1,1,1,1,2]}']
+    "text", ["", "[]", "[" * 100_000, '{"a": 1}', '{"clip.mp4": [1, 2]}', '{"clip.mp4": [1,1,1,1,1,2]}']
 )
 def test_damaged_memory_of_digests_is_forgotten(tmp_path: Path, text: str) -> None:
     (tmp_path / "clip.mp4").write_bytes(b"clip")

@@ -244,6 +244,23 @@ def test_a_damaged_result_is_made_again(folder: Path, at_rest: None) -> None:
     assert executed(folder) == ["third"]
 
 
+@pytest.mark.parametrize("name", ["second/stamp.json", "second/health.json", ".failed-third.json", ".lock"])
+def test_what_is_nested_too_deeply_counts_as_damaged(folder: Path, name: str, at_rest: None) -> None:
+    executed(folder)
+    (folder / "run" / name).write_text("[" * 100_000)
+    stand(folder)
+    assert executed(folder) == (["second"] if name.startswith("second") else [])
+
+
+@pytest.mark.parametrize("name", ["zero\0byte", "a" * 300])
+def test_a_stamp_with_names_that_no_system_takes(folder: Path, name: str) -> None:
+    executed(folder)
+    stamp = folder / "run/second/stamp.json"
+    made = json.loads(stamp.read_text())
+    stamp.write_text(json.dumps(made | {"files": {**made["files"], name: [1, "x"]}}))
+    assert executed(folder) == ["second"]
+
+
 # --- what is said ---
 
 
