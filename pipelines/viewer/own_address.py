@@ -7,10 +7,11 @@ of its own can be made to lead here (DNS rebinding; the Host tells). viser asks 
 import socket
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from http import HTTPStatus
 from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
+
+FORBIDDEN = 403  # of HTTP
 
 
 def refusal(host: str | None, origin: str | None, names: Collection[str]) -> str | None:
@@ -46,7 +47,7 @@ def only_own_pages(names: Collection[str]) -> Iterator[None]:
             why = refusal(request.headers.get("Host"), request.headers.get("Origin"), names)
             if why is None:
                 return process_request(connection, request)
-            return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
+            return connection.respond(FORBIDDEN, f"{why}\n")
 
         return serve(*arguments, process_request=asked, **options)
 
