@@ -28,6 +28,24 @@ def write_json(path: Path, value: Any) -> None:
         raise
 
 
+def read_json(path: Path) -> Any:
+    """What a file of ours holds.
+
+    Raises:
+        ValueError: It is damaged: no JSON, or nested deeper than anything that we write.
+        OSError: It cannot be read.
+    """
+    return parse_json(path.read_bytes())
+
+
+def parse_json(text: str | bytes) -> Any:
+    """What stands in a file of ours; damage of every kind is a ValueError."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
 def sync_tree(folder: Path) -> None:
     """Return when all files and folders below a folder, and itself, lie on the disk.
 

@@ -13,7 +13,8 @@ from devrf.capture.errors import InputError
 from devrf.capture.limits import CLIP_PX, check_pixels
 
 ARBITRARY_CLOCK_FORMATS = ("mpegts", "mpeg")  # camcorders' .mts starts at 1.4 s or at the time of day
-TEXT_FORMATS = ("tty",)  # ffmpeg shows plain text as pictures of letters
+CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mxf,asf,flv,ogg,dv,wav"  # FFmpeg's names of what cameras and recorders write
+"""None of them opens other files, as lists, playlists and patterns of FFmpeg's four hundred formats do."""
 SNIFF_BYTES = 512
 MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises against it
 
@@ -37,18 +38,16 @@ def open_media(path: Path) -> InputContainer:
     """
     check_file(path)
     try:
-        container = av.open(
-            str(path), metadata_errors="replace"
-        )  # of cameras in other alphabets, and damaged
+        return av.open(
+            f"file:{path}",  # whatever else a name may mean to FFmpeg
+            options={"format_whitelist": CONTAINERS, "protocol_whitelist": "file"},
+            metadata_errors="replace",  # of cameras in other alphabets, and damaged
+        )
     except FFmpegError as error:
         raise _what_is_it(path, error) from None
     except OSError as error:
         text = f"{path}: cannot be read ({error.strerror}); check its permissions"
         raise InputError("file-unreadable", text) from None
-    if container.format.name in TEXT_FORMATS:
-        container.close()
-        raise _is_text(path)
-    return container
 
 
 def origin_s(container: InputContainer) -> float:
@@ -98,7 +97,7 @@ def _what_is_it(path: Path, error: Exception) -> InputError:
         return _is_text(path)
     except UnicodeDecodeError:
         reason = getattr(error, "strerror", None) or str(error)
-        expected = "expected mp4, mov, mkv, avi or another format ffmpeg reads"
+        expected = "expected mp4, mov, mkv, avi, ts, mxf or another container of clips"
         return InputError("file-not-video", f"{path}: not a video ({reason}); {expected}")
 
 

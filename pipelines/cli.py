@@ -1,6 +1,8 @@
 """The command line, `devrf-pipeline`. Heavy libraries are imported only by the commands that need them."""
 
+import errno
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -24,10 +26,10 @@ from devrf.pipelines.cli_options import (
 from devrf.pipelines.cli_results import compare, export, render, report, view
 from devrf.pipelines.console import Talk
 from devrf.pipelines.disk_told import disk_told
-from devrf.pipelines.exit_codes import DONE, STOPPED, UNHEALTHY
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED, UNHEALTHY
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import dry_run
-from devrf.pipelines.runner.supervise import supervised
+from devrf.pipelines.runner.supervise import open_streams, supervised
 from devrf.pipelines.stages import stage_names
 from devrf.pipelines.status import print_status, status_dict
 
@@ -73,9 +75,10 @@ def check(
     job = run_command.prepare(talk, scene, preset, overrides, None)
     with errors_told(talk):
         check_folder(job.run_dir, "output:")
-        if as_json is not None:
-            check_file(as_json, "--json")
         from devrf.pipelines.check import command as check_command
+
+        if as_json is not None:
+            check_file(as_json, "--json", check_command.IN_JSON)
         from devrf.pipelines.preflight import check_inputs
 
         check_inputs(job.config, job.scene_dir, {"ingest", "scene"})
@@ -240,8 +243,12 @@ def _options(
     pass
 
 
+NO_PATH = (errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.ELOOP)  # a mistake in what was named
+
+
 def main() -> None:
     """Entry point of the console script."""
+    open_streams()
     supervised(_command)
 
 
@@ -253,6 +260,13 @@ def _command() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(DONE)
+    except OSError as error:
+        if error.filename is None or error.errno not in NO_PATH:
+            raise
+        wrong = f"{os.fsdecode(error.filename)}: cannot be looked at ({error.strerror})"
+        talk = Talk()
+        talk.error(f"{wrong}; name another path, or make it one that this user may enter", "path-unusable")
+        sys.exit(BAD_INPUT)
 
 
 if __name__ == "__main__":

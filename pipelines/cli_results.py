@@ -85,6 +85,12 @@ def view(
         str, typer.Option(help="Address to serve; default: only this machine. 0.0.0.0: the whole network")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to serve")] = 8080,
+    allow_host: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Name by which a browser may ask, besides this machine's own: a proxy's (repeatable)"
+        ),
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Walk through the scene in a browser, also while it is being trained (needs the extra `viewer`)."""
@@ -93,7 +99,7 @@ def view(
     from devrf.pipelines.viewer import command as viewer_command
 
     with errors_told(talk):
-        viewer_command.view(talk, job, device, host, port)
+        viewer_command.view(talk, job, device, host, port, allow_host or ())
 
 
 def render(

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from devrf.capture.progress import Progress as ProgressCallback
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.logs import Events
+from devrf.pipelines.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 Loudness = Literal["quiet", "normal", "verbose"]
 
@@ -45,16 +47,12 @@ class Talk:
     @cached_property
     def out(self) -> "Console":
         """Where it speaks."""
-        from rich.console import Console
-
-        return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+        return console_on(sys.stdout, soft_wrap=True)
 
     @cached_property
     def err(self) -> "Console":
         """Where it says what went wrong."""
-        from rich.console import Console
-
-        return Console(file=sys.stderr, highlight=False, soft_wrap=True)
+        return console_on(sys.stderr, soft_wrap=True)
 
     def say(self, text: str, *, style: str = "") -> None:
         """One line for people; not printed when quiet."""
@@ -119,18 +117,20 @@ class Talk:
             from rich import progress
 
             with progress.Progress(
-                progress.TextColumn("{task.description}"),
+                progress.TextColumn("{task.description}", markup=False),
                 progress.BarColumn(),
                 progress.TaskProgressColumn(),
                 progress.TimeElapsedColumn(),
                 progress.TextColumn("left"),
                 progress.TimeRemainingColumn(),
-                progress.TextColumn("{task.fields[message]}"),
+                progress.TextColumn("{task.fields[message]}", markup=False),
                 console=self.out,
                 transient=True,
             ) as bars:
                 task = bars.add_task(title, total=1.0, message="")
-                yield lambda fraction, message: bars.update(task, completed=fraction, message=message)
+                yield lambda fraction, message: bars.update(
+                    task, completed=fraction, message=printable(message)
+                )
         else:
             yield self._plain(title)
 
@@ -149,6 +149,17 @@ class Talk:
             self.out.print(text, markup=False)
 
         return line
+
+
+def console_on(file: Any, **options: Any) -> "Console":
+    """A console on an open text file, on which no text from files or names steers the terminal."""
+    from rich.console import Console
+
+    class Plain(Console):
+        def render_str(self, text: str, **options: Any) -> "Text":
+            return super().render_str(printable(text), **options)
+
+    return Plain(file=file, highlight=False, **options)
 
 
 def describe(row: HealthRow) -> str:

@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from devrf.pipelines.printable import printable
+
 LOG_FILE = "devrf.log"  # also what a run folder is known by
 EVENTS_FILE = "events.jsonl"
 OLD_LOGS = "logs"  # folder of earlier runs' logs
@@ -73,7 +75,7 @@ def log_file(run_dir: Path, run: str | None = None) -> Iterator[None]:
         handler: logging.Handler = logging.FileHandler(path, encoding="utf-8")
     except OSError:
         handler = logging.NullHandler()
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(_Printable("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     handler.handleError = lambda record: None  # a full disk must not hide the error that says so
     level, propagate = logger.level, logger.propagate
     logger.setLevel(logging.DEBUG)
@@ -93,6 +95,13 @@ def log_file(run_dir: Path, run: str | None = None) -> Iterator[None]:
         logger.setLevel(level)
         logger.propagate = propagate
         handler.close()
+
+
+class _Printable(logging.Formatter):
+    """Logs are read in terminals."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
 
 
 def _put_away(run_dir: Path) -> None:

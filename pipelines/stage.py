@@ -27,6 +27,7 @@ class StageContext:
         health: Rows the stage adds about its own result.
         say: Tells the user one line that stays, such as what was decided and why.
         made_from: All that the result depends on, as its stamp will say.
+        referred: Files that its result refers to instead of holding them, where the stage says so (`refers`).
         afterwards: What is left to do once the folder has its name, such as to remove what a killed run goes on from.
         allowance: Memory and time that it may use.
     """
@@ -40,6 +41,7 @@ class StageContext:
     health: list[HealthRow] = field(default_factory=list)
     say: Callable[[str], None] = lambda text: None
     made_from: dict[str, Any] = field(default_factory=dict)
+    referred: list[Path] = field(default_factory=list)
     afterwards: list[Callable[[], None]] = field(default_factory=list)
     allowance: Allowance = UNBOUNDED
 
@@ -56,8 +58,8 @@ class Stage:
         run: Does the work.
         inputs: What to call them -> raw files of the user's that it reads and no key of `config_keys` names. Their
             content is part of the stamp.
-        refers: Its result refers to files of what it was made from instead of holding them: their content counts as
-            its own.
+        refers: Its result refers to files of what it was made from instead of holding them: the content of those that
+            it names (`StageContext.referred`) counts as its own.
         places: What to call them -> files of the user's among those, which may lie elsewhere one day.
         plug_ins: Modules of other people's that it loads by their names.
         quotes_stamps: Its result tells when and how long the stages it reads were made: made again, they are others,

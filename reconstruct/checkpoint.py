@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from devrf.capture.durable import sync
 from devrf.capture.errors import OutOfTime, ReconstructError
+from devrf.reconstruct.tensor_file import save_tensors
 from devrf.reconstruct.training_log import TrainingLog
 
 FIRST_S = 5.0  # of training before the first checkpoint
@@ -125,7 +125,7 @@ class Checkpoint:
         new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
         try:
             proof = {"head": _digest(numbers, {}), "digest": _digest(numbers, ready)}
-            save_file(ready, str(new), metadata={"devrf": numbers} | proof)
+            save_tensors(new, ready, {"devrf": numbers} | proof)
             sync(new)
             new.replace(self.path)
             sync(self.path.parent)

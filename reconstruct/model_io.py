@@ -15,7 +15,6 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
@@ -35,6 +34,7 @@ from devrf.reconstruct.packing import (
 )
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.tensor_file import save_tensors
 
 FILE = "model.safetensors"
 TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion
@@ -225,7 +225,7 @@ def _damaged(path: Path, why: str) -> ReconstructError:
 
 def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     ready = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
-    save_file(ready, str(path), metadata={"devrf": json.dumps({"format": FORMAT, **meta})})
+    save_tensors(path, ready, {"devrf": json.dumps({"format": FORMAT, **meta})})
 
 
 def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[str, Any]]:

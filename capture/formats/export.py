@@ -2,9 +2,10 @@
 
 nerfstudio and COLMAP keep every camera's lens, and get the pictures as they are. The others have one focal
 length: their pictures are undistorted to a common pinhole camera. Looks are applied in all formats. An earlier export
-of the same format is replaced; any other folder that holds something is left alone.
+of the same format is replaced if it holds nothing else; any other folder that holds something is left alone.
 """
 
+import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,7 @@ from devrf.capture.writable import check_folder
 if TYPE_CHECKING:
     from devrf.capture.undistort import Undistorter
 
-MARKER = ".devrf-export"  # holds the name of the format
+MARKER = ".devrf-export"  # holds the name of the format, and those of all files on a line each
 README = "README.txt"
 FindFlow = Callable[[PosedFrame], Flow | None]
 
@@ -84,11 +85,17 @@ def new_folder(folder: Path, dataset_format: str) -> Iterator[Path]:
     check_target(folder, dataset_format)
     folder.parent.mkdir(parents=True, exist_ok=True)
     new = folder.with_name(f".new-{folder.name}")
+    if new.exists() and not (new / MARKER).is_file() and any(new.iterdir()):
+        wrong = f"--out {folder}: {new} is in the way, where no export has begun"
+        raise InputError("folder-exists", f"{wrong}; move it away, or name another folder")
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir()
     try:
-        yield new
         (new / MARKER).write_text(f"{dataset_format}\n")
+        yield new
+        names = [os.fsencode(name) for name in _files(new)]
+        (new / MARKER).write_bytes(b"\n".join([dataset_format.encode(), *names, b""]))
+        check_target(folder, dataset_format)  # what came meanwhile
         if folder.exists():
             shutil.rmtree(folder)
         new.rename(folder)
@@ -98,7 +105,7 @@ def new_folder(folder: Path, dataset_format: str) -> Iterator[Path]:
 
 
 def check_target(folder: Path, dataset_format: str) -> None:
-    """A folder to export into is new, empty, or an earlier export of the same format.
+    """A folder to export into is new, empty, or an earlier export of the same format and nothing else.
 
     Raises:
         InputError: It is not, or cannot be written.
@@ -107,10 +114,26 @@ def check_target(folder: Path, dataset_format: str) -> None:
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     marker = folder / MARKER
-    earlier = marker.read_text(errors="replace").strip() if marker.is_file() else None
-    if earlier != dataset_format:
-        what = f"an export to {earlier}" if earlier else "files that are no export"
-        raise InputError("folder-exists", f"--out {folder}: holds {what}; name another folder, or empty it")
+    earlier, *names = marker.read_bytes().split(b"\n") if marker.is_file() else [b""]
+    others = sorted(_files(folder) - {os.fsdecode(name) for name in names})
+    if earlier != dataset_format.encode():
+        named = earlier.decode(errors="replace").strip()
+        what = f"an export to {named}" if named else "files that are no export"
+    elif others:
+        what = f"what no export has written ({', '.join(others[:3])}{', …' if others[3:] else ''})"
+    else:
+        return
+    raise InputError("folder-exists", f"--out {folder}: holds {what}; name another folder, or move that away")
+
+
+def _files(folder: Path) -> set[str]:
+    """Names of all files below a folder but the marker; links too, and folders that hold nothing."""
+    found: set[str] = set()
+    for root, folders, files in os.walk(folder):
+        links = [name for name in folders if os.path.islink(os.path.join(root, name))]
+        inside = [os.path.join(root, name) for name in (*files, *links)]
+        found |= {os.path.relpath(path, folder) for path in (inside if folders or files else [root])}
+    return found - {MARKER, "."}
 
 
 def copied(export: Export, frames: tuple[PosedFrame, ...], part: str) -> tuple[PosedFrame, ...]:

@@ -44,7 +44,7 @@ def find_picture(file: Path) -> Path:
     """
     for ending in PICTURE_ENDINGS:
         candidate = file.with_name(file.name + ending) if file.name else file
-        if candidate.is_file():
+        if os.path.isfile(candidate):  # not so what has too long a name
             return candidate.resolve()
     text = f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry"
     raise CaptureError("picture-missing", text)

@@ -1,10 +1,10 @@
 """What a batch knows of each of its scenes: a row of the summary, filled from what the stages left."""
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from devrf.capture.durable import read_json
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import worst
 from devrf.pipelines.runner.plan import read_health
@@ -116,7 +116,7 @@ def summary(rows: list[SceneRow], engine: str, started: str, seconds: float) -> 
 
 def _numbers(path: Path) -> dict[str, float]:
     try:
-        found = json.loads(path.read_text())["test"]
+        found = read_json(path)["test"]
     except (OSError, ValueError, KeyError):
         return {}
     return {name: found[name] for name in MEASURES if isinstance(found.get(name), int | float)}

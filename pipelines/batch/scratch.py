@@ -4,20 +4,24 @@
 <scratch>/scenes/<scene>/run/...     its run folder
 <scratch>/inputs/<digest>            raw files, hard links to those in the scenes' folders: fetched once for all of them
 
-Scenes side by side share only `inputs`, and that by single links: none can take away what another uses.
+Scenes side by side share only `inputs`, and that by single links: none can take away what another uses. The folder is
+its user's alone: whoever else could write there could say what runs; and what is linked is read and compared first.
 """
 
 import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from devrf.capture.errors import InputError
 from devrf.pipelines.batch.store import DamagedError, SizeAndDigest, Store
 from devrf.pipelines.runner.workspace import Workspace
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stamps.digests import file_digest
 from devrf.pipelines.stamps.stamp import is_whole, read_stamp, stamp_id
 
 SCRATCH = "DEVRF_SCRATCH"  # environment variable: folder on a fast disk of this machine
@@ -45,12 +49,16 @@ class Scratch:
 
     Args:
         stored: The scene.
+    Raises:
+        InputError: Others could write where it is to lie.
     """
 
     def __init__(self, stored: Stored) -> None:
         self._stored, self._store = stored, Store(stored.url)
-        self._inputs = scratch_dir(stored.url) / "inputs"
-        self._base = scratch_dir(stored.url) / "scenes" / stored.name
+        folder = scratch_dir(stored.url)
+        _make_own(folder)
+        self._inputs = folder / "inputs"
+        self._base = folder / "scenes" / stored.name
         self.scene = self._base / "scene" / stored.scene
         self.run_dir = self._base / "run"
         self.damaged: dict[str, str] = {}  # stage -> what is wrong with it in the store
@@ -110,9 +118,7 @@ class Scratch:
         for name, entry in self._stored.files.items():
             place = self.scene.parent / name
             place.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.link(self._inputs / entry[1], place)
-            except FileNotFoundError:
+            if not _linked(self._inputs / entry[1], place, entry):
                 again += [(missing[entry], place)] if entry in missing else []
                 missing.setdefault(entry, place)
         self._store.get_inputs(missing)
@@ -125,5 +131,40 @@ class Scratch:
 
 def scratch_dir(url: str) -> Path:
     """Where the scenes of a store lie on this machine while they are worked on."""
-    base = os.environ.get(SCRATCH) or os.path.join(tempfile.gettempdir(), f"devrf-{os.getuid()}")
-    return Path(base) / hashlib.blake2b(url.encode(), digest_size=6).hexdigest()
+    name = f"devrf-{os.getuid()}-{hashlib.blake2b(url.encode(), digest_size=6).hexdigest()}"
+    return Path(os.environ.get(SCRATCH) or tempfile.gettempdir()) / name
+
+
+def _make_own(folder: Path) -> None:
+    """Make a folder that only this user may enter; refuse one that is there and another's, or open to others."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=stat.S_IRWXU)
+    there = folder.lstat()
+    mode = stat.S_IMODE(there.st_mode)
+    if not stat.S_ISDIR(there.st_mode):
+        what = "is no folder"
+    elif there.st_uid != os.getuid():
+        what = f"belongs to user {there.st_uid}"
+    elif mode & (stat.S_IRWXG | stat.S_IRWXO):
+        what = f"is open to others (mode {mode:04o})"
+    else:
+        return
+    raise InputError(
+        "scratch-not-own",
+        f"{folder}: {what}; expected a folder of user {os.getuid()} alone (mode 0700), or others could change what "
+        f"runs; remove it, or set {SCRATCH} to a folder of your own",
+    )
+
+
+def _linked(shared: Path, place: Path, expected: SizeAndDigest) -> bool:
+    """Link a raw file that is here already; not one that has become another, which is removed."""
+    try:
+        os.link(shared, place)
+    except FileNotFoundError:
+        return False
+    if (place.stat().st_size, file_digest(place)) == expected:
+        return True
+    place.unlink()
+    shared.unlink(missing_ok=True)
+    return False

@@ -181,4 +181,4 @@ def check_places(out: Path, json: Path | None) -> None:
     """Refuse places that cannot be written; nothing is made yet."""
     check_folder(out, "--out")
     if json is not None:
-        check_file(json, "--json")
+        check_file(json, "--json", ['"rows": ', '"benchmark": '])

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
-from devrf.pipelines.console import Talk
+from devrf.pipelines.console import Talk, console_on
 
 PIPE_WIDTH = 110  # characters, where no terminal says how wide it is
 VERDICTS = {None: "", True: "yes", False: "no"}
@@ -108,7 +107,7 @@ def print_table(talk: Talk, title: str, headings: Sequence[str], lines: Iterable
     for line in lines:
         table.add_row(*line)
     width = None if talk.out.is_terminal else PIPE_WIDTH
-    Console(file=talk.out.file, width=width, highlight=False).print(table)
+    console_on(talk.out.file, width=width).print(table)
 
 
 def _number(value: float | None) -> str:

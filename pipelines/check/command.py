@@ -30,6 +30,7 @@ from devrf.pipelines.stages import ingest
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
 RESOURCES, FILES = "disk and memory", "files"
 CLIP_PICTURES = 12  # of each, that tell size, brightness and whether the camera stands
+IN_JSON = ('"go": ', '"seconds": ', '"rows": ')  # what tells its file from others
 SHOWN = (RESOURCES, FILES)  # whose rows are printed even where all is well
 NO_GO = "NO-GO: mend what is marked so and check again"
 WORDS: dict[Verdict, str] = {"ok": "go", "warn": "warn", "fail": "no-go"}

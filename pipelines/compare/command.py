@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from devrf.capture.durable import write_json
@@ -17,14 +16,15 @@ from devrf.pipelines.bench.rows import PIPE_WIDTH
 from devrf.pipelines.compare.differing import differing_code, differing_config, differing_versions
 from devrf.pipelines.compare.measures import MEASURES, Difference, differences, seed_differences, value_of
 from devrf.pipelines.compare.runs import ComparedRun, common_views, find_runs, limits_of
-from devrf.pipelines.console import Talk
+from devrf.pipelines.console import Talk, console_on
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.report.pictures import picture_uri
 from devrf.pipelines.report.run import METRICS, at, evenly
-from devrf.pipelines.report.templates import readable, render
+from devrf.pipelines.report.templates import MADE_BY, readable, render
 from devrf.reconstruct.paired import CONFIDENCE
 
 PAGE, ROWS = "compare.html", "compare.json"
+IN_JSON = ('"not_compared": ', '"differences": ')  # what tells its file from others
 WORDS = {"better": "better", "worse": "worse", "open": "cannot be told apart", "same": "the same"}
 WIDTH, MAX_PICTURES, MAX_VIEWS = 480, 48, 8
 
@@ -43,8 +43,8 @@ def compare(talk: Talk, named: Sequence[Path], out: Path, json_path: Path | None
     """
     rows = json_path or out / ROWS
     check_folder(out, "--out")
-    check_file(out / PAGE, "--out")
-    check_file(rows, "--json")
+    check_file(out / PAGE, "--out", [MADE_BY])
+    check_file(rows, "--json", IN_JSON)
     runs = find_runs(named)
     found = compare_runs(runs)
     for folder, option in ((out, "--out"), (rows.parent, "--json")):
@@ -155,7 +155,7 @@ def _print(talk: Talk, runs: Sequence[ComparedRun], found: dict[str, Any], rows:
     for name, cells in rows:
         table.add_row(name, *(f"{value}\n{gain} {words}".strip() for value, gain, words in cells))
     width = None if talk.out.is_terminal else PIPE_WIDTH
-    Console(file=talk.out.file, width=width, highlight=False).print(table)
+    console_on(talk.out.file, width=width).print(table)
     for name, why in found["not_compared"].items():
         talk.say(f"not compared: {name}: {why}", style="yellow")
     for note in found["notes"]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from devrf.capture.durable import read_json
 from devrf.capture.formats.opengl import opengl_pose
 from devrf.capture.scene import Scene
 from devrf.pipelines.film.plan import Film
@@ -38,7 +39,7 @@ def made_from_of(run_dir: Path, plan: Film) -> str:
 def finished_film(folder: Path) -> str | None:
     """What a finished film was made from; None where there is none."""
     try:
-        return str(json.loads((folder / FILM).read_text())["made_from"])
+        return str(read_json(folder / FILM)["made_from"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

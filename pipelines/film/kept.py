@@ -4,7 +4,6 @@ They lie in a hidden folder beside the film's, with what they were made from: th
 model. Pictures are written under other names and renamed, by a thread of their own.
 """
 
-import json
 import shutil
 from collections import deque
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.capture.durable import write_json
+from devrf.capture.durable import read_json, write_json
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.flow_files import Flow, read_flow_file, write_flow_file
 from devrf.capture.picture_files import read_pixels, write_png
@@ -117,6 +116,6 @@ def _read(path: Path) -> np.ndarray | Flow:
 
 def _made_from(folder: Path) -> str | None:
     try:
-        return json.loads((folder / MADE_FROM).read_text())["made_from"]
+        return read_json(folder / MADE_FROM)["made_from"]
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -1,6 +1,5 @@
 """What the report reads: a run folder of which any part may be missing or damaged."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,6 +9,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from jaxtyping import Float
 
+from devrf.capture.durable import read_json
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
@@ -101,7 +101,7 @@ class RunFolder:
 
     def _read(self, file: str) -> Any:
         try:
-            return json.loads((self.path / file).read_text(encoding="utf-8"))
+            return read_json(self.path / file)
         except FileNotFoundError:
             return None
         except (OSError, ValueError) as error:

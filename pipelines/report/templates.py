@@ -13,6 +13,7 @@ from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 from devrf.pipelines.report.run import is_number
 
 FOLDER = Path(__file__).parent
+MADE_BY = '<meta name="generator" content="devrf">'  # in the head of every page: what tells it from others
 
 
 def render(template: str, values: Mapping[str, Any]) -> str:

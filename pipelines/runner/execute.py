@@ -233,7 +233,7 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
             )
             with budget.watched():
                 stage.run(context)
-        finish(run, folder, stage, context.health, made_from, time.monotonic() - start)
+        finish(run, folder, stage, context, time.monotonic() - start)
         workspace.commit(stage.name, folder)
         run.digests.renamed(folder, run.run_dir / stage.name)
         for act in context.afterwards:

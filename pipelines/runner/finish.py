@@ -12,24 +12,22 @@ from pathlib import Path
 import devrf
 from devrf.capture.amounts import GB
 from devrf.capture.durable import write_json
-from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.runner.run import Run
-from devrf.pipelines.stage import Stage
+from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamps.stamp import HEALTH, STAMP, code_of_stage, content_of, files_of
 
 
-def finish(
-    run: Run, folder: Path, stage: Stage, health: list[HealthRow], made_from: dict, seconds: float
-) -> None:
+def finish(run: Run, folder: Path, stage: Stage, context: StageContext, seconds: float) -> None:
     """Write health and, last of all, the stamp that makes the folder complete."""
-    rows = [_finite(row.as_dict()) for row in health]
+    rows = [_finite(row.as_dict()) for row in context.health]
     write_json(folder / HEALTH, {"stage": stage.name, "rows": rows})
     files = files_of(folder, run.digests)
+    referred = run.digests.of_files(context.referred)
     stamp = {
         "id": secrets.token_hex(8),
         "stage": stage.name,
-        "content": content_of(stage, folder, files, made_from),
-        "identity": json.loads(json.dumps(made_from)),
+        "content": content_of(folder, files, context.made_from["places"], referred),
+        "identity": json.loads(json.dumps(context.made_from)),
         "version": devrf.__version__,
         "made_with": {
             "python": platform.python_version(),

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from devrf.capture.durable import read_json
 from devrf.capture.errors import DevrfError, InputError
 
 if TYPE_CHECKING:
@@ -170,6 +171,11 @@ def is_held(folder: Path) -> bool:
     return age_s < LEASE_S and not (holder is not None and _has_ended(holder))
 
 
+def is_lock(path: Path) -> bool:
+    """Whether a file is a lock of ours; one that was only just made is empty."""
+    return path.is_file() and (path.stat().st_size == 0 or _holder(path) is not None)
+
+
 def _myself() -> dict[str, Any]:
     """What a lock says of its holder."""
     return {
@@ -184,7 +190,7 @@ def _myself() -> dict[str, Any]:
 def _holder(path: Path) -> dict[str, Any] | None:
     """Who a lock names; None where there is none, or it is empty or cannot be read, as after a power cut."""
     try:
-        holder = json.loads(path.read_text())
+        holder = read_json(path)
     except (FileNotFoundError, ValueError):
         return None
     return holder if isinstance(holder, dict) and {"pid", "host", "since"} <= holder.keys() else None

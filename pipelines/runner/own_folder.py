@@ -1,11 +1,18 @@
-"""Whether a folder can be a run folder: nothing in it that a run would replace is anybody else's, or lies elsewhere."""
+"""Whether a folder can be a run folder: nothing in it that a run would replace is anybody else's, or lies elsewhere.
+
+Runs write, replace and remove under names of their own. In a folder in which no run has worked yet none of these may be
+taken; from the first run on they are the runs'.
+"""
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, OLD_LOGS
+from devrf.pipelines.runner.lock import LOCK, is_lock
+from devrf.pipelines.stamps.digests import DIGESTS
 from devrf.pipelines.stamps.stamp import HEALTH, STAMP
 
 PAGE = "index.html"  # a report about an unfinished run carries no stamp
@@ -16,6 +23,10 @@ OTHERS = (
     "export",
     "films",
 )  # what runs write beside the folders of stages and hidden files
+OF_RUNS = re.compile(
+    rf"{OLD_LOGS}|{re.escape(EVENTS_FILE)}|\.flow|\.(failed|forced)-\w+(\.json)?|\.\w+(\..+)?\.safetensors"
+)
+"""What runs replace or remove beside the folders of stages: their state, and that of stages that have not ended."""
 
 
 def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:
@@ -28,25 +39,40 @@ def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:
         InputError: Says what is in the way.
     """
     stages = tuple(stages)
-    for name in stages:
-        folder = run_dir / name
-        if folder.is_dir() and not folder.is_symlink() and not _is_of_a_run(folder):
-            raise InputError(
-                "folder-exists",
-                f"output: {run_dir}: holds a folder {name} that no run has made, and a run would replace it; name "
-                "another folder (output: in scene.yaml), or move it away",
-            )
     for path in _written(run_dir, stages):
         if path.is_symlink():
             raise InputError(
                 "folder-holds-link",
                 f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link",
             )
+    known = is_run_folder(run_dir)
+    for path in sorted(run_dir.iterdir()) if run_dir.is_dir() else []:
+        if not (_is_of_a_stage(path, known) if path.name in stages else known or _is_free(path)):
+            what = "a folder" if path.is_dir() else "a file"
+            raise InputError(
+                "folder-exists",
+                f"output: {run_dir}: holds {what} {path.name} that no run has made, and a run would replace it; name "
+                "another folder (output: in scene.yaml), or move it away",
+            )
 
 
-def _is_of_a_run(folder: Path) -> bool:
+def is_run_folder(folder: Path) -> bool:
+    """Whether a run has worked in a folder."""
+    return any((folder / mark).is_file() for mark in (LOG_FILE, DIGESTS)) or any(folder.glob(f"*/{STAMP}"))
+
+
+def _is_of_a_stage(folder: Path, known: bool) -> bool:
+    if not folder.is_dir():
+        return False
     names = os.listdir(folder)
-    return not names or STAMP in names or HEALTH in names or names == [PAGE]
+    return not names or STAMP in names or HEALTH in names or (known and names == [PAGE])
+
+
+def _is_free(path: Path) -> bool:
+    """Whether runs leave a path alone in a folder that they come to for the first time."""
+    if path.name == LOCK:
+        return is_lock(path)
+    return not OF_RUNS.fullmatch(path.name) or (path.is_dir() and not any(path.iterdir()))
 
 
 def _written(run_dir: Path, stages: tuple[str, ...]) -> Iterator[Path]:

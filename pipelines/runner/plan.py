@@ -1,12 +1,11 @@
 """Which stages run, and why: the one place that compares stamps, for `run`, `--dry-run` and `status`."""
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from devrf.capture.durable import sync, write_json
+from devrf.capture.durable import read_json, sync, write_json
 from devrf.pipelines.health.rows import HealthRow, Verdict, worst
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.cache import Cache
@@ -192,7 +191,7 @@ def is_forced(name: str, choice: Choice) -> bool:
 def read_health(folder: Path) -> tuple[HealthRow, ...]:
     """The health rows of a finished stage."""
     try:
-        rows = json.loads((folder / HEALTH).read_text())["rows"]
+        rows = read_json(folder / HEALTH)["rows"]
         return tuple(HealthRow(**row) for row in rows)
     except (OSError, ValueError, KeyError, TypeError):
         return ()
@@ -226,7 +225,7 @@ def error_path(run_dir: Path, stage: str) -> Path:
 def last_error(run_dir: Path, stage: str) -> str | None:
     """Why a stage failed when it was last tried."""
     try:
-        return str(json.loads(error_path(run_dir, stage).read_text())["message"])
+        return str(read_json(error_path(run_dir, stage))["message"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

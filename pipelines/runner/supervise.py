@@ -43,6 +43,23 @@ CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.
 _link: int | None = None  # in the child: where it tells the parent what it does
 
 
+def open_streams() -> None:
+    """Where input, output or errors are closed (`>&-`, some service managers), let them lead nowhere.
+
+    Else the next file that is opened would take their place.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))
+
+
 def supervised(work: Callable[[], None]) -> None:
     """Do a command's work in a child process. Returns in the child only; the parent ends with the exit code."""
     if sys.platform != "linux":

@@ -7,6 +7,7 @@ removed. Whatever ends a run in between, a power cut too, `_recover` finds eithe
 
 import errno
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Callable
@@ -14,10 +15,18 @@ from pathlib import Path
 
 from devrf.capture.durable import sync, sync_tree
 from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.limits import TEXT_BYTES
 from devrf.pipelines.runner.lock import Lock
+from devrf.pipelines.runner.own_folder import is_run_folder
 from devrf.pipelines.stamps.stamp import STAMP
 
 NEW, OLD = ".new-", ".old-"
+OURS = re.compile(  # hidden files and folders that are put right or removed
+    rf"{re.escape(NEW)}(?P<new>\w+)-\d+-[0-9a-f]{{6}}"
+    rf"|{re.escape(OLD)}(?P<old>\w+)-[0-9a-f]{{6}}"
+    r"|(?P<part>\.(digests\.json\.\d+|failed-\w+\.json\.\d+|\w+(\..+)?\.safetensors)\.tmp)"
+    r"|\.(?P<trained>\w+)(\..+)?\.safetensors"
+)
 LOGS = "logs"  # what native programs said in stages that did not succeed
 
 
@@ -106,25 +115,29 @@ class Workspace:
         return kept
 
     def _recover(self) -> None:
-        """Put right what a killed run left: a swap half done, folders never finished."""
-        for old in self.run_dir.glob(f"{OLD}*"):
-            stage = _stage_of(old, OLD)
+        """Put right what a killed run left: a swap half done, folders never finished. What others put here stays."""
+        if not is_run_folder(self.run_dir):
+            return
+        here = {path: OURS.fullmatch(path.name) for path in self.run_dir.glob(".*")}
+        olds = {path: match["old"] for path, match in here.items() if match and match["old"]}
+        news = {path: match["new"] for path, match in here.items() if match and match["new"]}
+        for old, stage in olds.items():
             finished = self.run_dir / stage
             if not finished.exists():  # a new one lay on the disk before the old one was renamed
-                whole = [f for f in (*self.run_dir.glob(f"{NEW}{stage}-*"), old) if (f / STAMP).is_file()]
+                whole = [f for f in (*news, old) if stage == news.get(f, stage) and (f / STAMP).is_file()]
                 (whole or [old])[0].rename(finished)
-        for leftover in self.run_dir.glob(f"{NEW}*"):
+        for leftover in filter(Path.exists, news):
             self.discard(leftover)
-        for leftover in self.run_dir.glob(f"{OLD}*"):
+        for leftover in filter(Path.exists, olds):
             _remove(leftover)
-        for leftover in self.run_dir.glob(".*.tmp"):
-            leftover.unlink(missing_ok=True)
-        for checkpoint in self.run_dir.glob(
-            ".*.safetensors"
-        ):  # of a training whose stage has been finished since
-            stamp = self.run_dir / checkpoint.name.split(".")[1] / STAMP
-            if stamp.is_file() and stamp.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
-                checkpoint.unlink()
+        for path, match in here.items():
+            if match and match["part"]:
+                path.unlink(missing_ok=True)
+            if match and match["trained"]:  # a training whose stage has been finished since
+                stamp = self.run_dir / match["trained"] / STAMP
+                ended = stamp.is_file() and stamp.stat().st_mtime_ns >= path.stat().st_mtime_ns
+                if ended and _is_checkpoint(path):
+                    path.unlink()
 
 
 def is_disk_full(error: BaseException) -> bool:
@@ -180,6 +193,13 @@ def size_of(path: Path) -> int:
 
 def _stage_of(folder: Path, prefix: str) -> str:
     return folder.name.removeprefix(prefix).split("-", 1)[0]
+
+
+def _is_checkpoint(path: Path) -> bool:
+    """Whether a file is one of ours, by its head (safetensors: the length of the names in JSON, then these)."""
+    with path.open("rb") as file:
+        head = file.read(min(int.from_bytes(file.read(8), "little"), TEXT_BYTES))
+    return b'"__metadata__"' in head and b'"devrf"' in head
 
 
 def _remove(folder: Path) -> None:

@@ -46,6 +46,8 @@ def run(context: StageContext) -> None:
         )
     )
     write_scene(context.out, scene)
+    files = (file for f in scene.frames for file in (f.path, f.matte, f.flow) if file is not None)
+    context.referred += [file for file in files if not file.is_relative_to(context.out)]
 
 
 def auto_image_scale(config: SceneConfig, frames: tuple[PosedFrame, ...]) -> float:

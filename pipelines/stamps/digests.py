@@ -7,19 +7,23 @@ the same although the content is not (below), the file is read again; only conte
 
 import errno
 import hashlib
-import json
 import os
+import re
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from devrf.capture.durable import write_json
+from devrf.capture.durable import read_json, write_json
 from devrf.capture.errors import InputError
 from devrf.pipelines.logs import LOG_FILE
 
 DIGESTS = ".digests.json"  # in the run folder
 CACHE_TAG = "CACHEDIR.TAG"  # in a cache
+DROPPED = re.compile(  # names of files that macOS, Windows, desktops, NFS and editors drop; no stage reads them
+    r"\.DS_Store|\._.*|(eh)?thumbs\.db|desktop\.ini|\.directory|\.nfs[0-9a-f]+|.*~|#.*#|\..*\.sw[a-p]|.*\.(bak|orig)",
+    re.IGNORECASE,
+)
 BLOCK = 1 << 20  # bytes per read: as quick as larger ones, and stays in the processor's cache
 READERS = 4  # files read side by side: hashing releases the interpreter, and disks like a queue
 FEW = 8  # files that are read one by one: threads would cost more than they save
@@ -163,7 +167,7 @@ def _seen(stat: os.stat_result) -> Seen:
 def _read(path: Path) -> dict[str, list]:
     """What was remembered; nothing where the file is damaged or of an earlier version."""
     try:
-        known = json.loads(path.read_text())
+        known = read_json(path)
     except (OSError, ValueError):
         return {}
     if not isinstance(known, dict):
@@ -177,7 +181,10 @@ def _read(path: Path) -> dict[str, list]:
 
 
 def raw_files(folder: Path) -> list[Path]:
-    """All files below a folder, in order, but those of runs (known by log or digests) and of caches (by their tag)."""
+    """All files below a folder, in order, that can be anything of the user's.
+
+    Not so those of runs (known by log or digests) and of caches (by their tag), and what systems and editors leave.
+    """
     found = []
     for root, folders, files in os.walk(folder):
         here = Path(root)
@@ -186,5 +193,5 @@ def raw_files(folder: Path) -> list[Path]:
             for name in folders
             if not any((here / name / mark).is_file() for mark in (LOG_FILE, DIGESTS, CACHE_TAG))
         ]
-        found += [file for name in files if (file := here / name).is_file()]
+        found += [file for name in files if not DROPPED.fullmatch(name) and (file := here / name).is_file()]
     return sorted(found)

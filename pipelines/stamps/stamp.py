@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from devrf.capture.durable import parse_json
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.code_version import Code, code_of, series
 from devrf.pipelines.stamps.digests import Digests
@@ -120,7 +121,7 @@ def read_stamp(folder: Path) -> dict | None:
 def parse_stamp(text: bytes) -> dict | None:
     """A stamp from its text; None where that is damaged."""
     try:
-        stamp = json.loads(text)
+        stamp = parse_json(text)
     except ValueError:
         return None
     made_from = stamp.get("identity") if isinstance(stamp, dict) else None
@@ -147,27 +148,26 @@ def files_of(folder: Path, digests: Digests) -> dict[str, list]:
     }
 
 
-def content_of(stage: Stage, folder: Path, files: dict[str, list], made_from: dict) -> str:
+def content_of(folder: Path, files: dict[str, list], places: dict[str, str], referred: Iterable[str]) -> str:
     """One digest of what a stage left for others to read: all but its health.
 
     Of files that it refers to instead of holding them the content counts, not the place: moved, they are the same.
 
     Args:
-        stage: The stage.
-        folder: Its folder.
+        folder: The stage's folder.
         files: What is in it (`files_of`).
-        made_from: Its identity.
+        places: In its identity.
+        referred: Digests of the files that it refers to.
     """
     content = hashlib.blake2b(digest_size=16)
     for name, (_, digest) in sorted(files.items()):
         if name == HEALTH:
             continue
-        if made_from["places"] and name.endswith(".json"):
-            digest = _without_places(folder / name, folder, made_from["places"])
+        if places and name.endswith(".json"):
+            digest = _without_places(folder / name, folder, places)
         content.update(f"{name}\0{digest}\0".encode())
-    if stage.refers:
-        given = {key: value for key, value in made_from["config"].items() if isinstance(value, dict)}
-        content.update(json.dumps([given, made_from["inputs"], made_from["reads"]], sort_keys=True).encode())
+    for digest in referred:
+        content.update(f"{digest}\0".encode())
     return content.hexdigest()
 
 
@@ -201,7 +201,7 @@ def damage(folder: Path, stamp: dict, digests: Digests) -> list[str]:
     for name, (size, digest) in stamp["files"].items():
         try:
             now = (folder / name).stat().st_size
-        except OSError:
+        except (OSError, ValueError):  # a damaged name can hold what no system takes
             bad.append(f"{folder.name}/{name} is missing")
             continue
         if now != size:

@@ -4,6 +4,7 @@ import errno
 import os
 import socket
 import threading
+from collections.abc import Collection
 from ipaddress import ip_address
 
 from devrf.capture.errors import DevrfError, InputError
@@ -18,7 +19,7 @@ INSTALL = "python -m pip install 'devrf[viewer]'; in a clone: python -m pip inst
 KINDNESS = 10  # niceness beside a run
 
 
-def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
+def view(talk: Talk, job: Run, device: str, host: str, port: int, names: Collection[str] = ()) -> None:
     """Serve the viewer until the user stops it.
 
     Args:
@@ -26,6 +27,7 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
         job: The run to be looked at; nothing of it runs.
         device: auto, cpu or cuda; auto leaves the GPU to a run that is at work.
         host, port: Where pages are served.
+        names: By which browsers may ask for them, besides this machine's own.
     Raises:
         InputError: The run folder, the library, the port or the device is not there.
     """
@@ -59,7 +61,7 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int) -> None:
     settle(device)
     with stopped_by_signals():
         try:
-            site = Site(job.config, job.run_dir, device, host, port)
+            site = Site(job.config, job.run_dir, device, host, port, [host, *names])
         except OSError as error:
             text = f"--port {port}: cannot be served ({error.strerror or error})"
             raise DevrfError("port-unusable", text) from None

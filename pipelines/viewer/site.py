@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 import warnings
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ import viser
 from devrf.capture.errors import DevrfError
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.viewer.furniture import Thumbnails
+from devrf.pipelines.viewer.own_address import only_own_pages
 from devrf.pipelines.viewer.source import Found, Loaded, load, look
 from devrf.pipelines.viewer.standing import standing
 from devrf.pipelines.viewer.view import first_camera, look_through, up_of
@@ -51,11 +53,20 @@ class Site:
         run_dir: The run folder; only read.
         device: cpu or cuda.
         host, port: Where pages are served.
+        names: By which browsers may ask for them, besides this machine's own.
     Attributes:
         loaded: What is shown.
     """
 
-    def __init__(self, config: SceneConfig, run_dir: Path, device: str, host: str, port: int) -> None:
+    def __init__(
+        self,
+        config: SceneConfig,
+        run_dir: Path,
+        device: str,
+        host: str,
+        port: int,
+        names: Collection[str] = (),
+    ) -> None:
         self._config, self._run_dir, self._device = config, run_dir, device
         self._wanted, self._closed = threading.Event(), threading.Event()
         self._visits: dict[int, Visit] = {}
@@ -70,7 +81,8 @@ class Site:
         warnings.filterwarnings(
             "ignore", "Queued a .* on a closed connection"
         )  # visitors may leave at any time
-        self.server = viser.ViserServer(host=host, port=port, label=config.name, verbose=False)
+        with only_own_pages(names):
+            self.server = viser.ViserServer(host=host, port=port, label=config.name, verbose=False)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.server.gui.main_panel.dock_right()
         self._set_first_view()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from devrf.capture.durable import read_json
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
@@ -171,7 +172,7 @@ def _written(path: Path) -> int | None:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(path.read_text())
+        value = read_json(path)
     except (OSError, ValueError):
         return {}
     return value if isinstance(value, dict) else {}

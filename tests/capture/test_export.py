@@ -228,9 +228,16 @@ def test_pictures_are_copied_where_the_format_knows_lenses(odd_scene: Scene, tmp
 def test_an_export_replaces_only_an_export_of_the_same_format(odd_scene: Scene, tmp_path: Path):
     out = tmp_path / "out"
     write_dataset("colmap", odd_scene, out)
-    (out / "stray.txt").write_text("old")
+    (out / "README.txt").write_text("changed")
     write_dataset("colmap", odd_scene, out)
-    assert not (out / "stray.txt").exists()
+    assert (out / "README.txt").read_text() != "changed"
+    for name in ("outputs/trained.ckpt", "motion/notes.txt", "empty/"):
+        path = out / name
+        path.mkdir() if name.endswith("/") else (path.parent.mkdir(exist_ok=True), path.write_text("mine"))
+        with refused("folder-exists", out, name.strip("/"), kind=InputError):
+            write_dataset("colmap", odd_scene, out)
+        path.rmdir() if name.endswith("/") else path.unlink()
+    (out / "outputs").rmdir()
     with refused("folder-exists", "colmap", kind=InputError):
         write_dataset("nerfstudio", odd_scene, out)
     (tmp_path / "own").mkdir()
@@ -238,6 +245,10 @@ def test_an_export_replaces_only_an_export_of_the_same_format(odd_scene: Scene, 
     with refused("folder-exists", tmp_path / "own", kind=InputError):
         write_dataset("colmap", odd_scene, tmp_path / "own")
     assert (tmp_path / "own" / "notes.txt").read_text() == "mine"
+    (tmp_path / "own").rename(tmp_path / ".new-own")
+    with refused("folder-exists", tmp_path / ".new-own", kind=InputError):
+        write_dataset("colmap", odd_scene, tmp_path / "own")
+    (tmp_path / ".new-own").rename(tmp_path / "own")
     (tmp_path / "own" / MARKER).write_bytes(b"\xff\xfe\x00")
     with refused("folder-exists", tmp_path / "own", kind=InputError):
         write_dataset("colmap", odd_scene, tmp_path / "own")

@@ -77,11 +77,19 @@ def test_damage_in_the_middle_ends_the_clip_with_a_note(make_clip):
     "name, content, code",
     [
         ("text.mp4", b"this is a shopping list\n" * 20, "file-is-text"),
+        ("list.mp4", b"ffconcat version 1.0\nfile 'other.mp4'\n", "file-is-text"),
+        (
+            "playlist.mp4",
+            b"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\nother.mp4\n#EXT-X-ENDLIST\n",
+            "file-is-text",
+        ),
+        ("session.mp4", b"v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nm=video 5004 RTP/AVP 96\n", "file-is-text"),
         ("empty.mp4", b"", "file-empty"),
         ("noise.mp4", bytes(range(128, 256)) * 40, "file-not-video"),
     ],
 )
-def test_not_a_video(tmp_path, name, content, code):
+def test_not_a_video(make_clip, pictures, tmp_path, name, content, code):
+    make_clip("other.mp4", pictures)  # which a list may name
     path = tmp_path / name
     path.write_bytes(content)
     with refused(code, name, kind=InputError):

@@ -1,6 +1,7 @@
 """Batches whose scenes and stages lie in a store: what comes, what goes, what half a push is worth."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch import command, work
+from devrf.pipelines.batch import scratch as scratch_module
 from devrf.pipelines.batch.inputs import OUTSIDE, inputs_of
 from devrf.pipelines.batch.scenes import Options, look
 from devrf.pipelines.batch.scratch import SCRATCH, Scratch, Stored, scratch_dir
@@ -135,6 +137,45 @@ def test_scenes_side_by_side_do_not_disturb_each_other(
     monkeypatch.setattr(Store, "get_inputs", lambda store, files: (fetched.extend(files), get(store, files)))
     Scratch(c.stored).fetch(c.stages)
     assert fetched == [c.stored.files["scene.yaml"]]  # the pictures are here
+
+
+def test_what_lies_in_the_scratch_is_compared_before_it_is_used(tmp_path: Path, scratch: Path) -> None:
+    url = f"file://{tmp_path}/store"
+    task = stored_task(tmp_path, url, "a")
+    assert task.stored is not None
+    here = Scratch(task.stored)
+    (scratch_dir(url) / "inputs").mkdir()
+    for name in ("scene.yaml", "data/train/r_0.png"):
+        size, digest = task.stored.files[name]
+        (scratch_dir(url) / "inputs" / digest).write_bytes(b"x" * size)
+    for _ in range(2):  # the true ones are shared from then on
+        here.fetch(task.stages)
+        for name in ("scene.yaml", "data/train/r_0.png"):
+            place = here.scene.parent / name
+            assert place.read_bytes() == (tmp_path / "a" / name).read_bytes() and place.stat().st_nlink == 2
+
+
+@pytest.mark.parametrize("how", ["another user's", "open", "a link"])
+def test_a_scratch_that_others_could_write_is_refused(
+    tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    url = f"file://{tmp_path}/store"
+    task = stored_task(tmp_path, url, "a")
+    assert task.stored is not None
+    Scratch(task.stored)
+    folder = scratch_dir(url)
+    assert folder.stat().st_mode & 0o777 == 0o700
+    if how == "open":
+        folder.chmod(0o770)
+    elif how == "a link":
+        folder.rename(tmp_path / "elsewhere")
+        folder.symlink_to(tmp_path / "elsewhere")
+    else:
+        monkeypatch.setattr(scratch_module, "scratch_dir", lambda url: folder)
+        monkeypatch.setattr(os, "getuid", lambda: folder.stat().st_uid + 1)
+    with refused("scratch-not-own", folder, SCRATCH, "0700", kind=InputError):
+        Scratch(task.stored)
+    assert run_task(task).code == BAD_INPUT and not list(folder.iterdir())
 
 
 def test_one_content_under_two_names_comes_twice(tmp_path: Path, scratch: Path) -> None:

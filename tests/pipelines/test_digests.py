@@ -76,6 +76,17 @@ def test_a_folder_counts_by_names_and_contents(tmp_path: Path) -> None:
         (data / f"run of {name}").mkdir()
         (data / f"run of {name}" / name).write_text("{}")
         assert now() in seen
+    for name in (
+        ".DS_Store",
+        "._7",
+        "Thumbs.db",
+        "desktop.ini",
+        "7~",
+        ".7.swp",
+        "7.bak",
+    ):  # dropped by others
+        (data / "in" / name).write_text("dropped")
+        assert now() in seen
     (data / "in" / "7").write_bytes(b"\x08")
     seen.add(now())
     (data / "in" / "8").rename(data / "in" / "eight")
@@ -86,7 +97,7 @@ def test_a_folder_counts_by_names_and_contents(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", '{"a": 1}', '{"clip.mp4": [1, 2]}', '{"clip.mp4": [1,1,1,1,1,2]}']
+    "text", ["", "[]", "[" * 100_000, '{"a": 1}', '{"clip.mp4": [1, 2]}', '{"clip.mp4": [1,1,1,1,1,2]}']
 )
 def test_damaged_memory_of_digests_is_forgotten(tmp_path: Path, text: str) -> None:
     (tmp_path / "clip.mp4").write_bytes(b"clip")

@@ -18,8 +18,10 @@ from tests.pipelines.small_stages import ALL, job, small_stages, write
 
 from devrf.capture.errors import CaptureError
 from devrf.pipelines import console, logs
+from devrf.pipelines.bench.rows import print_table
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.pipelines.health.rows import row
 from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, Events
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
@@ -27,6 +29,23 @@ from devrf.pipelines.stage import StageContext
 
 def events_of(run_dir: Path) -> list[dict]:
     return [json.loads(line) for line in (run_dir / EVENTS_FILE).read_text().splitlines()]
+
+
+def test_what_names_say_does_not_steer_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    steers = "\x1b]0;title\a\x1b[31m\r\x9b\u202e\udcff[red]\ttext"
+    shown = r"\x1b]0;title\x07\x1b[31m\r\x9b\u202e\udcff[red]"
+    talk = Talk("verbose")
+    with logs.log_file(folder, "a run"):
+        talk.say(steers)
+        talk.detail(steers)
+        talk.error(steers, "code")
+        talk.health("second", [row(steers, 1.0, "", fail=2.0, remedy=steers)])
+        print_table(talk, steers, [steers], [[steers]])
+        said = capsys.readouterr()
+    log = (folder / LOG_FILE).read_text()
+    for text, count in ((said.out, 4), (said.err, 1), (log, 4)):
+        assert not set("\x1b\a\r\x9b\u202e") & set(text)
+        assert text.count(shown) >= count
 
 
 def test_a_run_tells_programs_what_happened(folder: Path) -> None:

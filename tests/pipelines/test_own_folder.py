@@ -86,6 +86,23 @@ def test_a_folder_of_others_is_not_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "name",
+    [".flow/a", "logs/scene-x.log", "report/index.html", ".canonical.mine.safetensors", "events.jsonl", ".lock",
+     ".failed-scene.json"],
+)  # fmt: skip
+def test_what_runs_replace_is_refused_where_no_run_has_worked(tmp_path: Path, name: str) -> None:
+    """From the first run on, these names are the runs'."""
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    for free in (".new-ideas", ".git", "films", "photos"):
+        (tmp_path / free).mkdir()
+    with refused("folder-exists", tmp_path, f" {name.split('/')[0]} ", "output", kind=InputError):
+        check_run_folder(tmp_path, stage_names())
+    (tmp_path / "devrf.log").touch()
+    check_run_folder(tmp_path, stage_names())
+
+
+@pytest.mark.parametrize(
     "name", [".lock", "devrf.log", "events.jsonl", "ingest", ".flow/cam0", ".anything", "export"]
 )
 def test_links_are_not_written_through(scene: Path, devrf: Command, name: str) -> None:
@@ -109,6 +126,15 @@ def test_links_are_not_written_through(scene: Path, devrf: Command, name: str) -
         )
     assert [path.name for path in outside.iterdir()] == ["precious"]
     assert (outside / "precious").read_text() == "precious"
+
+
+def test_rows_are_not_written_over_an_input(scene: Path, devrf: Command) -> None:
+    text = json.dumps({"name": "x", "capture": {"static": "a.mp4"}})
+    (scene / "scene.yaml").write_text(text)
+    for name in ("scene.yaml", "b.mp4"):
+        result = devrf("check", scene, "--json", scene / name)
+        assert result.code == 2 and f"--json {scene / name}: " in result.err and "[file-exists]" in result.err
+    assert (scene / "scene.yaml").read_text() == text and (scene / "b.mp4").read_bytes() == b"x"
 
 
 def test_names_in_a_data_set_stay_names(tmp_path: Path, odd_scene: Scene) -> None:

@@ -5,6 +5,7 @@ Run as a program, this file executes the same stages in a process of its own, so
 
 import errno
 import json
+import os
 import re
 import signal
 import subprocess
@@ -258,13 +259,25 @@ def test_output_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixtu
 def test_a_swap_half_done_is_finished_or_undone(folder: Path) -> None:
     executed(folder)
     run_dir = folder / "run"
-    (run_dir / "second").rename(run_dir / ".old-second-abc")  # killed between the two renames
-    (run_dir / ".new-second-1-abc").mkdir()
-    (run_dir / ".new-second-1-abc" / "half.txt").write_text("half")
+    (run_dir / "second").rename(run_dir / ".old-second-abcdef")  # killed between the two renames
+    (run_dir / ".new-second-1-abcdef").mkdir()
+    (run_dir / ".new-second-1-abcdef" / "half.txt").write_text("half")
     assert executed(folder) == []  # the old one is back
-    (run_dir / "second").rename(run_dir / ".old-second-abc")
-    (run_dir / "third").rename(run_dir / ".new-third-1-abc")  # never had a name: not trusted
+    (run_dir / "second").rename(run_dir / ".old-second-abcdef")
+    (run_dir / "third").rename(run_dir / ".new-third-1-abcdef")  # never had a name: not trusted
     assert executed(folder) == ["third"]
+
+
+def test_what_a_run_has_not_made_is_not_cleared_away(folder: Path) -> None:
+    executed(folder)
+    run_dir = folder / "run"
+    mine = [".new-ideas/a", ".old-photos-1/a", ".notes.tmp", ".third.mine.safetensors", "logs/mine.log"]
+    for name in mine:
+        (run_dir / name).parent.mkdir(exist_ok=True)
+        (run_dir / name).write_text("mine")
+    os.utime(run_dir / ".third.mine.safetensors", (0, 0))  # older than the stage
+    assert executed(folder, choice=Choice(force=("third",))) == ["third"]
+    assert [(run_dir / name).read_text() for name in mine] == ["mine"] * len(mine)
 
 
 # --- killed ---

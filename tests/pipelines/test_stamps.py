@@ -10,13 +10,18 @@ from pathlib import Path
 import pytest
 from tests.declared import watch
 from tests.pipelines.small_stages import ALL, CHAIN, executed, job, small_stages, stage, stand
+from tests.pipelines.tiny_scenes import tiny_scene
 
+from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import standings
+from devrf.pipelines.runner.plan import Choice, standings
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stamps import digests
+from devrf.pipelines.stamps.stamp import stamp_content
 
 
 @pytest.fixture
@@ -174,6 +179,7 @@ def test_a_data_set_that_lies_elsewhere_runs_only_what_points_to_it(folder: Path
         (context.out / "static").mkdir()
         names = {"file_path": Path(os.path.relpath(path, context.out / "static")).as_posix()}
         (context.out / "static" / "transforms.json").write_text(json.dumps(names))
+        context.referred.append(path)
 
     real = next(s for s in STAGES if s.name == "scene")
     small = type(real)(
@@ -200,6 +206,28 @@ def test_a_data_set_that_lies_elsewhere_runs_only_what_points_to_it(folder: Path
         "scene",
         "flow",
     ]  # which reads the picture, though scene only points to it
+    (folder / "further/moved/notes.txt").write_text("of no picture")
+    assert run("further/moved") == ["scene"]  # which came out the same
+
+
+def test_a_scene_counts_by_what_it_points_to(tmp_path: Path) -> None:
+    """Of a data set: what is only written otherwise, or belongs to no picture, costs no training."""
+    scene, data = tiny_scene(tmp_path, "a"), tmp_path / "a/data"
+    real = tuple(s for s in STAGES if s.name == "scene")
+
+    def content() -> str | None:
+        run = Run(load_scene(scene), scene.parent, real, Choice(allow_unhealthy=True), Talk("quiet"))
+        assert execute(run) == DONE and run.executed == ["scene"]
+        return stamp_content(run.run_dir / "scene")
+
+    first = content()
+    transforms = data / "transforms_train.json"
+    transforms.write_text(json.dumps(json.loads(transforms.read_text()), indent=7))
+    (data / "notes.txt").write_text("of no picture")
+    assert content() == first
+    picture = next(data.glob("**/r_0.png"))
+    picture.write_bytes(picture.with_name("r_1.png").read_bytes())
+    assert content() != first
 
 
 # --- damage ---
@@ -214,6 +242,23 @@ def test_a_damaged_result_is_made_again(folder: Path, at_rest: None) -> None:
     assert executed(folder) == ["third"]
     (folder / "run/third/health.json").unlink()
     assert executed(folder) == ["third"]
+
+
+@pytest.mark.parametrize("name", ["second/stamp.json", "second/health.json", ".failed-third.json", ".lock"])
+def test_what_is_nested_too_deeply_counts_as_damaged(folder: Path, name: str, at_rest: None) -> None:
+    executed(folder)
+    (folder / "run" / name).write_text("[" * 100_000)
+    stand(folder)
+    assert executed(folder) == (["second"] if name.startswith("second") else [])
+
+
+@pytest.mark.parametrize("name", ["zero\0byte", "a" * 300])
+def test_a_stamp_with_names_that_no_system_takes(folder: Path, name: str) -> None:
+    executed(folder)
+    stamp = folder / "run/second/stamp.json"
+    made = json.loads(stamp.read_text())
+    stamp.write_text(json.dumps(made | {"files": {**made["files"], name: [1, "x"]}}))
+    assert executed(folder) == ["second"]
 
 
 # --- what is said ---

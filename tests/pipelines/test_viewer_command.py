@@ -15,6 +15,7 @@ from tests.reconstruct.test_model_io import _model
 from tests.waiting import wait_for
 
 from devrf.capture.scene import Scene
+from devrf.pipelines.viewer.own_address import refusal
 
 
 @pytest.fixture
@@ -75,14 +76,44 @@ def test_it_reads_only_and_ends_at_once(odd_scene: Scene, tmp_path: Path, sign: 
         with socket.create_connection(("127.0.0.1", port), timeout=10) as page:
             page.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
             assert b"200 OK" in page.recv(1000)
-        asked = time.monotonic()
+        for asked in (b"Host: evil.example", b"Host: localhost\r\nOrigin: http://evil.example"):
+            with socket.create_connection(("127.0.0.1", port), timeout=10) as page:
+                page.sendall(
+                    b"GET / HTTP/1.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+                    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" + asked + b"\r\n\r\n"
+                )
+                assert b"403 Forbidden" in page.recv(1000)
+        told = time.monotonic()
         process.send_signal(sign)
         assert process.wait(timeout=30) == 130
-    assert time.monotonic() - asked < 10  # at once, on a busy machine too
+    assert time.monotonic() - told < 10  # at once, on a busy machine too
     said = out.read_text()
     assert ("nobody is asked for a password" in " ".join(said.split())) == (host == "0.0.0.0")
     assert said.count("\n") == 1 + (host == "0.0.0.0") and "Traceback" not in said
     assert _tree(run.run_dir) == before
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "served"),
+    [
+        ("localhost:8080", None, True),
+        ("127.0.0.1:9000", "http://127.0.0.1:9000", True),  # through a tunnel
+        ("[::1]:8080", "http://[::1]:8080", True),
+        (f"{socket.gethostname()}:8080", None, True),
+        ("scenes.example", "https://scenes.example", True),
+        ("localhost:8080", "https://scenes.example", True),  # a proxy that names itself
+        ("evil.example:8080", None, False),
+        ("localhost.evil.example", None, False),
+        ("localhost:8080", "http://evil.example", False),
+        ("localhost:8080", "http://localhost:3000", False),
+        ("localhost:8080", "null", False),
+        ("[", None, False),
+        ("", None, False),
+        (None, None, False),
+    ],
+)
+def test_only_its_own_pages_are_served(host: str | None, origin: str | None, served: bool) -> None:
+    assert (refusal(host, origin, ["Scenes.example"]) is None) == served
 
 
 def _tree(folder: Path) -> list[tuple[str, int, int]]:

@@ -102,11 +102,11 @@ def test_a_full_disk_leaves_the_one_before(
     checkpoint = Checkpoint(tmp_path / "state", "one", every_s=0.0)
     checkpoint.keep(1, 500, _log(), _state)
 
-    def full(tensors: object, path: str, **_: object) -> None:
-        Path(path).write_bytes(b"half")
+    def full(path: Path, *_: object) -> None:
+        path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoints, "save_file", full)
+    monkeypatch.setattr(checkpoints, "save_tensors", full)
     checkpoint.keep(2, 500, _log(), _state)
     assert str(tmp_path / "state") in caplog.text and "No space left on device" in caplog.text
     saved = Checkpoint(tmp_path / "state", "one").found(_log())
@@ -120,11 +120,11 @@ def test_what_stops_it_while_it_writes_leaves_nothing_half_made(
 ) -> None:
     """Ctrl-C, and the watch over the disk, come wherever the program is."""
 
-    def half(tensors: object, path: str, **_: object) -> None:
-        Path(path).write_bytes(b"half")
+    def half(path: Path, *_: object) -> None:
+        path.write_bytes(b"half")
         raise stopped("disk-full", "no room")
 
-    monkeypatch.setattr(checkpoints, "save_file", half)
+    monkeypatch.setattr(checkpoints, "save_tensors", half)
     with pytest.raises(stopped):
         Checkpoint(tmp_path / "state", "one", every_s=0.0).keep(1, 500, _log(), _state)
     assert not list(tmp_path.iterdir())
@@ -134,12 +134,12 @@ def test_they_are_as_frequent_as_they_are_quick(tmp_path: Path, monkeypatch: pyt
     now, written = [0.0], []
     monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
 
-    def slow(tensors: object, path: str, **_: object) -> None:
-        Path(path).touch()
+    def slow(path: Path, *_: object) -> None:
+        path.touch()
         written.append(now[0])
         now[0] += 10.0
 
-    monkeypatch.setattr(checkpoints, "save_file", slow)
+    monkeypatch.setattr(checkpoints, "save_tensors", slow)
     checkpoint, log = Checkpoint(tmp_path / "state", "large fields"), _log()
     for done in range(500):
         checkpoint.keep(done, 500, log, lambda: ({"grid": torch.empty(1)}, {}))

@@ -1,5 +1,6 @@
 """Models survive the disk, and what is not a model is refused by name."""
 
+import os
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from tests.refused import refused
 from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
 from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import (
     FILE,
@@ -27,6 +29,7 @@ from devrf.reconstruct.model_io import (
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.training_log import TrainingLog
 
 AABB = torch.tensor([[-1.0, -1, -1], [1.0, 1, 1]])
 
@@ -54,6 +57,17 @@ def _model(background: str = "shell", deferred: bool = False, seed: int = 0) -> 
     motion = MotionField.still(AABB, 3, 5, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
     motion.backward[1:] += 0.1 * torch.randn(motion.backward[1:].shape, generator=g)
     return DynamicModel(RestModel(canonical, shell, background, 0.3, 9.0, {}), motion)
+
+
+def test_files_have_the_rights_that_the_umask_leaves(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        save_rest(tmp_path / "model", _model().rest)
+        checkpoint = Checkpoint(tmp_path / "state", "one", every_s=0.0)
+        checkpoint.keep(1, 5, TrainingLog("cpu", 3), lambda: ({"a": torch.zeros(1)}, {}))
+    finally:
+        os.umask(before)
+    assert [oct((tmp_path / name).stat().st_mode & 0o777) for name in ("model", "state")] == ["0o640"] * 2
 
 
 @pytest.mark.parametrize(
