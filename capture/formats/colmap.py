@@ -1,4 +1,4 @@
-"""A COLMAP model with its pictures as a scene at rest: `sparse/0` (or `sparse`) and `images/`.
+"""A COLMAP model with its pictures as a scene at rest: `sparse/0`, `sparse/1`, … (or `sparse`) and `images/`.
 
 Our addition, which other programs use too: `test.txt` beside the model, names of the test pictures. Written, pictures
 in motion are a second folder of the same kind, `motion/`, with the fixed cameras as a rig.
@@ -17,6 +17,8 @@ from devrf.capture.formats.colmap_model import (
     ModelCamera,
     ModelImage,
     ModelPoint,
+    count_images,
+    is_model,
     read_model,
     write_model,
 )
@@ -33,7 +35,7 @@ from devrf.capture.formats.export import Export, copied, static_of
 from devrf.capture.formats.files import Header, find_picture, read_header
 from devrf.capture.formats.llff import TEST_LIST, read_names
 from devrf.capture.formats.point_colours import point_colours
-from devrf.capture.picture_files import natural_key
+from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
 
 MOTION, TIMES = "motion", "times.csv"
@@ -51,7 +53,7 @@ READ_MODELS = (
 
 def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     """A scene at rest with its sparse points."""
-    place = model_folder(folder)
+    place = model_folder(folder, notes)
     model = read_model(place)
     if not model.images:
         text = f"{place}: no image is registered; expected a model with pictures"
@@ -73,6 +75,11 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
         frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
     if grey:
         notes.append(f"{grey} grey pictures, read as RGB")
+    files = (folder / "images").rglob("*")
+    beside = {p.resolve() for p in files if p.suffix.lower() in PICTURE_SUFFIXES and p.name[0] != "."}
+    if unused := len(beside - {f.path for f in frames}):
+        used = f"{len(beside) - unused} of the {len(beside)} pictures of images/"
+        notes.append(f"{used} are in the model; the others have no camera and are not used")
     points = _points(model, order)
     return Pictures(tuple(frames), has_split=test is not None, points=points)
 
@@ -146,14 +153,33 @@ def _write(
     (place / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
 
 
-def model_folder(folder: Path) -> Path:
-    """`sparse/0`, `sparse` or the folder itself, whichever holds a model first."""
-    places = [folder / "sparse" / "0", folder / "sparse", folder]
-    for place in places:
-        if any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
-            return place
-    wrong = f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself"
-    raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model and images/")
+def model_folders(folder: Path) -> list[Path]:
+    """Where a folder holds models: in folders of `sparse` (`0`, `1`, …) and `sparse`; else the folder itself."""
+    sparse = folder / "sparse"
+    below = sorted(sparse.iterdir(), key=lambda p: natural_key(p.name)) if sparse.is_dir() else []
+    return list(filter(is_model, [*below, sparse])) or list(filter(is_model, [folder]))
+
+
+def model_folder(folder: Path, notes: list[str]) -> Path:
+    """The model with the most pictures: the mapper numbers models as it began them. Of equal ones the first.
+
+    Args:
+        folder: A data set, or a calibration.
+        notes: Where there are several, what they hold is added here, in words.
+    Raises:
+        CaptureError: There is no model, or one whose pictures cannot be counted.
+    """
+    places = model_folders(folder)
+    if not places:
+        wrong = f"{folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself"
+        raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model and images/")
+    if len(places) == 1:
+        return places[0]
+    counts = {place: count_images(place) for place in places}
+    largest = max(places, key=counts.__getitem__)
+    each = ", ".join(f"{place.relative_to(folder)} {count} pictures" for place, count in counts.items())
+    notes.append(f"{len(places)} models: {each}; the largest is read, {largest.relative_to(folder)}")
+    return largest
 
 
 def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray, LensModel]:

@@ -97,29 +97,46 @@ def read_model(folder: Path) -> Model:
     Raises:
         CaptureError: A file is missing or damaged.
     """
-    parts = []
-    for name, binary, text in (
-        ("cameras", _binary_cameras, _text_cameras),
-        ("images", _binary_images, _text_images),
-        ("points3D", _binary_points, _text_points),
-    ):
-        path = folder / f"{name}.bin"
-        path = path if path.is_file() else folder / f"{name}.txt"
-        if not path.is_file():
-            if name == "points3D":
-                parts.append({})
-                continue
-            text = f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model"
-            raise CaptureError("file-missing", text)
-        try:
-            check_bytes(path, MODEL_BYTES)
-            parts.append(
-                binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
-            )
-        except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
-            text = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
-            raise CaptureError("file-damaged", text) from None
-    return Model(*parts)
+    points = _part(folder, "points3D") if _file(folder, "points3D").is_file() else {}
+    return Model(_part(folder, "cameras"), _part(folder, "images"), points)
+
+
+def is_model(folder: Path) -> bool:
+    """Whether a folder holds a model, in either form."""
+    return _file(folder, "cameras").is_file()
+
+
+def count_images(folder: Path) -> int:
+    """How many pictures a model has, without its keypoints where it is binary.
+
+    Raises:
+        CaptureError: As of `read_model`.
+    """
+    path = _file(folder, "images")
+    if path.suffix == ".bin":
+        with path.open("rb") as file:
+            head = file.read(8)
+        if len(head) == 8:
+            return struct.unpack("<Q", head)[0]
+    return len(_part(folder, "images"))
+
+
+def _file(folder: Path, name: str) -> Path:
+    path = folder / f"{name}.bin"
+    return path if path.is_file() else folder / f"{name}.txt"
+
+
+def _part(folder: Path, name: str) -> dict:
+    path, (binary, text) = _file(folder, name), PARTS[name]
+    if not path.is_file():
+        wrong = f"{folder}: neither {name}.bin nor {name}.txt"
+        raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model")
+    try:
+        check_bytes(path, MODEL_BYTES)
+        return binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
+    except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
+        wrong = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
+        raise CaptureError("file-damaged", wrong) from None
 
 
 def write_model(folder: Path, model: Model) -> None:
@@ -254,3 +271,10 @@ def _text_points(text: str) -> dict[int, ModelPoint]:
         images = np.array(track[::2], dtype=np.int64)
         out[int(number)] = ModelPoint(np.array([float(x), float(y), float(z)]), float(error), images)
     return out
+
+
+PARTS = {  # readers of the binary and of the text file
+    "cameras": (_binary_cameras, _text_cameras),
+    "images": (_binary_images, _text_images),
+    "points3D": (_binary_points, _text_points),
+}

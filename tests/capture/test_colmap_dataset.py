@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
+from devrf.calibration.formats import find_calibration
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset
+from devrf.capture.formats.colmap_model import Model, ModelCamera, ModelImage, write_model
 
 POSES = ("1 0 0 0 0.1 0.2 3", "0.9238795325112867 0 0.3826834323650898 0 0 0 3", "2 0 0 0 -1 0 3")
 
@@ -62,4 +64,45 @@ def test_colmap_text(tmp_path: Path, camera, K, lens):
 def test_colmap_lenses_that_are_not_read_are_named(tmp_path: Path):
     colmap_text(tmp_path, "FOV 48 32 40 41 23 15 .1")
     with refused("lens-unread", "FOV", kind=CaptureError):
+        read_dataset("colmap", tmp_path)
+
+
+def numbered_model(folder: Path, number: int, names: list[str], binary: bool) -> None:
+    """`sparse/<number>` with these pictures of `colmap_text`, without points."""
+    images = {
+        n + 1: ModelImage(name, 7, np.array([1.0, 0, 0, 0]), np.array([0.1 * n, 0, 3]))
+        for n, name in enumerate(names)
+    }
+    place = folder / "sparse" / str(number)
+    write_model(place, Model({7: ModelCamera("SIMPLE_PINHOLE", 48, 32, (40.0, 23.0, 15.0))}, images, {}))
+    if not binary:
+        lines = [f"{n} 1 0 0 0 {image.translation[0]} 0 3 7 {image.name}\n" for n, image in images.items()]
+        (place / "images.txt").write_text("\n".join(lines) + "\n")
+        (place / "images.bin").unlink()
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_of_several_models_the_largest_is_read(tmp_path: Path, binary: bool):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    for file in (tmp_path / "sparse").iterdir():
+        file.unlink()
+    for number, count in ((0, 1), (1, 2), (10, 1)):
+        numbered_model(tmp_path, number, [f"a {n}.png" for n in range(count)], binary)
+    notes: list[str] = []
+    scene = read_dataset("colmap", tmp_path, notes=notes)
+    assert [f.path.name for f in scene.static] == ["a 0.png", "a 1.png"]
+    assert "sparse/0 1" in notes[0] and "sparse/1 2" in notes[0] and "sparse/10 1" in notes[0]
+    assert "2 of the 3" in notes[1]
+    found = find_calibration(tmp_path)
+    assert list(found.cameras) == ["a 0", "a 1"]
+    assert list(found.notes) == notes[:1]
+    numbered_model(tmp_path, 2, ["a 2.png", "a 1.png"], binary)  # as large: the first of them
+    assert {f.path.name for f in read_dataset("colmap", tmp_path).static} == {"a 0.png", "a 1.png"}
+
+
+def test_a_damaged_model_beside_another_is_named(tmp_path: Path):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    numbered_model(tmp_path, 0, ["a 0.png"], True)
+    (tmp_path / "sparse/0/images.bin").write_bytes(b"")
+    with refused("file-damaged", "sparse/0/images.bin", kind=CaptureError):
         read_dataset("colmap", tmp_path)
