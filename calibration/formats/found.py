@@ -77,7 +77,8 @@ def text_of(path: Path) -> str:
             raise InputError("file-too-large", text)
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError("file-damaged", f"{path}: not a text file; expected a calibration file") from None
+        wrong = f"{path}: not UTF-8 text; expected a calibration file"
+        raise InputError("encoding-wrong", f"{wrong}; save it as UTF-8 (UTF-16 is not read)") from None
     except OSError as error:
         wrong = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
         raise InputError("file-unreadable", wrong) from None

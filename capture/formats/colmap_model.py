@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.formats.files import read_text
 from devrf.capture.limits import MODEL_BYTES, check_bytes
 
 MODELS = (  # name and number of parameters, by COLMAP's number of the model
@@ -132,8 +133,10 @@ def _part(folder: Path, name: str) -> dict:
         wrong = f"{folder}: neither {name}.bin nor {name}.txt"
         raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model")
     try:
+        if path.suffix == ".txt":
+            return text(read_text(path, MODEL_BYTES))
         check_bytes(path, MODEL_BYTES)
-        return binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
+        return binary(_Bytes(path.read_bytes()))
     except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
         wrong = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
         raise CaptureError("file-damaged", wrong) from None
@@ -249,19 +252,39 @@ def _text_cameras(text: str) -> dict[int, ModelCamera]:
 
 
 def _text_images(text: str) -> dict[int, ModelImage]:
-    """Two lines per image; the second, of keypoints, may be empty."""
+    """Two lines per image; the second, of keypoints, is empty or missing where it has none.
+
+    Other empty lines mean nothing. A line of numbers in threes is keypoints; one that begins an image has its name.
+    """
     out, lines = {}, _lines(text)
-    while lines and not lines[-1]:
-        lines.pop()
-    for head, keypoints in zip(lines[::2], [*lines[1::2], ""], strict=False):
-        number, *pose, camera_id, name = head.split(maxsplit=9)
-        if len(pose) != 7:
-            raise ValueError(f"image {number} has {len(pose)} numbers of a pose, expected 7")
-        values = np.array(keypoints.split(), dtype=np.float64).reshape(-1, 3)
-        quat_wxyz, translation = np.array(pose[:4], dtype=np.float64), np.array(pose[4:], dtype=np.float64)
-        points = values[:, 2].astype(np.int64)
-        out[int(number)] = ModelImage(name, int(camera_id), quat_wxyz, translation, values[:, :2], points)
+    at = 0
+    while at < len(lines):
+        head, at = lines[at].split(maxsplit=9), at + 1
+        if not head:
+            continue
+        if len(head) < 10:
+            wrong = f"'{_shown(lines[at - 1])}' is neither an image nor its keypoints"
+            raise ValueError(
+                f"{wrong}: each image has two lines, of id, 7 numbers of a pose, camera, name; of x, y, id"
+            )
+        values = _keypoints(lines[at]) if at < len(lines) else None
+        at += values is not None
+        values = np.zeros((0, 3)) if values is None else values
+        pose, points = np.array(head[1:8], dtype=np.float64), values[:, 2].astype(np.int64)
+        out[int(head[0])] = ModelImage(head[9], int(head[8]), pose[:4], pose[4:], values[:, :2], points)
     return out
+
+
+def _keypoints(line: str) -> np.ndarray | None:
+    """x, y and point of keypoints [k, 3]; None where the line has none and is another image's."""
+    try:
+        return np.array(line.split(), dtype=np.float64).reshape(-1, 3)
+    except ValueError:
+        return None
+
+
+def _shown(line: str) -> str:
+    return line if len(line) <= 60 else line[:57] + "..."
 
 
 def _text_points(text: str) -> dict[int, ModelPoint]:

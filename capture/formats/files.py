@@ -1,4 +1,4 @@
-"""Files of data sets: JSON, and what the header of a picture says before its pixels are read."""
+"""Files of data sets: text and JSON, and what the header of a picture says before its pixels are read."""
 
 import json
 import math
@@ -68,15 +68,30 @@ def read_header(path: Path) -> Header:
     raise CaptureError("picture-kind-unread", text)
 
 
+def read_text(path: Path, most: int = TEXT_BYTES) -> str:
+    """UTF-8 text of at most `most` bytes, with or without the signature that Windows programs put before it.
+
+    Raises:
+        CaptureError: Larger, or not UTF-8.
+        OSError: It cannot be read.
+    """
+    check_bytes(path, most)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        wrong = f"{path}: not UTF-8 text ({error.reason} at byte {error.start})"
+        remedy = "save it as UTF-8 (UTF-16 is not read), or copy it again if it is damaged"
+        raise CaptureError("encoding-wrong", f"{wrong}; {remedy}") from None
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object.
 
     Raises:
-        CaptureError: The file is missing, is not JSON, or holds something else.
+        CaptureError: The file is missing, is not JSON in UTF-8, or holds something else.
     """
     try:
-        check_bytes(path, TEXT_BYTES)
-        value = json.loads(path.read_text(), parse_int=_whole)
+        value = json.loads(read_text(path), parse_int=_whole)
     except FileNotFoundError:
         text = f"{path}: file not found; check dataset.path and dataset.format"
         raise CaptureError("file-missing", text) from None

@@ -16,9 +16,8 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
-from devrf.capture.formats.files import Header, read_header
+from devrf.capture.formats.files import Header, read_header, read_text
 from devrf.capture.formats.opengl import cam_from_opengl
-from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
 
@@ -187,8 +186,7 @@ def read_names(path: Path) -> frozenset[str] | None:
     if not path.is_file():
         return None
     try:
-        check_bytes(path, TEXT_BYTES)
-        return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
-    except (OSError, UnicodeDecodeError) as error:
+        return frozenset(line.strip() for line in read_text(path).splitlines() if line.strip())
+    except OSError as error:
         text = f"{path}: no list of names ({error}); write one name per line, or remove it"
         raise CaptureError("file-damaged", text) from None

@@ -127,7 +127,7 @@ def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
     for name in ("intri.yml", "extri.yml"):
         assert rig_of(read(tmp_path / name)).cameras["cam2"].camera.K[0, 0] == 502
     (tmp_path / "intri.yml").write_bytes(b"\xff\xfe\x00")
-    with refused("file-damaged", "intri.yml", kind=InputError):
+    with refused("encoding-wrong", "intri.yml", kind=InputError):
         read(tmp_path / "extri.yml")
     (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\nK_cam0: 1\n")
     with refused("entry-wrong", "intri.yml", "names is None", kind=InputError):

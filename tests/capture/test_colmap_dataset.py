@@ -106,3 +106,61 @@ def test_a_damaged_model_beside_another_is_named(tmp_path: Path):
     (tmp_path / "sparse/0/images.bin").write_bytes(b"")
     with refused("file-damaged", "sparse/0/images.bin", kind=CaptureError):
         read_dataset("colmap", tmp_path)
+
+
+SIGNATURE = b"\xef\xbb\xbf"  # as Windows programs put it before UTF-8
+
+
+def model_files(folder: Path) -> list[Path]:
+    return sorted((folder / "sparse").glob("*.txt"))
+
+
+def same_cameras(folder: Path, other: Path) -> None:
+    a, b = (read_dataset("colmap", place).static for place in (folder, other))
+    assert [f.path.name for f in a] == [f.path.name for f in b]
+    for first, second in zip(a, b, strict=True):
+        np.testing.assert_array_equal(first.camera.cam_from_world, second.camera.cam_from_world)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: SIGNATURE + text,
+        lambda text: text.replace(b"\n", b"\r\n"),
+        lambda text: text.replace(b"list\n", b"list\n\n\n"),  # below the comment
+        lambda text: text.replace(b".png\n\n", b".png\n"),  # an image without its line of keypoints
+        lambda text: text.replace(b"-1\n", b"-1\n\n"),  # below an image's keypoints
+        lambda text: text.replace(
+            b".png\n1.5 2.5 11 3.5 4.5 -1\n", b".png\n"
+        ),  # known poses without second lines
+        lambda text: text + b"\n\n",
+    ],
+)
+def test_colmap_text_as_others_leave_it(tmp_path: Path, change):
+    for name in ("plain", "changed"):
+        colmap_text(tmp_path / name, "SIMPLE_PINHOLE 48 32 40 23 15")
+    for file in model_files(tmp_path / "changed"):
+        file.write_bytes(change(file.read_bytes()))
+    same_cameras(tmp_path / "changed", tmp_path / "plain")
+
+
+def test_keypoints_that_are_cut_off_are_no_image(tmp_path: Path):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    file = tmp_path / "sparse/images.txt"
+    file.write_text(file.read_text().replace("4.5 -1", "4.5"))
+    with refused("file-damaged", "images.txt", "1.5 2.5 11 3.5 4.5", "two lines", kind=CaptureError):
+        read_dataset("colmap", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["sparse/cameras.txt", "sparse/test.txt"])
+def test_text_in_utf_16_is_named(tmp_path: Path, name: str):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    (tmp_path / name).write_text("7 SIMPLE_PINHOLE 48 32 40 23 15\n", "utf-16")
+    with refused("encoding-wrong", name, "UTF-8", kind=CaptureError):
+        read_dataset("colmap", tmp_path)
+
+
+def test_a_list_of_test_pictures_with_a_signature(tmp_path: Path):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    (tmp_path / "sparse/test.txt").write_bytes(SIGNATURE + b"a 0.png\r\na 2.png\r\n")
+    assert [f.split for f in read_dataset("colmap", tmp_path).static] == ["test", "train", "test"]
