@@ -16,6 +16,7 @@ from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder,
 from devrf.capture.formats.colmap_model import Model, ModelImage, read_model, write_model
 from devrf.capture.formats.colmap_poses import pose, quat_wxyz
 from devrf.capture.formats.colmap_rigs import common_rig, write_rigs
+from devrf.capture.formats.files import with_slashes
 
 FORMAT = "COLMAP model"
 SAME_ROTATION, SAME_POSITION = (
@@ -42,7 +43,7 @@ def read_colmap_rig(folder: Path) -> Found:
             text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
             raise InputError("camera-missing", text)
         K, lens, lens_model = intrinsics(camera, where)
-        path = PurePosixPath(image.name)
+        path = PurePosixPath(with_slashes(image.name))
         name = path.parts[-2] if len(path.parts) > 1 else path.stem
         size = (camera.width, camera.height)
         seen.setdefault(name, []).append(FoundCamera(K, lens, lens_model, size, pose(image, where)))

@@ -32,7 +32,7 @@ from devrf.capture.formats.colmap_rigs import (
     write_rigs,
 )
 from devrf.capture.formats.export import Export, copied, static_of
-from devrf.capture.formats.files import Header, find_picture, read_header
+from devrf.capture.formats.files import Header, find_picture, read_header, with_slashes
 from devrf.capture.formats.llff import TEST_LIST, read_names
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
@@ -64,13 +64,13 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     for n, number in enumerate(order):
         image = model.images[number]
         where = f"{place}: image {number} ({image.name})"
-        header = read_header(find_picture(folder / "images" / image.name))
+        header = read_header(find_picture(folder / "images", image.name))
         grey += header.grey
         intrinsics = model.cameras.get(image.camera_id)
         if intrinsics is None:
             text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
             raise CaptureError("camera-missing", text)
-        split = "test" if test is not None and image.name in test else "train"
+        split = "test" if test is not None and with_slashes(image.name) in test else "train"
         camera = _camera(intrinsics, image, header, where)
         frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
     if grey:

@@ -5,7 +5,7 @@ import math
 import os
 import re
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from devrf.capture.errors import CaptureError
@@ -36,18 +36,35 @@ class Header:
         return f"{self.width}x{self.height}"
 
 
-def find_picture(file: Path) -> Path:
-    """The file itself, or with a usual ending added (Blender's layout names pictures without one).
+def find_picture(base: Path, name: str) -> Path:
+    """The file that a data set names.
 
+    Where there is none of that very name: with a usual ending added (Blender's layout names pictures without one), with
+    its ending in capitals or small letters, or with each backslash as a slash (paths of Windows).
+
+    Args:
+        base: Folder that the name is relative to.
+        name: As the data set has it.
     Raises:
         CaptureError: There is no such file.
     """
-    for ending in PICTURE_ENDINGS:
-        candidate = file.with_name(file.name + ending) if file.name else file
-        if candidate.is_file():
-            return candidate.resolve()
-    text = f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry"
-    raise CaptureError("picture-missing", text)
+    for written in dict.fromkeys((name, with_slashes(name))):
+        file = base / written
+        names = [file.name + ending for ending in PICTURE_ENDINGS]
+        names += [file.stem + change(file.suffix) for change in (str.lower, str.upper)]
+        for candidate in (file.with_name(other) for other in names if file.name):
+            if candidate.is_file():
+                return candidate.resolve()
+    remedy = "copy it into the data set, or remove its entry"
+    if PureWindowsPath(name).drive:
+        remedy = f"name it relative to {base}"
+    wrong = f"{base / name}: picture not found (nor with .png or .jpg added)"
+    raise CaptureError("picture-missing", f"{wrong}; {remedy}")
+
+
+def with_slashes(name: str) -> str:
+    """A path as it would be written elsewhere than on Windows."""
+    return name.replace("\\", "/")
 
 
 def read_header(path: Path) -> Header:

@@ -16,7 +16,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
-from devrf.capture.formats.files import Header, read_header, read_text
+from devrf.capture.formats.files import Header, read_header, read_text, with_slashes
 from devrf.capture.formats.opengl import cam_from_opengl
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
@@ -182,11 +182,11 @@ def pictures_in(folder: Path) -> list[Path]:
 
 
 def read_names(path: Path) -> frozenset[str] | None:
-    """Names in a list, one per line; None where there is no list."""
+    """Names in a list, one per line, with slashes; None where there is no list."""
     if not path.is_file():
         return None
     try:
-        return frozenset(line.strip() for line in read_text(path).splitlines() if line.strip())
+        return frozenset(with_slashes(line.strip()) for line in read_text(path).splitlines() if line.strip())
     except OSError as error:
         text = f"{path}: no list of names ({error}); write one name per line, or remove it"
         raise CaptureError("file-damaged", text) from None

@@ -17,6 +17,7 @@ from devrf.capture.formats.files import (
     read_json,
     relative_to,
     safe_name,
+    with_slashes,
     write_json,
 )
 from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_entry, opengl_pose
@@ -72,7 +73,7 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
     for number, entry in enumerate(frames_of(meta, path)):
         where = f"{path}: frames[{number}] ({entry['file_path']})"
         _check_model(entry.get("camera_model", "OPENCV"), path)
-        header = read_header(find_picture(path.parent / entry["file_path"]))
+        header = read_header(find_picture(path.parent, entry["file_path"]))
         grey += header.grey
         time = number_or_none(entry, "time", where)
         time_s = number_or_none(entry, "time_s", where)
@@ -89,7 +90,7 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 look=_look(entry, path.parent, where),
                 matte=None
                 if entry.get("mask_path") is None
-                else find_picture(path.parent / entry["mask_path"]),
+                else find_picture(path.parent, str(entry["mask_path"])),
             )
         )
     if grey and notes is not None:
@@ -135,12 +136,9 @@ def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
     """`split` of the entry, else by nerfstudio's lists of names."""
     split = entry.get("split")
     if split is None:
-        name = entry["file_path"]
-        return (
-            "test"
-            if any(name in (meta.get(f"{kind}_filenames") or ()) for kind in ("test", "val"))
-            else "train"
-        )
+        name = with_slashes(entry["file_path"])
+        listed = [other for kind in ("test", "val") for other in meta.get(f"{kind}_filenames") or ()]
+        return "test" if name in {with_slashes(str(other)) for other in listed} else "train"
     if split not in ("train", "test", "val"):
         raise CaptureError("entry-wrong", f"{where}: split is {split!r}; expected train or test")
     return "train" if split == "train" else "test"

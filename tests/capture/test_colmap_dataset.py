@@ -164,3 +164,18 @@ def test_a_list_of_test_pictures_with_a_signature(tmp_path: Path):
     colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
     (tmp_path / "sparse/test.txt").write_bytes(SIGNATURE + b"a 0.png\r\na 2.png\r\n")
     assert [f.split for f in read_dataset("colmap", tmp_path).static] == ["test", "train", "test"]
+
+
+def test_names_with_backslashes(tmp_path: Path):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    (tmp_path / "images/left").mkdir()
+    for n in range(3):
+        (tmp_path / f"images/a {n}.png").rename(tmp_path / f"images/left/{n}.png")
+    file = tmp_path / "sparse/images.txt"
+    file.write_text(file.read_text().replace("7 a ", "7 left\\"))
+    (tmp_path / "sparse/test.txt").write_text("left/1.png\n")
+    assert [f.split for f in read_dataset("colmap", tmp_path).static] == ["train", "test", "train"]
+    file.write_text(
+        "".join(line + "\n" for line in file.read_text().splitlines()[:3])
+    )  # one picture: a fixed camera
+    assert list(find_calibration(tmp_path).cameras) == ["left"]

@@ -307,3 +307,32 @@ def test_names_of_plain_colours():
 def test_flip_is_its_own_inverse():
     np.testing.assert_array_equal(FLIP_YZ @ FLIP_YZ, np.eye(4))
     assert isinstance(Camera(2, 2, np.eye(3), np.eye(4)[:3]).moved(FLIP_YZ), Camera)
+
+
+def test_names_as_windows_writes_them(tmp_path: Path):
+    files = ["images/0.png", "images/1.JPG", "images/2.png", "masks/0.png"]
+    for file in files:
+        picture(tmp_path / file)
+    names = ["images\\0.png", "images\\1.jpg", ".\\images\\2"]
+    entries = [{"file_path": n, "transform_matrix": opengl(k).tolist()} for k, n in enumerate(names)]
+    entries[0]["mask_path"] = "masks\\0.PNG"
+    meta = {"camera_angle_x": 0.8, "frames": entries, "test_filenames": ["images/1.jpg"]}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    frames = read_dataset("nerfstudio", tmp_path).static
+    assert [f.path.name for f in frames] == ["0.png", "1.JPG", "2.png"]
+    assert [f.split for f in frames] == ["train", "test", "train"]
+    assert frames[0].matte == tmp_path / files[3]
+    entries[0]["file_path"] = "C:\\set\\images\\0.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    with refused("picture-missing", "C:\\set\\images\\0.png", f"relative to {tmp_path}", kind=CaptureError):
+        read_dataset("nerfstudio", tmp_path)
+
+
+def test_a_backslash_in_the_name_of_a_file_stays_one(tmp_path: Path):
+    entries = [{"file_path": f"a\\{n}.png", "transform_matrix": opengl(n).tolist()} for n in range(2)]
+    for n in range(2):
+        picture(tmp_path / f"a\\{n}.png")
+        picture(tmp_path / f"a/{n}.png")
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": entries}))
+    names = [f.path.name for f in read_dataset("nerfstudio", tmp_path).static]
+    assert names == ["a\\0.png", "a\\1.png"]
