@@ -40,15 +40,20 @@ from devrf.capture.scene import PosedFrame, SparsePoints
 
 MOTION, TIMES = "motion", "times.csv"
 LARGEST_ERROR_PX, SHORTEST_TRACK = 2.0, 3  # as for our own sweeps: points beyond are often wrong
-READ_MODELS = (
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "FULL_OPENCV",
-    "OPENCV_FISHEYE",
-)
+READ_MODELS: dict[str, LensModel] = {  # without distortion, or with the first coefficients of ours
+    "SIMPLE_PINHOLE": "OPENCV",
+    "PINHOLE": "OPENCV",
+    "SIMPLE_RADIAL": "OPENCV",
+    "RADIAL": "OPENCV",
+    "OPENCV": "OPENCV",
+    "FULL_OPENCV": "OPENCV",
+    "SIMPLE_FISHEYE": "OPENCV_FISHEYE",
+    "FISHEYE": "OPENCV_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
+    "RADIAL_FISHEYE": "OPENCV_FISHEYE",
+    "OPENCV_FISHEYE": "OPENCV_FISHEYE",
+}
+TWO_FOCAL = ("PINHOLE", "OPENCV", "FULL_OPENCV", "FISHEYE", "OPENCV_FISHEYE")
 
 
 def read_colmap(folder: Path, notes: list[str]) -> Pictures:
@@ -189,19 +194,17 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
         CaptureError: A lens model that is not read.
     """
     p = camera.params
-    two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
     if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
         wrong = f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)}"
         remedy = "(FULL_OPENCV with k4 to k6 of 0); undistort the pictures with COLMAP first"
         raise CaptureError("lens-unread", f"{wrong} {remedy}")
-    fx, fy, cx, cy, *lens = p if two_focal else (p[0], *p)
+    fx, fy, cx, cy, *lens = p if camera.model in TWO_FOCAL else (p[0], *p)
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]
     if not (np.isfinite(p).all() and min(fx, fy) > 0):
         text = f"{where}: camera parameters are {list(p)}; expected focal lengths above 0"
         raise CaptureError("entry-wrong", text)
-    model: LensModel = "OPENCV_FISHEYE" if camera.model == "OPENCV_FISHEYE" else "OPENCV"
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, model
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, READ_MODELS[camera.model]
 
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:

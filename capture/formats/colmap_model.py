@@ -34,12 +34,22 @@ MODELS = (  # name and number of parameters, by COLMAP's number of the model
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
     ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 )
 MODEL_NUMBER = {name: number for number, (name, _) in enumerate(MODELS)}
 UNKNOWN_ERROR_PX = -1.0  # COLMAP's own mark for a reprojection error that was not computed
 GREY = 128
 KEYPOINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 SEEN = np.dtype([("image", "<i4"), ("keypoint", "<i4")])
+
+
+class _UnknownLens(Exception):
+    """A lens model that COLMAP has and we do not know."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +106,7 @@ def read_model(folder: Path) -> Model:
     """Read a model in either form; binary files are preferred. Without points3D there are no points.
 
     Raises:
-        CaptureError: A file is missing or damaged.
+        CaptureError: A file is missing or damaged, or a lens model is not one of `MODELS`.
     """
     points = _part(folder, "points3D") if _file(folder, "points3D").is_file() else {}
     return Model(_part(folder, "cameras"), _part(folder, "images"), points)
@@ -137,6 +147,9 @@ def _part(folder: Path, name: str) -> dict:
             return text(read_text(path, MODEL_BYTES))
         check_bytes(path, MODEL_BYTES)
         return binary(_Bytes(path.read_bytes()))
+    except _UnknownLens as error:
+        wrong = f"{path}: {error}, which this program does not know; expected {', '.join(MODEL_NUMBER)}"
+        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures with COLMAP first") from None
     except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
         wrong = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
         raise CaptureError("file-damaged", wrong) from None
@@ -209,7 +222,7 @@ def _binary_cameras(data: _Bytes) -> dict[int, ModelCamera]:
     def camera() -> tuple[int, ModelCamera]:
         number, model, width, height = data.take("iiQQ")
         if not 0 <= model < len(MODELS):
-            raise ValueError(f"camera {number} has model number {model}, which is not known")
+            raise _UnknownLens(f"camera {number} has the lens model of number {model}")
         name, count = MODELS[model]
         return number, ModelCamera(name, width, height, data.take(f"{count}d"))
 
@@ -245,8 +258,10 @@ def _text_cameras(text: str) -> dict[int, ModelCamera]:
     out = {}
     for line in filter(None, _lines(text)):
         number, model, width, height, *params = line.split()
-        if model not in MODEL_NUMBER or len(params) != MODELS[MODEL_NUMBER[model]][1]:
-            raise ValueError(f"camera {number}: model {model} with {len(params)} parameters is not known")
+        if model not in MODEL_NUMBER:
+            raise _UnknownLens(f"camera {number} has the lens model {model}")
+        if len(params) != (count := MODELS[MODEL_NUMBER[model]][1]):
+            raise ValueError(f"camera {number}: {model} with {len(params)} parameters, expected {count}")
         out[int(number)] = ModelCamera(model, int(width), int(height), tuple(map(float, params)))
     return out
 

@@ -1,5 +1,9 @@
 """COLMAP's text models, written here by hand; binary ones are in test_export.py."""
 
+import json
+import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -10,7 +14,7 @@ from tests.refused import refused
 from devrf.calibration.formats import find_calibration
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset
-from devrf.capture.formats.colmap_model import Model, ModelCamera, ModelImage, write_model
+from devrf.capture.formats.colmap_model import MODELS, Model, ModelCamera, ModelImage, write_model
 
 POSES = ("1 0 0 0 0.1 0.2 3", "0.9238795325112867 0 0.3826834323650898 0 0 0 3", "2 0 0 0 -1 0 3")
 
@@ -61,10 +65,65 @@ def test_colmap_text(tmp_path: Path, camera, K, lens):
     assert scene.points.obs_frame.tolist() == [0, 1, 2, 0, 1, 2]
 
 
-def test_colmap_lenses_that_are_not_read_are_named(tmp_path: Path):
-    colmap_text(tmp_path, "FOV 48 32 40 41 23 15 .1")
-    with refused("lens-unread", "FOV", kind=CaptureError):
+@pytest.mark.parametrize(
+    ("camera", "K", "lens"),
+    [
+        ("SIMPLE_FISHEYE 48 32 40 23 15", [40, 40], [0, 0, 0, 0, 0]),
+        ("FISHEYE 48 32 40 41 23 15", [40, 41], [0, 0, 0, 0, 0]),
+        ("SIMPLE_RADIAL_FISHEYE 48 32 40 23 15 .1", [40, 40], [0.1, 0, 0, 0, 0]),
+        ("RADIAL_FISHEYE 48 32 40 23 15 .1 .2", [40, 40], [0.1, 0.2, 0, 0, 0]),
+        ("OPENCV_FISHEYE 48 32 40 41 23 15 .1 .2 .3 .4", [40, 41], [0.1, 0.2, 0.3, 0.4, 0]),
+    ],
+)
+def test_equidistant_lenses_project_as_colmap_says(tmp_path: Path, camera, K, lens):
+    colmap_text(tmp_path, camera)
+    found = read_dataset("colmap", tmp_path).static[0].camera
+    assert (found.model, found.K[0, 0], found.K[1, 1]) == ("OPENCV_FISHEYE", *K)
+    np.testing.assert_array_equal(found.distortion, lens)
+    x, y = 0.9, -0.4  # COLMAP: theta (1 + k1 theta^2 + k2 theta^4 + ...) along the direction in the picture
+    radius = np.hypot(x, y)
+    theta = np.arctan(radius)
+    bent = theta * (1 + sum(k * theta ** (2 * n) for n, k in enumerate(lens[:4], 1))) / radius
+    ray = np.linalg.inv(np.vstack([found.cam_from_world, [0, 0, 0, 1]]))[:3] @ [x, y, 1, 1]
+    np.testing.assert_allclose(found.project(ray), [K[0] * x * bent + 23, K[1] * y * bent + 15], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        "FOV 48 32 40 41 23 15 .1",
+        "SIMPLE_DIVISION 48 32 40 23 15 .1",
+        "DIVISION 48 32 40 41 23 15 .1",
+        "EUCM 48 32 40 41 23 15 .5 1",
+        "EQUIRECTANGULAR 48 32 48 32",
+        "OF_TOMORROW 48 32 1",
+    ],
+)
+def test_colmap_lenses_that_are_not_read_are_named(tmp_path: Path, camera: str):
+    colmap_text(tmp_path, camera)
+    with refused("lens-unread", camera.split()[0], "undistort", kind=CaptureError):
         read_dataset("colmap", tmp_path)
+
+
+def test_lens_models_of_a_colmap_to_come_are_named_by_number(tmp_path: Path):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    head = struct.pack("<QiiQQ", 1, 7, 99, 48, 32)
+    (tmp_path / "sparse/cameras.bin").write_bytes(head + struct.pack("<3d", 40, 23, 15))
+    with refused("lens-unread", "cameras.bin", "number 99", "undistort", kind=CaptureError):
+        read_dataset("colmap", tmp_path)
+
+
+def test_lens_models_have_the_numbers_and_parameters_of_colmap():
+    code = (
+        "import json, zlib, pycolmap\n"
+        "models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]\n"
+        "make = pycolmap.Camera.create_from_model_id\n"
+        "print(json.dumps([[int(m), m.name, len(make(1, m, 50.0, 48, 32).params)] for m in models]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert len(found) >= 12  # the first of pycolmap 4 has fewer than we know
+    assert all(MODELS[number] == (name, count) for number, name, count in found)
 
 
 def numbered_model(folder: Path, number: int, names: list[str], binary: bool) -> None:
