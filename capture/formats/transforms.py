@@ -24,8 +24,6 @@ from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_
 from devrf.capture.look import EVEN, SAME, Look, as_gains, as_matrix
 from devrf.capture.scene import PosedFrame, Split
 
-MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV_FISHEYE")
-
 
 def write_transforms(path: Path, frames: tuple[PosedFrame, ...]) -> None:
     """Write a transforms.json with intrinsics per frame, and `time`, `camera` and `split`."""
@@ -68,11 +66,9 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
     """
     meta = read_json(path)
     common = {key: value for key, value in meta.items() if key != "frames"}
-    _check_model(meta.get("camera_model", "OPENCV"), path)
     frames, grey = [], 0
     for number, entry in enumerate(frames_of(meta, path)):
         where = f"{path}: frames[{number}] ({entry['file_path']})"
-        _check_model(entry.get("camera_model", "OPENCV"), path)
         header = read_header(find_picture(path.parent, entry["file_path"]))
         grey += header.grey
         time = number_or_none(entry, "time", where)
@@ -105,12 +101,6 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
         text = f"{where}: frame_index is {index!r}; expected a whole number from 0"
         raise CaptureError("entry-wrong", text)
     return index
-
-
-def _check_model(model: object, path: Path) -> None:
-    if model not in MODELS:
-        wrong = f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE"
-        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")
 
 
 def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:

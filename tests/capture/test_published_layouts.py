@@ -336,3 +336,82 @@ def test_a_backslash_in_the_name_of_a_file_stays_one(tmp_path: Path):
     (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": entries}))
     names = [f.path.name for f in read_dataset("nerfstudio", tmp_path).static]
     assert names == ["a\\0.png", "a\\1.png"]
+
+
+LENS = {"fl_x": 40.0, "fl_y": 40.0, "k1": 0.05, "k2": -0.02}
+
+
+def lens_set(folder: Path, common: dict, entry: dict) -> Path:
+    """Two pictures with these keys for the whole file and for each entry."""
+    entries = [{"file_path": f"{n}.png", "transform_matrix": opengl(n).tolist(), **entry} for n in range(2)]
+    for n in range(2):
+        picture(folder / f"{n}.png")
+    (folder / "transforms.json").write_text(json.dumps({**common, "frames": entries}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("common", "entry", "model", "distortion"),
+    [
+        (
+            {"is_fisheye": True, "k3": 0.004, "k4": -0.001},
+            {},
+            "OPENCV_FISHEYE",
+            [0.05, -0.02, 0.004, -0.001, 0],
+        ),
+        (
+            {"k3": 0.004, "k4": -0.001},
+            {"is_fisheye": True},
+            "OPENCV_FISHEYE",
+            [0.05, -0.02, 0.004, -0.001, 0],
+        ),
+        ({"is_fisheye": True}, {"is_fisheye": False, "p1": 0.1}, "OPENCV", [0.05, -0.02, 0.1, 0, 0]),
+        (
+            {"is_fisheye": True, "camera_model": "OPENCV_FISHEYE"},
+            {},
+            "OPENCV_FISHEYE",
+            [0.05, -0.02, 0, 0, 0],
+        ),
+        ({"camera_model": "RADIAL_FISHEYE"}, {}, "OPENCV_FISHEYE", [0.05, -0.02, 0, 0, 0]),
+        ({"camera_model": "SIMPLE_RADIAL", "k2": 0.0}, {}, "OPENCV", [0.05, 0, 0, 0, 0]),
+        (
+            {"camera_model": "FULL_OPENCV", "k3": 0.1, "k4": 0, "k5": 0},
+            {},
+            "OPENCV",
+            [0.05, -0.02, 0, 0, 0.1],
+        ),
+        ({"camera_model": None, "latlong": False}, {"camera_model": None}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
+        ({"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "PINHOLE"}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
+    ],
+)
+def test_lenses_by_the_words_of_others(tmp_path: Path, common, entry, model, distortion):
+    camera = read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, entry)).static[0].camera
+    assert (camera.model, camera.distortion.tolist()) == (model, distortion)
+
+
+@pytest.mark.parametrize(
+    ("common", "code", "named"),
+    [
+        ({"latlong": True}, "lens-unread", ("latlong",)),
+        ({"ftheta_p0": 0.0}, "lens-unread", ("ftheta_p0",)),
+        ({"camera_model": "EUCM"}, "lens-unread", ("EUCM", "OPENCV_FISHEYE")),
+        ({"camera_model": ["OPENCV"]}, "lens-unread", ("camera_model",)),
+        ({"camera_model": "OPENCV", "is_fisheye": True}, "lens-unread", ("is_fisheye", "OPENCV")),
+        ({"is_fisheye": "yes"}, "entry-wrong", ("is_fisheye", "'yes'")),
+        ({"k4": 0.01}, "lens-unread", ("k4 = 0.01", "k1, k2, p1, p2, k3")),
+        ({"is_fisheye": True, "p1": 0.01}, "lens-unread", ("p1 = 0.01", "k1, k2, k3, k4")),
+    ],
+)
+def test_lenses_that_are_not_read_are_refused_by_name(tmp_path: Path, common, code, named):
+    with refused(code, "frames[0]", *named, kind=CaptureError):
+        read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, {}))
+
+
+@pytest.mark.parametrize("name", ["nerfstudio", "blender"])
+def test_pixels_that_are_not_square(tmp_path: Path, name):
+    angles = {"camera_angle_x": 2 * np.arctan(24 / 40), "camera_angle_y": 2 * np.arctan(16 / 44)}
+    lens_set(tmp_path, angles, {})
+    if name == "blender":
+        (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
+    K = read_dataset(name, tmp_path).static[0].camera.K
+    np.testing.assert_allclose([K[0, 0], K[1, 1]], [40, 44])
