@@ -20,7 +20,7 @@ from devrf.calibration.formats.found import (
     FoundCamera,
     Unit,
     cv_coefficients,
-    distortion,
+    distortion_of,
     matrix,
     pose,
     size_of,
@@ -95,7 +95,7 @@ def _camera(path: Path, key: str, table: Mapping[str, Any]) -> tuple[str, FoundC
         cam_from_world = pose(table["rotation"], table["translation"], where)
     camera = FoundCamera(
         matrix(table["matrix"], f"{where}: matrix"),
-        distortion(table.get("distortions"), f"{where}: distortions", fisheye),
+        distortion_of(table, ["distortions"], where, fisheye),
         "OPENCV_FISHEYE" if fisheye else "OPENCV",
         size,
         cam_from_world,
