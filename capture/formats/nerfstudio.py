@@ -1,5 +1,7 @@
 """nerfstudio's layout: one `transforms.json`; pictures without `time` are at rest, those with it in motion.
 
+Without a training picture in motion there is no motion to learn: the set is one at rest.
+
 `time` may be in seconds: outside [0, 1] all times are rescaled. Moving pictures of one pose are one camera.
 """
 
@@ -12,11 +14,11 @@ import numpy as np
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.export import Export, copied
-from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.formats.files import frames_of, read_json, write_json
 from devrf.capture.formats.ply import write_ply
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
-from devrf.capture.formats.transforms import frame_entry, read_transforms
+from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of
 from devrf.capture.scene import PosedFrame
 
 POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
@@ -32,6 +34,11 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     if not static:
         wrong = f"data set {folder}: no picture without a time, so none of the scene at rest"
         raise CaptureError("rest-missing", f"{wrong}; add a sweep of it")
+    if dynamic and all(f.split == "test" for f in dynamic):
+        notes.append(
+            f"{len(dynamic)} test pictures have a time, no training picture has one: they are not used"
+        )
+        dynamic = ()
     own = read_json(path).get(OWN_KEY)
     return Pictures(
         static,
@@ -39,6 +46,17 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
         has_split=any(f.split == "test" for f in static),
         own=None if own is None else (own, path),
     )
+
+
+def is_at_rest(folder: Path) -> bool:
+    """Whether no training picture has a time, without a look at pictures. False where the file cannot be read."""
+    path = folder / "transforms.json"
+    try:
+        meta = read_json(path)
+        moving = [entry for entry in frames_of(meta, path) if entry.get("time") is not None]
+        return all(split_of(entry, meta, str(path)) == "test" for entry in moving)
+    except CaptureError:
+        return False  # who reads it says why
 
 
 def write_nerfstudio(export: Export) -> None:

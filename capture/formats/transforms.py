@@ -81,7 +81,7 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 index=index_of(entry, number, where),
                 time_s=time if time_s is None else time_s,
                 time=time,
-                split=_split(entry, meta, where),
+                split=split_of(entry, meta, where),
                 flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
                 look=_look(entry, path.parent, where),
                 matte=None
@@ -122,8 +122,12 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
         raise CaptureError("entry-wrong", f"{wrong}; expected {expected}") from None
 
 
-def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
-    """`split` of the entry, else by nerfstudio's lists of names."""
+def split_of(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
+    """`split` of the entry, else by nerfstudio's lists of names.
+
+    Raises:
+        CaptureError: A split that is none.
+    """
     split = entry.get("split")
     if split is None:
         name = with_slashes(entry["file_path"])

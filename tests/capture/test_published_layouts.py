@@ -407,6 +407,15 @@ def test_lenses_that_are_not_read_are_refused_by_name(tmp_path: Path, common, co
         read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, {}))
 
 
+def test_one_picture_at_the_origin_is_no_scene(tmp_path: Path):
+    lens_set(tmp_path, LENS, {})
+    meta = json.loads((tmp_path / "transforms.json").read_text())
+    entry = meta["frames"][0] | {"transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta | {"frames": [entry]}))
+    with np.errstate(all="ignore"), refused("scene-cameras-unusable", tmp_path, kind=CaptureError):
+        read_dataset("nerfstudio", tmp_path)
+
+
 @pytest.mark.parametrize("name", ["nerfstudio", "blender"])
 def test_pixels_that_are_not_square(tmp_path: Path, name):
     angles = {"camera_angle_x": 2 * np.arctan(24 / 40), "camera_angle_y": 2 * np.arctan(16 / 44)}
