@@ -424,3 +424,32 @@ def test_pixels_that_are_not_square(tmp_path: Path, name):
         (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
     K = read_dataset(name, tmp_path).static[0].camera.K
     np.testing.assert_allclose([K[0, 0], K[1, 1]], [40, 44])
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{n}.png" for n in (1, 10, 11, 2, 3, 7, 8, 9, 91)],  # as numpy.argsort of the names has them
+        ["IMG_2.png", "IMG_3.png", *(f"img_{n}.png" for n in (1, 10, 2, 3, 4, 5, 6))],
+    ],
+)
+@pytest.mark.parametrize("name", ["devrf", "llff"])
+def test_rows_belong_to_names_by_code_points(forward: Path, name: str, names: list[str]):
+    folder = forward if name == "devrf" else forward / "static"
+    notes: list[str] = []
+    before = read_dataset(name, folder, notes=notes)
+    assert not any("order" in note for note in notes)
+    for n, new in enumerate(names):
+        (forward / f"static/images_2/{n:03d}.png").rename(forward / "static/images_2" / new)
+    after = read_dataset(name, folder, notes=notes)
+    assert [f.path.name for f in after.static] == names
+    for a, b in zip(before.static, after.static, strict=True):
+        np.testing.assert_array_equal(a.camera.cam_from_world, b.camera.cam_from_world)
+    assert [", ".join(names[:3]) in note for note in notes if "order" in note] == [True]
+    if name == "devrf":  # frames of a view stand in the order of their numbers
+        for n in range(4):
+            (forward / f"dynamic_3views/view1/images_2/{n}.png").rename(
+                forward / f"dynamic_3views/view1/images_2/{8 + n}.png"
+            )
+        moved = [f.path.name for f in read_dataset(name, folder).dynamic if f.camera_name == "view1"]
+        assert moved == ["8.png", "9.png", "10.png", "11.png"]
