@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devrf.capture.camera import LensModel
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.export import Export, copied
@@ -74,7 +75,7 @@ def write_nerfstudio(export: Export) -> None:
     write_json(
         export.folder / "transforms.json",
         {
-            "camera_model": "OPENCV",
+            "camera_model": _common_lens(frames, export.notes),
             **{
                 f"{split}_filenames": [
                     e["file_path"] for e, f in zip(entries, frames, strict=True) if f.split == used
@@ -86,6 +87,19 @@ def write_nerfstudio(export: Export) -> None:
             "frames": [{key: value for key, value in e.items() if value is not None} for e in entries],
         },
     )
+
+
+def _common_lens(frames: tuple[PosedFrame, ...], notes: list[str]) -> LensModel:
+    """The lens model of most pictures, which nerfstudio takes for all: it asks the top of the file alone."""
+    counts = Counter(f.camera.model for f in frames)
+    (model, most), *others = counts.most_common()
+    for other, count in others:
+        notes.append(
+            f"{count} of the {len(frames)} pictures have the lens {other}, {most} have {model}, which is at the top of "
+            "transforms.json: nerfstudio takes it for all pictures, so leave out the entries of the others "
+            "there (their camera_model names them), or export to colmap"
+        )
+    return model
 
 
 def _cameras(frames: tuple[PosedFrame, ...], notes: list[str]) -> tuple[PosedFrame, ...]:
