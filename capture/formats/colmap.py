@@ -86,6 +86,12 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
         used = f"{len(beside) - unused} of the {len(beside)} pictures of images/"
         notes.append(f"{used} are in the model; the others have no camera and are not used")
     points = _points(model, order)
+    if model.points and points is None:
+        few = sum(len(set(point.images.tolist())) < SHORTEST_TRACK for point in model.points.values())
+        notes.append(
+            f"{len(model.points)} sparse points are not used, the box is a loose cube: {few} name fewer than "
+            f"{SHORTEST_TRACK} pictures that show them, the others have errors of {LARGEST_ERROR_PX:g} px or more"
+        )
     return Pictures(tuple(frames), has_split=test is not None, points=points)
 
 

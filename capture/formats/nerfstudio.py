@@ -5,6 +5,7 @@ Without a training picture in motion there is no motion to learn: the set is one
 `time` may be in seconds: outside [0, 1] all times are rescaled. Moving pictures of one pose are one camera.
 """
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from devrf.capture.camera import LensModel
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.export import Export, copied
-from devrf.capture.formats.files import frames_of, read_json, write_json
+from devrf.capture.formats.files import frames_of, read_json, with_slashes, write_json
 from devrf.capture.formats.ply import write_ply
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
@@ -23,6 +24,7 @@ from devrf.capture.formats.transforms import frame_entry, read_transforms, split
 from devrf.capture.scene import PosedFrame
 
 POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
+PLY_HEADER_BYTES = 4096  # the count of points is in its first lines
 SAME_POSE_DECIMALS = 6  # fixed cameras' entries may be rounded differently
 
 
@@ -40,13 +42,28 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
             f"{len(dynamic)} test pictures have a time, no training picture has one: they are not used"
         )
         dynamic = ()
-    own = read_json(path).get(OWN_KEY)
+    meta = read_json(path)
+    own = meta.get(OWN_KEY)
+    if own is None and (count := _points_beside(folder, meta.get("ply_file_path"))):
+        notes.append(
+            f"{count} points of ply_file_path are not used, the box is a loose cube: they name no pictures"
+        )
     return Pictures(
         static,
         _within_0_1(_cameras(dynamic, notes), notes),
         has_split=any(f.split == "test" for f in static),
         own=None if own is None else (own, path),
     )
+
+
+def _points_beside(folder: Path, name: object) -> int | None:
+    """How many points a PLY file has by its header; None where none is named or there."""
+    file = folder / with_slashes(str(name))
+    if name is None or not file.is_file():
+        return None
+    with file.open("rb") as opened:
+        found = re.search(rb"element vertex (\d{1,18})\b", opened.read(PLY_HEADER_BYTES))
+    return int(found[1]) if found else None
 
 
 def is_at_rest(folder: Path) -> bool:

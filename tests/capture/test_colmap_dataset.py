@@ -238,3 +238,21 @@ def test_names_with_backslashes(tmp_path: Path):
         "".join(line + "\n" for line in file.read_text().splitlines()[:3])
     )  # one picture: a fixed camera
     assert list(find_calibration(tmp_path).cameras) == ["left"]
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        "11 0 0 1 9 9 9 0.5\n12 1 0 1 9 9 9 0.5\n",
+        "11 0 0 1 9 9 9 2.5 3 0 4 0 5 0\n12 1 0 1 9 9 9 0.5 3 0 4 0\n",
+    ],
+)
+def test_points_of_which_none_is_used_are_counted(tmp_path: Path, points: str):
+    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
+    notes: list[str] = []
+    read_dataset("colmap", tmp_path, notes=notes)
+    assert not any("points" in note for note in notes)  # some are used
+    (tmp_path / "sparse/points3D.txt").write_text(points)
+    assert read_dataset("colmap", tmp_path, notes=notes).points is None
+    few = 2 if "3 0 4 0" not in points else 1
+    assert notes[-1].startswith("2 sparse points") and f" {few} name fewer than 3" in notes[-1]

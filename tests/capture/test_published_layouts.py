@@ -453,3 +453,13 @@ def test_rows_belong_to_names_by_code_points(forward: Path, name: str, names: li
             )
         moved = [f.path.name for f in read_dataset(name, folder).dynamic if f.camera_name == "view1"]
         assert moved == ["8.png", "9.png", "10.png", "11.png"]
+
+
+def test_points_that_name_no_pictures_are_counted(tmp_path: Path):
+    (tmp_path / "a.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement vertex 300\nproperty float x\nend_header\n"
+    )
+    for name, count in (("a.ply", 1), (".\\a.ply", 1), ("b.ply", 0)):
+        notes: list[str] = []
+        read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, "ply_file_path": name}, {}), notes=notes)
+        assert [note.startswith("300 points") for note in notes] == [True] * count
