@@ -108,7 +108,7 @@ def write_nerfstudio(export: Export) -> None:
 
 def _common_lens(frames: tuple[PosedFrame, ...], notes: list[str]) -> LensModel:
     """The lens model of most pictures, which nerfstudio takes for all: it asks the top of the file alone."""
-    counts = Counter(f.camera.model for f in frames)
+    counts: Counter[LensModel] = Counter(f.camera.model for f in frames)
     (model, most), *others = counts.most_common()
     for other, count in others:
         notes.append(

@@ -282,7 +282,7 @@ def test_a_folder_of_another_format_and_none(tmp_path: Path, name: Any):
 
 
 @pytest.mark.parametrize("name", TRANSFORMS)
-def test_json_of_windows_programs(folders: Folders, name: str) -> None:
+def test_json_of_windows_programs(folders: Folders, name: Any) -> None:
     path = folders[name] / TRANSFORMS[name]
     before, text = read_dataset(name, folders[name]), path.read_text()
     path.write_text(text, "utf-8-sig")

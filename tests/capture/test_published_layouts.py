@@ -434,7 +434,7 @@ def test_pixels_that_are_not_square(tmp_path: Path, name):
     ],
 )
 @pytest.mark.parametrize("name", ["devrf", "llff"])
-def test_rows_belong_to_names_by_code_points(forward: Path, name: str, names: list[str]):
+def test_rows_belong_to_names_by_code_points(forward: Path, name, names: list[str]):
     folder = forward if name == "devrf" else forward / "static"
     notes: list[str] = []
     before = read_dataset(name, folder, notes=notes)
