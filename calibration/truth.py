@@ -63,7 +63,7 @@ def read_truth(path: Path) -> Truth:
     """
     try:
         check_bytes(path, TEXT_BYTES)
-        data = json.loads(path.read_text())
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
         static = {n: _pose(pose) for n, pose in enumerate(data.get("static") or [])}
         cams = data.get("cams") or {}
         return Truth(

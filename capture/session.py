@@ -154,7 +154,10 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
                     text = f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice"
                     raise InputError("entry-twice", text)
                 rows[name][index] = time_s
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        wrong = f"{path}: not UTF-8 text ({error.reason} at byte {error.start}); expected a CSV text file"
+        raise InputError("encoding-wrong", f"{wrong}; save it as UTF-8 (UTF-16 is not read)") from None
+    except csv.Error as error:
         raise InputError("file-damaged", f"{path}: not a CSV text file ({error})") from None
     names = list(cameras)
     absent = [name for name in names if name not in rows]

@@ -12,10 +12,11 @@ import numpy as np
 from devrf.calibration.formats.found import Found, FoundCamera
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
-from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder
+from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder, model_folders
 from devrf.capture.formats.colmap_model import Model, ModelImage, read_model, write_model
 from devrf.capture.formats.colmap_poses import pose, quat_wxyz
 from devrf.capture.formats.colmap_rigs import common_rig, write_rigs
+from devrf.capture.formats.files import with_slashes
 
 FORMAT = "COLMAP model"
 SAME_ROTATION, SAME_POSITION = (
@@ -26,13 +27,13 @@ SAME_ROTATION, SAME_POSITION = (
 
 def is_colmap(folder: Path) -> bool:
     """Whether a folder is, or has, a model."""
-    places = (folder, folder / "sparse", folder / "sparse" / "0")
-    return any((place / f"cameras{ending}").is_file() for place in places for ending in (".bin", ".txt"))
+    return bool(model_folders(folder))
 
 
 def read_colmap_rig(folder: Path) -> Found:
-    """Cameras of a model, by the name of their image or their folder."""
-    place = model_folder(folder)
+    """Cameras of a model (the largest, where there are several), by the name of their image or their folder."""
+    notes: list[str] = []
+    place = model_folder(folder, notes)
     model = read_model(place)
     seen: dict[str, list[FoundCamera]] = {}
     for number, image in sorted(model.images.items()):
@@ -42,7 +43,7 @@ def read_colmap_rig(folder: Path) -> Found:
             text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
             raise InputError("camera-missing", text)
         K, lens, lens_model = intrinsics(camera, where)
-        path = PurePosixPath(image.name)
+        path = PurePosixPath(with_slashes(image.name))
         name = path.parts[-2] if len(path.parts) > 1 else path.stem
         size = (camera.width, camera.height)
         seen.setdefault(name, []).append(FoundCamera(K, lens, lens_model, size, pose(image, where)))
@@ -50,7 +51,7 @@ def read_colmap_rig(folder: Path) -> Found:
         text = f"{place}: no image is registered; expected a model with an image of every camera"
         raise InputError("pictures-none", text)
     _check_fixed(place, seen)
-    return Found(FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary")
+    return Found(FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary", tuple(notes))
 
 
 def write_colmap_rig(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:

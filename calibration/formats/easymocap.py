@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, pose, size_of, text_of
+from devrf.calibration.formats.found import Found, FoundCamera, distortion_of, matrix, pose, size_of, text_of
 from devrf.calibration.formats.opencv import storage
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import Camera
@@ -41,12 +41,12 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
         text = f"{path.parent / INTRI}: names is {names!r}; expected a list of the cameras' names"
         raise InputError("entry-wrong", text)
     for name in map(str, names):
-        where, lens = f"{path.parent / INTRI}", "dist" if f"dist_{name}" in intri else "D"
+        where = f"{path.parent / INTRI}"
         width, height = intri.get(f"W_{name}"), intri.get(f"H_{name}")
         has_size = width not in (None, -1) and height not in (None, -1)  # -1: not known
         size = size_of([width, height], f"{where}: W_{name}, H_{name}") if has_size else None
         K = matrix(intri.get(f"K_{name}"), f"{where}: K_{name}")
-        k = distortion(intri.get(f"{lens}_{name}"), f"{where}: {lens}_{name}")
+        k = distortion_of(intri, [f"dist_{name}", f"D_{name}"], where, others=())
         cam_from_world = None
         if extri:
             rotation = extri.get(f"Rot_{name}", extri.get(f"R_{name}"))

@@ -6,7 +6,7 @@ Distortion is OpenCV's k1, k2, p1, p2, k3 (`OPENCV`) or k1, k2, k3, k4, 0 of the
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +25,16 @@ LARGEST_BYTES = 10_000_000  # a calibration is kilobytes; a clip named by mistak
 DEEPEST = 200  # levels; OpenCV's own parser, which is native code, falls at thousands
 LENGTHS = (0, 4, 5, 8, 12, 14)  # of OpenCV's distortion vectors
 FISHEYE_LENGTH = 4
+OTHER_NAMES = (  # of one list of coefficients, by other programs
+    *(
+        "distortion_coefficients",
+        "Distortion_Coefficients",
+        "distortion_coeffs",
+        "distortion_coefs",
+        "distortion",
+    ),
+    *("distortions", "dist_coeffs", "dist_coeff", "dist"),
+)
 HELD = 5  # coefficients that our lens model has
 LARGEST_SKEW = 1e-6  # of the focal length: less turns no pixel of any picture by a thousandth of a pixel
 
@@ -77,7 +87,8 @@ def text_of(path: Path) -> str:
             raise InputError("file-too-large", text)
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError("file-damaged", f"{path}: not a text file; expected a calibration file") from None
+        wrong = f"{path}: not UTF-8 text; expected a calibration file"
+        raise InputError("encoding-wrong", f"{wrong}; save it as UTF-8 (UTF-16 is not read)") from None
     except OSError as error:
         wrong = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
         raise InputError("file-unreadable", wrong) from None
@@ -148,11 +159,11 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
         InputError: A length that OpenCV does not have, or coefficients beyond k3 that are not 0.
     """
     try:
-        flat = np.array([] if value is None else value, dtype=np.float64).ravel()
+        flat = np.array(value, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
         text = f"{where} is {_shorten(value)}; expected distortion coefficients"
         raise InputError("entry-wrong", text) from None
-    lengths: Sequence[int] = (FISHEYE_LENGTH,) if fisheye else LENGTHS
+    lengths: Sequence[int] = (0, FISHEYE_LENGTH) if fisheye else LENGTHS
     if flat.size not in lengths or not np.isfinite(flat).all():
         expected = (
             f"{' or '.join(map(str, lengths))} finite numbers{' of the fisheye model' if fisheye else ''}"
@@ -168,6 +179,34 @@ def distortion(value: Any, where: str, fisheye: bool = False) -> Float[np.ndarra
     out = np.zeros(HELD)
     out[: flat[:HELD].size] = flat[:HELD]
     return out
+
+
+def distortion_of(
+    camera: Mapping[str, Any],
+    keys: Sequence[str],
+    where: str,
+    fisheye: bool = False,
+    others: Sequence[str] = OTHER_NAMES,
+) -> Float[np.ndarray, "5"]:
+    """A camera's distortion vector as ours, which a file must state: an empty list is a lens without distortion.
+
+    Args:
+        camera: What the file says of the camera.
+        keys: Under which its format has the vector.
+        where: The camera, for messages.
+        fisheye: Whether it is OpenCV's fisheye model.
+        others: Where there is none of `keys`, the only one of these counts.
+    Raises:
+        InputError: No vector, several under other names, or one as of `distortion`.
+    """
+    stated = [key for key in keys if camera.get(key) is not None][:1]
+    stated = stated or [key for key in others if camera.get(key) is not None]
+    if len(stated) != 1:
+        has = ", ".join(stated or [str(key) for key in camera])
+        wrong = f"{where}: has no {keys[0]}; it has {has}"
+        remedy = f"rename the one that it is, or write {keys[0]} with an empty list, [], if the lens has none"
+        raise InputError("entry-missing", f"{wrong}; expected the lens' distortion; {remedy}")
+    return distortion(camera[stated[0]], f"{where}: {stated[0]}", fisheye)
 
 
 def pose(rotation: Any, translation: Any, where: str) -> Float[np.ndarray, "3 4"]:

@@ -16,7 +16,7 @@ import yaml
 from devrf.calibration.formats.found import (
     Found,
     FoundCamera,
-    distortion,
+    distortion_of,
     focal_matrix,
     numbers,
     pose,
@@ -72,7 +72,7 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
         if camera["camera_model"] != "pinhole":
             wrong = f"{where}: camera_model is {camera['camera_model']!r}"
             raise InputError("lens-unread", f"{wrong}; expected pinhole; calibrate with pinhole-radtan")
-        lens = str(camera.get("distortion_model", "none"))
+        lens = str(camera.get("distortion_model"))
         if lens not in LENSES:
             text = f"{where}: distortion_model is {lens!r}; expected {', '.join(LENSES)}"
             raise InputError("lens-unread", text)
@@ -80,10 +80,10 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             step = numbers(camera.get("T_cn_cnm1"), (4, 4), f"{where}: T_cn_cnm1")
             pose(step[:3, :3], step[:3, 3], f"{where}: T_cn_cnm1")
             cam_from_world = step @ cam_from_world
-        coefficients = None if lens == "none" else camera.get("distortion_coeffs")
+        stated = {"distortion_coeffs": []} if lens == "none" else camera
         out[names[key]] = FoundCamera(
             focal_matrix(camera.get("intrinsics"), f"{where}: intrinsics"),
-            distortion(coefficients, f"{where}: distortion_coeffs", LENSES[lens]),
+            distortion_of(stated, ["distortion_coeffs"], where, LENSES[lens]),
             "OPENCV_FISHEYE" if LENSES[lens] else "OPENCV",
             size_of(camera.get("resolution"), f"{where}: resolution"),
             cam_from_world[:3] if len(cameras) > 1 else None,

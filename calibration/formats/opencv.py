@@ -19,7 +19,7 @@ from devrf.calibration.formats.found import (
     Found,
     FoundCamera,
     cv_coefficients,
-    distortion,
+    distortion_of,
     matrix,
     numbers,
     pose,
@@ -70,7 +70,6 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
         text = f"{path}: distortion_model is {name!r}; expected {', '.join(ROS_MODELS)}"
         raise InputError("lens-unread", text)
     fisheye = ROS_MODELS.get(str(name), False) or bool(data.get("fisheye_model", 0))
-    coefficients = _first(data, DISTORTION_KEYS)
     width, height = data.get(_first(data, WIDTH_KEYS)), data.get(_first(data, HEIGHT_KEYS))
     size = None if width is None or height is None else size_of([width, height], f"{path}: image size")
     given_pose = data.get("cam_from_world")
@@ -80,7 +79,7 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
         cam_from_world = pose(T[:, :3], T[:, 3], f"{path}: cam_from_world")
     return FoundCamera(
         matrix(data.get(key), f"{path}: {key}"),
-        distortion(data.get(coefficients), f"{path}: {coefficients}", fisheye),
+        distortion_of(data, DISTORTION_KEYS, f"{path}", fisheye),
         "OPENCV_FISHEYE" if fisheye else "OPENCV",
         size,
         cam_from_world,
@@ -112,7 +111,7 @@ def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
             R, t = (np.eye(3), np.zeros(3)) if n == 1 else (both["R"], both["T"])
             cam_from_world = pose(R, t, f"{path}: R and T")
         K = matrix(both.get(f"M{n}"), f"{path}: M{n}")
-        lens = distortion(both.get(f"D{n}"), f"{path}: D{n}")
+        lens = distortion_of(both, [f"D{n}"], f"{path}", others=())
         cameras[str(n)] = FoundCamera(K, lens, cam_from_world=cam_from_world)
     return Found(STEREO, cameras, "unsaid")
 

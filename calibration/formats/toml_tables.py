@@ -2,7 +2,8 @@
 
 - caliscope (and pyxy3d before it): [cameras.0] or [cam_0] with `cam_id`; rotation is a matrix or a vector; metres.
 - aniposelib, anipose, freemocap: [cam_0] with `name`, rotation vector; lengths in the unit of the board.
-- Pose2Sim: as aniposelib, with `fisheye` in every table; metres.
+- Pose2Sim: as aniposelib, with `fisheye` in every table; metres. aniposelib says `fisheye` only of fisheye lenses, so
+  where all are, either may have written it and the unit is not known.
 
 x_cam = R x_world + t, pixels count from the centre of the first one. aniposelib ignores p1 and p2 when it projects.
 """
@@ -20,7 +21,7 @@ from devrf.calibration.formats.found import (
     FoundCamera,
     Unit,
     cv_coefficients,
-    distortion,
+    distortion_of,
     matrix,
     pose,
     size_of,
@@ -54,7 +55,9 @@ def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Found:
     flavour: Flavour = "aniposelib"
     if any("cam_id" in table or "port" in table for table in tables.values()):  # port: pyxy3d's word
         flavour = "caliscope"
-    elif all("fisheye" in table for table in tables.values()):
+    elif not all(table.get("fisheye", False) for table in tables.values()) and all(
+        "fisheye" in table for table in tables.values()
+    ):
         flavour = "Pose2Sim"
     used = {key: table for key, table in tables.items() if not table.get("ignore", False)}
     notes = tuple(f"camera {key} is left out: its file says ignore" for key in tables if key not in used)
@@ -95,7 +98,7 @@ def _camera(path: Path, key: str, table: Mapping[str, Any]) -> tuple[str, FoundC
         cam_from_world = pose(table["rotation"], table["translation"], where)
     camera = FoundCamera(
         matrix(table["matrix"], f"{where}: matrix"),
-        distortion(table.get("distortions"), f"{where}: distortions", fisheye),
+        distortion_of(table, ["distortions"], where, fisheye),
         "OPENCV_FISHEYE" if fisheye else "OPENCV",
         size,
         cam_from_world,

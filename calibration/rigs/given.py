@@ -20,7 +20,7 @@ from devrf.capture.picture_files import natural_key
 KEY = "calibration.rig.given"
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 LARGEST_RIG_M = (
-    50.0  # where a format does not say its unit: cameras farther apart than this are in millimetres, ...
+    50.0  # cameras farther apart are in millimetres where a format does not say its unit, else a warning
 )
 CENTRE_SHARE = (
     0.25  # a principal point farther off the middle belongs to another picture size (of a size unsaid)
@@ -207,7 +207,11 @@ def _scale(
         return Scale(True, f"given calibration ({found.format}, {unit})", METRES[unit], None), None
     if found.unit in METRES:
         scale = Scale(True, f"given calibration ({found.format}, {found.unit})", METRES[found.unit], None)
-        return scale, None
+        if apart * scale.factor <= LARGEST_RIG_M:
+            return scale, None
+        text = f"{found.unit}, by the rule of the format: the cameras are up to {apart * scale.factor:.4g} m apart"
+        remedy = "If the board was described in other units, set calibration.rig.given_unit to m, cm or mm."
+        return scale, GivenNote("unit of the given calibration", text, remedy)
     if known_distance_m is not None and len(names) > 1:
         first, second = names[:2]
         distance = float(np.linalg.norm(centres[first] - centres[second]))

@@ -104,7 +104,7 @@ def read_rig(path: Path) -> Rig:
     where = ""
     try:
         check_bytes(path, TEXT_BYTES)
-        data = json.loads(path.read_text())
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
         cameras = {}
         for name, c in data["cameras"].items():
             where = f"camera '{name}': "

@@ -120,7 +120,7 @@ def read_split(folder: Path, split: Split, notes: list[str], moving: bool = Fals
     common = {key: value for key, value in meta.items() if key not in ("frames", OWN_KEY)}
     wheres = [f"{path}: frames[{n}] ({e['file_path']})" for n, e in enumerate(entries)]
     times = [_time(e, where, moving) for e, where in zip(entries, wheres, strict=True)]
-    headers = [read_header(find_picture(folder / e["file_path"])) for e in entries]
+    headers = [read_header(find_picture(folder, e["file_path"])) for e in entries]
     _check_one_size(meta, entries, headers)
     grey = sum(header.grey for header in headers)
     if grey:

@@ -1,4 +1,4 @@
-"""A COLMAP model with its pictures as a scene at rest: `sparse/0` (or `sparse`) and `images/`.
+"""A COLMAP model with its pictures as a scene at rest: `sparse/0`, `sparse/1`, … (or `sparse`) and `images/`.
 
 Our addition, which other programs use too: `test.txt` beside the model, names of the test pictures. Written, pictures
 in motion are a second folder of the same kind, `motion/`, with the fixed cameras as a rig.
@@ -17,6 +17,8 @@ from devrf.capture.formats.colmap_model import (
     ModelCamera,
     ModelImage,
     ModelPoint,
+    count_images,
+    is_model,
     read_model,
     write_model,
 )
@@ -30,28 +32,33 @@ from devrf.capture.formats.colmap_rigs import (
     write_rigs,
 )
 from devrf.capture.formats.export import Export, copied, static_of
-from devrf.capture.formats.files import Header, find_picture, read_header
+from devrf.capture.formats.files import Header, find_picture, read_header, with_slashes
 from devrf.capture.formats.llff import TEST_LIST, read_names
 from devrf.capture.formats.point_colours import point_colours
-from devrf.capture.picture_files import natural_key
+from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
 
 MOTION, TIMES = "motion", "times.csv"
 LARGEST_ERROR_PX, SHORTEST_TRACK = 2.0, 3  # as for our own sweeps: points beyond are often wrong
-READ_MODELS = (
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "FULL_OPENCV",
-    "OPENCV_FISHEYE",
-)
+READ_MODELS: dict[str, LensModel] = {  # without distortion, or with the first coefficients of ours
+    "SIMPLE_PINHOLE": "OPENCV",
+    "PINHOLE": "OPENCV",
+    "SIMPLE_RADIAL": "OPENCV",
+    "RADIAL": "OPENCV",
+    "OPENCV": "OPENCV",
+    "FULL_OPENCV": "OPENCV",
+    "SIMPLE_FISHEYE": "OPENCV_FISHEYE",
+    "FISHEYE": "OPENCV_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
+    "RADIAL_FISHEYE": "OPENCV_FISHEYE",
+    "OPENCV_FISHEYE": "OPENCV_FISHEYE",
+}
+TWO_FOCAL = ("PINHOLE", "OPENCV", "FULL_OPENCV", "FISHEYE", "OPENCV_FISHEYE")
 
 
 def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     """A scene at rest with its sparse points."""
-    place = model_folder(folder)
+    place = model_folder(folder, notes)
     model = read_model(place)
     if not model.images:
         text = f"{place}: no image is registered; expected a model with pictures"
@@ -62,18 +69,29 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     for n, number in enumerate(order):
         image = model.images[number]
         where = f"{place}: image {number} ({image.name})"
-        header = read_header(find_picture(folder / "images" / image.name))
+        header = read_header(find_picture(folder / "images", image.name))
         grey += header.grey
         intrinsics = model.cameras.get(image.camera_id)
         if intrinsics is None:
             text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
             raise CaptureError("camera-missing", text)
-        split = "test" if test is not None and image.name in test else "train"
+        split = "test" if test is not None and with_slashes(image.name) in test else "train"
         camera = _camera(intrinsics, image, header, where)
         frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
     if grey:
         notes.append(f"{grey} grey pictures, read as RGB")
+    files = (folder / "images").rglob("*")
+    beside = {p.resolve() for p in files if p.suffix.lower() in PICTURE_SUFFIXES and p.name[0] != "."}
+    if unused := len(beside - {f.path for f in frames}):
+        used = f"{len(beside) - unused} of the {len(beside)} pictures of images/"
+        notes.append(f"{used} are in the model; the others have no camera and are not used")
     points = _points(model, order)
+    if model.points and points is None:
+        few = sum(len(set(point.images.tolist())) < SHORTEST_TRACK for point in model.points.values())
+        notes.append(
+            f"{len(model.points)} sparse points are not used, the box is a loose cube: {few} name fewer than "
+            f"{SHORTEST_TRACK} pictures that show them, the others have errors of {LARGEST_ERROR_PX:g} px or more"
+        )
     return Pictures(tuple(frames), has_split=test is not None, points=points)
 
 
@@ -146,14 +164,33 @@ def _write(
     (place / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
 
 
-def model_folder(folder: Path) -> Path:
-    """`sparse/0`, `sparse` or the folder itself, whichever holds a model first."""
-    places = [folder / "sparse" / "0", folder / "sparse", folder]
-    for place in places:
-        if any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
-            return place
-    wrong = f"data set {folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself"
-    raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model and images/")
+def model_folders(folder: Path) -> list[Path]:
+    """Where a folder holds models: in folders of `sparse` (`0`, `1`, …) and `sparse`; else the folder itself."""
+    sparse = folder / "sparse"
+    below = sorted(sparse.iterdir(), key=lambda p: natural_key(p.name)) if sparse.is_dir() else []
+    return list(filter(is_model, [*below, sparse])) or list(filter(is_model, [folder]))
+
+
+def model_folder(folder: Path, notes: list[str]) -> Path:
+    """The model with the most pictures: the mapper numbers models as it began them. Of equal ones the first.
+
+    Args:
+        folder: A data set, or a calibration.
+        notes: Where there are several, what they hold is added here, in words.
+    Raises:
+        CaptureError: There is no model, or one whose pictures cannot be counted.
+    """
+    places = model_folders(folder)
+    if not places:
+        wrong = f"{folder}: no cameras.bin or cameras.txt in sparse/0, sparse or the folder itself"
+        raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model and images/")
+    if len(places) == 1:
+        return places[0]
+    counts = {place: count_images(place) for place in places}
+    largest = max(places, key=counts.__getitem__)
+    each = ", ".join(f"{place.relative_to(folder)} {count} pictures" for place, count in counts.items())
+    notes.append(f"{len(places)} models: {each}; the largest is read, {largest.relative_to(folder)}")
+    return largest
 
 
 def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray, LensModel]:
@@ -163,19 +200,17 @@ def intrinsics(camera: ModelCamera, where: str) -> tuple[np.ndarray, np.ndarray,
         CaptureError: A lens model that is not read.
     """
     p = camera.params
-    two_focal = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
     if camera.model not in READ_MODELS or (camera.model == "FULL_OPENCV" and any(p[9:])):
         wrong = f"{where}: lens model {camera.model} is not read; expected {', '.join(READ_MODELS)}"
         remedy = "(FULL_OPENCV with k4 to k6 of 0); undistort the pictures with COLMAP first"
         raise CaptureError("lens-unread", f"{wrong} {remedy}")
-    fx, fy, cx, cy, *lens = p if two_focal else (p[0], *p)
+    fx, fy, cx, cy, *lens = p if camera.model in TWO_FOCAL else (p[0], *p)
     distortion = np.zeros(5)
     distortion[: len(lens[:5])] = lens[:5]
     if not (np.isfinite(p).all() and min(fx, fy) > 0):
         text = f"{where}: camera parameters are {list(p)}; expected focal lengths above 0"
         raise CaptureError("entry-wrong", text)
-    model: LensModel = "OPENCV_FISHEYE" if camera.model == "OPENCV_FISHEYE" else "OPENCV"
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, model
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion, READ_MODELS[camera.model]
 
 
 def _camera(camera: ModelCamera, image: ModelImage, header: Header, where: str) -> Camera:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.formats.files import read_text
 from devrf.capture.limits import MODEL_BYTES, check_bytes
 
 MODELS = (  # name and number of parameters, by COLMAP's number of the model
@@ -33,12 +34,22 @@ MODELS = (  # name and number of parameters, by COLMAP's number of the model
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
     ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 )
 MODEL_NUMBER = {name: number for number, (name, _) in enumerate(MODELS)}
 UNKNOWN_ERROR_PX = -1.0  # COLMAP's own mark for a reprojection error that was not computed
 GREY = 128
 KEYPOINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 SEEN = np.dtype([("image", "<i4"), ("keypoint", "<i4")])
+
+
+class _UnknownLens(Exception):
+    """A lens model that COLMAP has and we do not know."""
 
 
 @dataclass(frozen=True)
@@ -95,31 +106,53 @@ def read_model(folder: Path) -> Model:
     """Read a model in either form; binary files are preferred. Without points3D there are no points.
 
     Raises:
-        CaptureError: A file is missing or damaged.
+        CaptureError: A file is missing or damaged, or a lens model is not one of `MODELS`.
     """
-    parts = []
-    for name, binary, text in (
-        ("cameras", _binary_cameras, _text_cameras),
-        ("images", _binary_images, _text_images),
-        ("points3D", _binary_points, _text_points),
-    ):
-        path = folder / f"{name}.bin"
-        path = path if path.is_file() else folder / f"{name}.txt"
-        if not path.is_file():
-            if name == "points3D":
-                parts.append({})
-                continue
-            text = f"{folder}: neither {name}.bin nor {name}.txt; expected a COLMAP model"
-            raise CaptureError("file-missing", text)
-        try:
-            check_bytes(path, MODEL_BYTES)
-            parts.append(
-                binary(_Bytes(path.read_bytes())) if path.suffix == ".bin" else text(path.read_text())
-            )
-        except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
-            text = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
-            raise CaptureError("file-damaged", text) from None
-    return Model(*parts)
+    points = _part(folder, "points3D") if _file(folder, "points3D").is_file() else {}
+    return Model(_part(folder, "cameras"), _part(folder, "images"), points)
+
+
+def is_model(folder: Path) -> bool:
+    """Whether a folder holds a model, in either form."""
+    return _file(folder, "cameras").is_file()
+
+
+def count_images(folder: Path) -> int:
+    """How many pictures a model has, without its keypoints where it is binary.
+
+    Raises:
+        CaptureError: As of `read_model`.
+    """
+    path = _file(folder, "images")
+    if path.suffix == ".bin":
+        with path.open("rb") as file:
+            head = file.read(8)
+        if len(head) == 8:
+            return struct.unpack("<Q", head)[0]
+    return len(_part(folder, "images"))
+
+
+def _file(folder: Path, name: str) -> Path:
+    path = folder / f"{name}.bin"
+    return path if path.is_file() else folder / f"{name}.txt"
+
+
+def _part(folder: Path, name: str) -> dict:
+    path, (binary, text) = _file(folder, name), PARTS[name]
+    if not path.is_file():
+        wrong = f"{folder}: neither {name}.bin nor {name}.txt"
+        raise CaptureError("file-missing", f"{wrong}; expected a COLMAP model")
+    try:
+        if path.suffix == ".txt":
+            return text(read_text(path, MODEL_BYTES))
+        check_bytes(path, MODEL_BYTES)
+        return binary(_Bytes(path.read_bytes()))
+    except _UnknownLens as error:
+        wrong = f"{path}: {error}, which this program does not know; expected {', '.join(MODEL_NUMBER)}"
+        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures with COLMAP first") from None
+    except (struct.error, ValueError, IndexError, OSError, KeyError, OverflowError) as error:
+        wrong = f"{path}: damaged or cut off ({error}); copy it again, or export it from COLMAP again"
+        raise CaptureError("file-damaged", wrong) from None
 
 
 def write_model(folder: Path, model: Model) -> None:
@@ -189,7 +222,7 @@ def _binary_cameras(data: _Bytes) -> dict[int, ModelCamera]:
     def camera() -> tuple[int, ModelCamera]:
         number, model, width, height = data.take("iiQQ")
         if not 0 <= model < len(MODELS):
-            raise ValueError(f"camera {number} has model number {model}, which is not known")
+            raise _UnknownLens(f"camera {number} has the lens model of number {model}")
         name, count = MODELS[model]
         return number, ModelCamera(name, width, height, data.take(f"{count}d"))
 
@@ -225,26 +258,48 @@ def _text_cameras(text: str) -> dict[int, ModelCamera]:
     out = {}
     for line in filter(None, _lines(text)):
         number, model, width, height, *params = line.split()
-        if model not in MODEL_NUMBER or len(params) != MODELS[MODEL_NUMBER[model]][1]:
-            raise ValueError(f"camera {number}: model {model} with {len(params)} parameters is not known")
+        if model not in MODEL_NUMBER:
+            raise _UnknownLens(f"camera {number} has the lens model {model}")
+        if len(params) != (count := MODELS[MODEL_NUMBER[model]][1]):
+            raise ValueError(f"camera {number}: {model} with {len(params)} parameters, expected {count}")
         out[int(number)] = ModelCamera(model, int(width), int(height), tuple(map(float, params)))
     return out
 
 
 def _text_images(text: str) -> dict[int, ModelImage]:
-    """Two lines per image; the second, of keypoints, may be empty."""
+    """Two lines per image; the second, of keypoints, is empty or missing where it has none.
+
+    Other empty lines mean nothing. A line of numbers in threes is keypoints; one that begins an image has its name.
+    """
     out, lines = {}, _lines(text)
-    while lines and not lines[-1]:
-        lines.pop()
-    for head, keypoints in zip(lines[::2], [*lines[1::2], ""], strict=False):
-        number, *pose, camera_id, name = head.split(maxsplit=9)
-        if len(pose) != 7:
-            raise ValueError(f"image {number} has {len(pose)} numbers of a pose, expected 7")
-        values = np.array(keypoints.split(), dtype=np.float64).reshape(-1, 3)
-        quat_wxyz, translation = np.array(pose[:4], dtype=np.float64), np.array(pose[4:], dtype=np.float64)
-        points = values[:, 2].astype(np.int64)
-        out[int(number)] = ModelImage(name, int(camera_id), quat_wxyz, translation, values[:, :2], points)
+    at = 0
+    while at < len(lines):
+        head, at = lines[at].split(maxsplit=9), at + 1
+        if not head:
+            continue
+        if len(head) < 10:
+            wrong = f"'{_shown(lines[at - 1])}' is neither an image nor its keypoints"
+            raise ValueError(
+                f"{wrong}: each image has two lines, of id, 7 numbers of a pose, camera, name; of x, y, id"
+            )
+        values = _keypoints(lines[at]) if at < len(lines) else None
+        at += values is not None
+        values = np.zeros((0, 3)) if values is None else values
+        pose, points = np.array(head[1:8], dtype=np.float64), values[:, 2].astype(np.int64)
+        out[int(head[0])] = ModelImage(head[9], int(head[8]), pose[:4], pose[4:], values[:, :2], points)
     return out
+
+
+def _keypoints(line: str) -> np.ndarray | None:
+    """x, y and point of keypoints [k, 3]; None where the line has none and is another image's."""
+    try:
+        return np.array(line.split(), dtype=np.float64).reshape(-1, 3)
+    except ValueError:
+        return None
+
+
+def _shown(line: str) -> str:
+    return line if len(line) <= 60 else line[:57] + "..."
 
 
 def _text_points(text: str) -> dict[int, ModelPoint]:
@@ -254,3 +309,10 @@ def _text_points(text: str) -> dict[int, ModelPoint]:
         images = np.array(track[::2], dtype=np.int64)
         out[int(number)] = ModelPoint(np.array([float(x), float(y), float(z)]), float(error), images)
     return out
+
+
+PARTS = {  # readers of the binary and of the text file
+    "cameras": (_binary_cameras, _text_cameras),
+    "images": (_binary_images, _text_images),
+    "points3D": (_binary_points, _text_points),
+}

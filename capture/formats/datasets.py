@@ -128,7 +128,7 @@ def read_dataset(
         return _scene(found, background, notes)
     except (
         ValueError,
-        OverflowError,
+        ArithmeticError,
         np.linalg.LinAlgError,
     ) as error:  # positions of 1e300, all at one place
         text = f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"

@@ -1,11 +1,11 @@
-"""Files of data sets: JSON, and what the header of a picture says before its pixels are read."""
+"""Files of data sets: text and JSON, and what the header of a picture says before its pixels are read."""
 
 import json
 import math
 import os
 import re
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from devrf.capture.errors import CaptureError
@@ -36,18 +36,35 @@ class Header:
         return f"{self.width}x{self.height}"
 
 
-def find_picture(file: Path) -> Path:
-    """The file itself, or with a usual ending added (Blender's layout names pictures without one).
+def find_picture(base: Path, name: str) -> Path:
+    """The file that a data set names.
 
+    Where there is none of that very name: with a usual ending added (Blender's layout names pictures without one), with
+    its ending in capitals or small letters, or with each backslash as a slash (paths of Windows).
+
+    Args:
+        base: Folder that the name is relative to.
+        name: As the data set has it.
     Raises:
         CaptureError: There is no such file.
     """
-    for ending in PICTURE_ENDINGS:
-        candidate = file.with_name(file.name + ending) if file.name else file
-        if os.path.isfile(candidate):  # not so what has too long a name
-            return candidate.resolve()
-    text = f"{file}: picture not found (nor with .png or .jpg added); copy it into the data set, or remove its entry"
-    raise CaptureError("picture-missing", text)
+    for written in dict.fromkeys((name, with_slashes(name))):
+        file = base / written
+        names = [file.name + ending for ending in PICTURE_ENDINGS]
+        names += [file.stem + change(file.suffix) for change in (str.lower, str.upper)]
+        for candidate in (file.with_name(other) for other in names if file.name):
+            if os.path.isfile(candidate):  # not so what has too long a name
+                return candidate.resolve()
+    remedy = "copy it into the data set, or remove its entry"
+    if PureWindowsPath(name).drive:
+        remedy = f"name it relative to {base}"
+    wrong = f"{base / name}: picture not found (nor with .png or .jpg added)"
+    raise CaptureError("picture-missing", f"{wrong}; {remedy}")
+
+
+def with_slashes(name: str) -> str:
+    """A path as it would be written elsewhere than on Windows."""
+    return name.replace("\\", "/")
 
 
 def read_header(path: Path) -> Header:
@@ -68,15 +85,30 @@ def read_header(path: Path) -> Header:
     raise CaptureError("picture-kind-unread", text)
 
 
+def read_text(path: Path, most: int = TEXT_BYTES) -> str:
+    """UTF-8 text of at most `most` bytes, with or without the signature that Windows programs put before it.
+
+    Raises:
+        CaptureError: Larger, or not UTF-8.
+        OSError: It cannot be read.
+    """
+    check_bytes(path, most)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        wrong = f"{path}: not UTF-8 text ({error.reason} at byte {error.start})"
+        remedy = "save it as UTF-8 (UTF-16 is not read), or copy it again if it is damaged"
+        raise CaptureError("encoding-wrong", f"{wrong}; {remedy}") from None
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object.
 
     Raises:
-        CaptureError: The file is missing, is not JSON, or holds something else.
+        CaptureError: The file is missing, is not JSON in UTF-8, or holds something else.
     """
     try:
-        check_bytes(path, TEXT_BYTES)
-        value = json.loads(path.read_text(), parse_int=_whole)
+        value = json.loads(read_text(path), parse_int=_whole)
     except FileNotFoundError:
         text = f"{path}: file not found; check dataset.path and dataset.format"
         raise CaptureError("file-missing", text) from None

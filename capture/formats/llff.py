@@ -1,12 +1,14 @@
-"""LLFF's layout: `poses_bounds.npy` and `images/`; one row per picture, in the order of their names.
+"""LLFF's layout: `poses_bounds.npy` and `images/`; one row per picture, in the order of their names by code points.
 
 A row is a 3x5 matrix [R | t | height, width, focal] and the nearest and farthest depth. Its R has the columns
 down, right, back in the world; t is the camera's centre. Square pixels, principal point at the middle.
 Our addition: `test.txt`, names of the test pictures, one per line.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -16,9 +18,8 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
-from devrf.capture.formats.files import Header, read_header
+from devrf.capture.formats.files import Header, read_header, read_text, with_slashes
 from devrf.capture.formats.opengl import cam_from_opengl
-from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
 
@@ -32,7 +33,7 @@ LEAST_NEAR = 0.01  # of far, where the scene says no nearest content
 def read_llff(folder: Path, notes: list[str]) -> Pictures:
     """A forward-facing scene at rest."""
     rows = read_rows(folder / "poses_bounds.npy", 17)
-    files = largest_pictures(folder, len(rows))
+    files = pictures_of_rows(folder, len(rows), notes)
     test = read_names(folder / TEST_LIST)
     frames, bounds = llff_frames(folder, rows, files, notes)
     if test is not None:
@@ -153,15 +154,31 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
     return bounds
 
 
-def largest_pictures(folder: Path, count: int | None) -> list[Path]:
-    """Pictures of `images`, else of `images_2`, `images_4`, `images_8`, in natural order.
+def pictures_of_rows(folder: Path, count: int, notes: list[str]) -> list[Path]:
+    """The picture of each row: `largest_pictures` by the code points of their names, as LLFF's own tools sort them.
+
+    Raises:
+        CaptureError: As of `largest_pictures`.
+    """
+    files = largest_pictures(folder, count, str)
+    if files != largest_pictures(folder, count):
+        first = ", ".join(file.name for file in files[:3])
+        notes.append(
+            f"{folder.name}: rows of poses_bounds.npy are taken to be in the order of names sorted by code points "
+            f"({first}, ...), as LLFF's tools write them; by the numbers in the names the cameras would be others"
+        )
+    return files
+
+
+def largest_pictures(folder: Path, count: int | None, key: Callable[[str], Any] = natural_key) -> list[Path]:
+    """Pictures of `images`, else of `images_2`, `images_4`, `images_8`, their names sorted by `key`.
 
     Raises:
         CaptureError: None of these holds `count` pictures (any, where `count` is None).
     """
     seen = []
     for factor in FACTORS:
-        files = pictures_in(folder / f"images{factor}")
+        files = pictures_in(folder / f"images{factor}", key)
         if files and count in (None, len(files)):
             return files
         if files:
@@ -172,23 +189,22 @@ def largest_pictures(folder: Path, count: int | None) -> list[Path]:
     raise CaptureError("count-mismatch", text)
 
 
-def pictures_in(folder: Path) -> list[Path]:
-    """Pictures of a folder in natural order; none where there is no such folder."""
+def pictures_in(folder: Path, key: Callable[[str], Any] = natural_key) -> list[Path]:
+    """Pictures of a folder, their names sorted by `key`; none where there is no such folder."""
     if not folder.is_dir():
         return []
     files = [
         p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")
     ]
-    return [p.resolve() for p in sorted(files, key=lambda p: natural_key(p.name))]
+    return [p.resolve() for p in sorted(files, key=lambda p: key(p.name))]
 
 
 def read_names(path: Path) -> frozenset[str] | None:
-    """Names in a list, one per line; None where there is no list."""
+    """Names in a list, one per line, with slashes; None where there is no list."""
     if not path.is_file():
         return None
     try:
-        check_bytes(path, TEXT_BYTES)
-        return frozenset(line.strip() for line in path.read_text().splitlines() if line.strip())
-    except (OSError, UnicodeDecodeError) as error:
+        return frozenset(with_slashes(line.strip()) for line in read_text(path).splitlines() if line.strip())
+    except OSError as error:
         text = f"{path}: no list of names ({error}); write one name per line, or remove it"
         raise CaptureError("file-damaged", text) from None

@@ -1,25 +1,30 @@
 """nerfstudio's layout: one `transforms.json`; pictures without `time` are at rest, those with it in motion.
 
+Without a training picture in motion there is no motion to learn: the set is one at rest.
+
 `time` may be in seconds: outside [0, 1] all times are rescaled. Moving pictures of one pose are one camera.
 """
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from devrf.capture.camera import LensModel
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.export import Export, copied
-from devrf.capture.formats.files import read_json, write_json
+from devrf.capture.formats.files import frames_of, read_json, with_slashes, write_json
 from devrf.capture.formats.ply import write_ply
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
-from devrf.capture.formats.transforms import frame_entry, read_transforms
+from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of
 from devrf.capture.scene import PosedFrame
 
 POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
+PLY_HEADER_BYTES = 4096  # the count of points is in its first lines
 SAME_POSE_DECIMALS = 6  # fixed cameras' entries may be rounded differently
 
 
@@ -32,13 +37,44 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     if not static:
         wrong = f"data set {folder}: no picture without a time, so none of the scene at rest"
         raise CaptureError("rest-missing", f"{wrong}; add a sweep of it")
-    own = read_json(path).get(OWN_KEY)
+    if dynamic and all(f.split == "test" for f in dynamic):
+        notes.append(
+            f"{len(dynamic)} test pictures have a time, no training picture has one: they are not used"
+        )
+        dynamic = ()
+    meta = read_json(path)
+    own = meta.get(OWN_KEY)
+    if own is None and (count := _points_beside(folder, meta.get("ply_file_path"))):
+        notes.append(
+            f"{count} points of ply_file_path are not used, the box is a loose cube: they name no pictures"
+        )
     return Pictures(
         static,
         _within_0_1(_cameras(dynamic, notes), notes),
         has_split=any(f.split == "test" for f in static),
         own=None if own is None else (own, path),
     )
+
+
+def _points_beside(folder: Path, name: object) -> int | None:
+    """How many points a PLY file has by its header; None where none is named or there."""
+    file = folder / with_slashes(str(name))
+    if name is None or not file.is_file():
+        return None
+    with file.open("rb") as opened:
+        found = re.search(rb"element vertex (\d{1,18})\b", opened.read(PLY_HEADER_BYTES))
+    return int(found[1]) if found else None
+
+
+def is_at_rest(folder: Path) -> bool:
+    """Whether no training picture has a time, without a look at pictures. False where the file cannot be read."""
+    path = folder / "transforms.json"
+    try:
+        meta = read_json(path)
+        moving = [entry for entry in frames_of(meta, path) if entry.get("time") is not None]
+        return all(split_of(entry, meta, str(path)) == "test" for entry in moving)
+    except CaptureError:
+        return False  # who reads it says why
 
 
 def write_nerfstudio(export: Export) -> None:
@@ -56,7 +92,7 @@ def write_nerfstudio(export: Export) -> None:
     write_json(
         export.folder / "transforms.json",
         {
-            "camera_model": "OPENCV",
+            "camera_model": _common_lens(frames, export.notes),
             **{
                 f"{split}_filenames": [
                     e["file_path"] for e, f in zip(entries, frames, strict=True) if f.split == used
@@ -68,6 +104,19 @@ def write_nerfstudio(export: Export) -> None:
             "frames": [{key: value for key, value in e.items() if value is not None} for e in entries],
         },
     )
+
+
+def _common_lens(frames: tuple[PosedFrame, ...], notes: list[str]) -> LensModel:
+    """The lens model of most pictures, which nerfstudio takes for all: it asks the top of the file alone."""
+    counts: Counter[LensModel] = Counter(f.camera.model for f in frames)
+    (model, most), *others = counts.most_common()
+    for other, count in others:
+        notes.append(
+            f"{count} of the {len(frames)} pictures have the lens {other}, {most} have {model}, which is at the top of "
+            "transforms.json: nerfstudio takes it for all pictures, so leave out the entries of the others "
+            "there (their camera_model names them), or export to colmap"
+        )
+    return model
 
 
 def _cameras(frames: tuple[PosedFrame, ...], notes: list[str]) -> tuple[PosedFrame, ...]:

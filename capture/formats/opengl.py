@@ -18,6 +18,33 @@ DISTORTION_KEYS: dict[LensModel, tuple[str, ...]] = {
     "OPENCV": ("k1", "k2", "p1", "p2", "k3"),
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
+MODELS: dict[
+    str, LensModel
+] = {  # nerfstudio's words, and COLMAP's, for lenses whose coefficients are k1, k2, ...
+    "OPENCV": "OPENCV",
+    "PINHOLE": "OPENCV",
+    "SIMPLE_PINHOLE": "OPENCV",
+    "PERSPECTIVE": "OPENCV",
+    "SIMPLE_RADIAL": "OPENCV",
+    "RADIAL": "OPENCV",
+    "FULL_OPENCV": "OPENCV",
+    "OPENCV_FISHEYE": "OPENCV_FISHEYE",
+    "SIMPLE_FISHEYE": "OPENCV_FISHEYE",
+    "FISHEYE": "OPENCV_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
+    "RADIAL_FISHEYE": "OPENCV_FISHEYE",
+}
+COEFFICIENTS = (
+    "k1",
+    "k2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "p1",
+    "p2",
+)  # that files may have; a lens has some of them
+OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_p0")  # keys of instant-ngp
 RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they are not rotations at all
 
 
@@ -52,8 +79,12 @@ def cam_from_opengl(matrix: Any, where: str) -> Float[np.ndarray, "3 4"]:
 def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
     """The camera that an entry (with the file's own keys below it) describes.
 
-    `fl_x, fl_y, cx, cy, w, h` and distortion where given; else `camera_angle_x`, whose focal length is from the
-    width, with square pixels and the principal point at the picture's middle.
+    `fl_x, fl_y, cx, cy, w, h` and distortion where given; else `camera_angle_x` and `camera_angle_y`, whose focal
+    lengths are from width and height. Without those of y, pixels are square; without cx, cy the principal point is
+    at the picture's middle. The lens is `camera_model`, or a fisheye by instant-ngp's `is_fisheye`.
+
+    Raises:
+        CaptureError: A value that is none, or a lens that is not read.
     """
     width, height = header.width, header.height
     stated = tuple(
@@ -62,27 +93,60 @@ def camera_of(entry: dict[str, Any], header: Header, where: str) -> Camera:
     if stated != (width, height):
         wrong = f"{header.path}: picture is {header.size}, {where} says {stated[0]}x{stated[1]}"
         raise CaptureError("picture-size-wrong", f"{wrong}; use the pictures that were calibrated")
-    if "fl_x" in entry:
-        fl_x = number(entry["fl_x"], "fl_x", where)
-    elif "camera_angle_x" in entry:
-        angle = number(entry["camera_angle_x"], "camera_angle_x", where)
-        if not 0 < angle < np.pi:
-            text = f"{where}: camera_angle_x is {angle}; expected radians between 0 and 3.14"
-            raise CaptureError("entry-wrong", text)
-        fl_x = 0.5 * width / np.tan(0.5 * angle)
-    else:
+    fl_x = _focal_length(entry, "x", width, where)
+    if fl_x is None:
         text = f"{where}: neither fl_x nor camera_angle_x given; one of them is needed"
         raise CaptureError("entry-missing", text)
-    fl_y = number(entry.get("fl_y", fl_x), "fl_y", where)
+    fl_y = _focal_length(entry, "y", height, where)
+    fl_y = fl_x if fl_y is None else fl_y
     if min(fl_x, fl_y) <= 0:
         text = f"{where}: focal length is {fl_x}, {fl_y}; expected pixels above 0"
         raise CaptureError("entry-wrong", text)
     cx, cy = (number(entry.get(key, side / 2), key, where) for key, side in (("cx", width), ("cy", height)))
     K = np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1.0]])
-    model: LensModel = "OPENCV_FISHEYE" if entry.get("camera_model") == "OPENCV_FISHEYE" else "OPENCV"
-    lens = [number(entry.get(key, 0.0), key, where) for key in DISTORTION_KEYS[model]]
-    distortion = np.array([*lens, 0.0][:5])
+    model = _lens_model(entry, where)
+    lens = {key: number(entry.get(key, 0.0), key, where) for key in COEFFICIENTS}
+    keys = DISTORTION_KEYS[model]
+    if beyond := [f"{key} = {value:g}" for key, value in lens.items() if value and key not in keys]:
+        wrong = f"{where}: {', '.join(beyond)} cannot be held; expected {', '.join(keys)} of {model}"
+        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures, or calibrate without them")
+    distortion = np.array([*(lens[key] for key in keys), 0.0][:5])
     return Camera(width, height, K, cam_from_opengl(entry["transform_matrix"], where), distortion, model)
+
+
+def _focal_length(entry: dict[str, Any], axis: str, side: int, where: str) -> float | None:
+    """Pixels, by `fl_x` or `camera_angle_x` (or those of y); None where there is neither."""
+    length, angle = f"fl_{axis}", f"camera_angle_{axis}"
+    if length in entry:
+        return number(entry[length], length, where)
+    if angle not in entry:
+        return None
+    value = number(entry[angle], angle, where)
+    if not 0 < value < np.pi:
+        raise CaptureError("entry-wrong", f"{where}: {angle} is {value}; expected radians between 0 and 3.14")
+    return 0.5 * side / np.tan(0.5 * value)
+
+
+def _lens_model(entry: dict[str, Any], where: str) -> LensModel:
+    """By `camera_model`, which may be null, and `is_fisheye`."""
+    said, flag = entry.get("camera_model"), entry.get("is_fisheye")
+    for key in OTHER_PROJECTIONS:
+        if entry.get(key) is not None and entry[key] is not False:
+            wrong = f"{where}: {key} is {entry[key]!r}, another projection, which is not read"
+            raise CaptureError(
+                "lens-unread", f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
+            )
+    if said is not None and (not isinstance(said, str) or said not in MODELS):
+        wrong = f"{where}: camera_model {said} is not read; expected {', '.join(MODELS)}"
+        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")
+    if flag not in (None, False, True):
+        raise CaptureError("entry-wrong", f"{where}: is_fisheye is {flag!r}; expected true or false")
+    flagged: LensModel = "OPENCV_FISHEYE" if flag else "OPENCV"
+    model = flagged if said is None else MODELS[said]
+    if flag and model != flagged:
+        wrong = f"{where}: camera_model is {said} and is_fisheye is true; expected one lens"
+        raise CaptureError("lens-unread", f"{wrong}; remove the one that is not true")
+    return model
 
 
 def intrinsics_entry(camera: Camera) -> dict[str, Any]:

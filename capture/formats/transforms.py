@@ -17,13 +17,12 @@ from devrf.capture.formats.files import (
     read_json,
     relative_to,
     safe_name,
+    with_slashes,
     write_json,
 )
 from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_entry, opengl_pose
 from devrf.capture.look import EVEN, SAME, Look, as_gains, as_matrix
 from devrf.capture.scene import PosedFrame, Split
-
-MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV_FISHEYE")
 
 
 def write_transforms(path: Path, frames: tuple[PosedFrame, ...]) -> None:
@@ -67,12 +66,10 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
     """
     meta = read_json(path)
     common = {key: value for key, value in meta.items() if key != "frames"}
-    _check_model(meta.get("camera_model", "OPENCV"), path)
     frames, grey = [], 0
     for number, entry in enumerate(frames_of(meta, path)):
         where = f"{path}: frames[{number}] ({entry['file_path']})"
-        _check_model(entry.get("camera_model", "OPENCV"), path)
-        header = read_header(find_picture(path.parent / entry["file_path"]))
+        header = read_header(find_picture(path.parent, entry["file_path"]))
         grey += header.grey
         time = number_or_none(entry, "time", where)
         time_s = number_or_none(entry, "time_s", where)
@@ -84,12 +81,12 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 index=index_of(entry, number, where),
                 time_s=time if time_s is None else time_s,
                 time=time,
-                split=_split(entry, meta, where),
+                split=split_of(entry, meta, where),
                 flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
                 look=_look(entry, path.parent, where),
                 matte=None
                 if entry.get("mask_path") is None
-                else find_picture(path.parent / entry["mask_path"]),
+                else find_picture(path.parent, str(entry["mask_path"])),
             )
         )
     if grey and notes is not None:
@@ -104,12 +101,6 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
         text = f"{where}: frame_index is {index!r}; expected a whole number from 0"
         raise CaptureError("entry-wrong", text)
     return index
-
-
-def _check_model(model: object, path: Path) -> None:
-    if model not in MODELS:
-        wrong = f"{path}: camera_model {model} is not read; expected OPENCV, PINHOLE or OPENCV_FISHEYE"
-        raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")
 
 
 def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
@@ -131,16 +122,17 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
         raise CaptureError("entry-wrong", f"{wrong}; expected {expected}") from None
 
 
-def _split(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
-    """`split` of the entry, else by nerfstudio's lists of names."""
+def split_of(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
+    """`split` of the entry, else by nerfstudio's lists of names.
+
+    Raises:
+        CaptureError: A split that is none.
+    """
     split = entry.get("split")
     if split is None:
-        name = entry["file_path"]
-        return (
-            "test"
-            if any(name in (meta.get(f"{kind}_filenames") or ()) for kind in ("test", "val"))
-            else "train"
-        )
+        name = with_slashes(entry["file_path"])
+        listed = [other for kind in ("test", "val") for other in meta.get(f"{kind}_filenames") or ()]
+        return "test" if name in {with_slashes(str(other)) for other in listed} else "train"
     if split not in ("train", "test", "val"):
         raise CaptureError("entry-wrong", f"{where}: split is {split!r}; expected train or test")
     return "train" if split == "train" else "test"

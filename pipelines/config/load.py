@@ -18,7 +18,7 @@ from devrf.pipelines.config.types import validated
 def load_scene(
     path: Path, overrides: Sequence[str] = (), *, preset: str | None = None, check_files: bool = True
 ) -> SceneConfig:
-    """Read scene.yaml, apply `a.b=value` overrides and check everything.
+    """Read scene.yaml, apply `a.b=value` overrides, check everything, and look whether a data set moves.
 
     Args:
         path: The file.
@@ -50,4 +50,6 @@ def load_scene(
             check_files_exist(config, path.parent.resolve(), say)
     if mistakes or config is None:
         raise ConfigError(mistakes)
+    if config.dataset is not None:
+        config.dataset.look(config.path(path.parent.resolve(), config.dataset.path))
     return config

@@ -17,6 +17,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PrivateAttr,
     field_validator,
     model_validator,
 )
@@ -27,6 +28,7 @@ from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 
+FORMATS_AT_REST = ("blender", "llff", "colmap")
 LONGEST_PATH, LONGEST_NAME = 1000, 255  # characters, bytes: every system takes these
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
@@ -239,6 +241,19 @@ class DatasetConfig(_Section):
     ) = "auto"
     """What is behind the subject: auto, a plain colour (white, black or [r, g, b] from 0 to 1), or surroundings
     (shell)."""
+    _without_times: bool = PrivateAttr(default=False)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves in it: by its format, or as `look` saw."""
+        return self.format in FORMATS_AT_REST or self._without_times
+
+    def look(self, folder: Path) -> None:
+        """See in the data set whether anything moves, where its format leaves that open."""
+        if self.format == "nerfstudio":
+            from devrf.capture.formats.nerfstudio import is_at_rest  # not for every command
+
+            self._without_times = is_at_rest(folder)
 
 
 class StaticPosesConfig(_Section):

@@ -28,8 +28,7 @@ def _glue(name: str) -> Callable[[StageContext], None]:
 NO_RAW_FILES = "a finished data set brings its own cameras"
 NO_SWEEP = "the capture has no sweep of the scene at rest"
 NO_CAMERAS = "the capture has no cameras of the moving scene (only a sweep)"
-NOTHING_MOVES = "a data set of this format shows the scene at rest"
-FORMATS_AT_REST = ("blender", "llff", "colmap")
+NOTHING_MOVES = "nothing in this data set moves: it has no training pictures with times"
 PAIRS = {"intri": "extri", "extri": "intri", "intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 
 
@@ -39,7 +38,7 @@ def _unless(**reasons: str) -> Callable[["SceneConfig"], str | None]:
 
 
 def _where_something_moves(config: "SceneConfig") -> str | None:
-    if config.dataset is not None and config.dataset.format in FORMATS_AT_REST:
+    if config.dataset is not None and config.dataset.at_rest:
         return NOTHING_MOVES
     return NO_CAMERAS if config.kind == "sweep" else None
 

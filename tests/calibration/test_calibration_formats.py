@@ -469,3 +469,62 @@ def test_a_value_that_cannot_be_used_is_named(
     (tmp_path / file).write_text(text)
     with refused(code, tmp_path, *named):
         find_calibration(tmp_path / file)
+
+
+LENS = [-0.31, 0.12, 0.001, -0.0005, -0.02]
+MATRIX = "data: [900, 0, 640, 0, 900, 360, 0, 0, 1]"
+TOML_NO_LENS = "[cam_0]\nname = 'a'\nsize = [1280, 720]\nmatrix = [[900, 0, 640], [0, 900, 360], [0, 0, 1]]\n"
+OTHER_NAMES = ("dist_coeff", "dist_coeffs", "distortion", "distortion_coefs", "dist")
+
+
+def of_matrix(more: str) -> str:
+    return f"%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   {MATRIX}\n{more}"
+
+
+def kalibr(key: str) -> str:
+    return KALIBR.replace("distortion_coeffs", key)
+
+
+@pytest.mark.parametrize("key", OTHER_NAMES)
+def test_a_lens_under_another_name(key: str, tmp_path: Path) -> None:
+    texts = {
+        "a.yml": of_matrix(f"{key}: {LENS}\n"),
+        "b.yml": of_matrix(f"{key}: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: {LENS}\n"),
+        "c.toml": f"{TOML_NO_LENS}{key} = {LENS}\n",
+    }
+    for file, text in texts.items():
+        (tmp_path / file).write_text(text)
+        (camera,) = find_calibration(tmp_path / file).cameras.values()
+        assert camera.distortion.tolist() == LENS, file
+    (tmp_path / "d.yaml").write_text(kalibr(key))
+    assert find_calibration(tmp_path / "d.yaml").cameras["cam0"].distortion[1] == 0.06712482
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "key"),
+    [
+        ("a.yml", of_matrix(""), "distortion_coefficients"),
+        ("a.yml", of_matrix(f"dist: {LENS}\ndistortion: {LENS}\n"), "dist"),
+        ("a.yml", of_matrix(f"bend: {LENS}\n"), "bend"),
+        ("c.toml", TOML_NO_LENS, "distortions"),
+        ("d.yaml", kalibr("bend"), "distortion_coeffs"),
+        ("intrinsics.yml", of_matrix("").replace("camera_matrix", "M1"), "D1"),
+        ("intri.yml", of_matrix('names: ["a"]\n').replace("camera_matrix", "K_a"), "dist_a"),
+    ],
+)
+def test_a_lens_that_is_not_stated_is_asked_for(file: str, text: str, key: str, tmp_path: Path) -> None:
+    (tmp_path / file).write_text(text)
+    with refused("entry-missing", tmp_path / file, key, "[]", kind=InputError):
+        find_calibration(tmp_path / file)
+
+
+def test_kalibr_says_which_lens_its_coefficients_are_of(tmp_path: Path) -> None:
+    (tmp_path / "d.yaml").write_text(KALIBR.replace("  distortion_model: radtan\n", ""))
+    with refused("lens-unread", "cam0", "distortion_model", "radtan", kind=InputError):
+        find_calibration(tmp_path / "d.yaml")
+
+
+@pytest.mark.parametrize("model", ["", "distortion_model: equidistant\n"])
+def test_a_lens_stated_to_have_no_distortion(model: str, tmp_path: Path) -> None:
+    (tmp_path / "a.yml").write_text(of_matrix(f"{model}distortion_coefficients: []\n"))
+    assert not find_calibration(tmp_path / "a.yml").cameras["a"].distortion.any()

@@ -127,7 +127,7 @@ def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
     for name in ("intri.yml", "extri.yml"):
         assert rig_of(read(tmp_path / name)).cameras["cam2"].camera.K[0, 0] == 502
     (tmp_path / "intri.yml").write_bytes(b"\xff\xfe\x00")
-    with refused("file-damaged", "intri.yml", kind=InputError):
+    with refused("encoding-wrong", "intri.yml", kind=InputError):
         read(tmp_path / "extri.yml")
     (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\nK_cam0: 1\n")
     with refused("entry-wrong", "intri.yml", "names is None", kind=InputError):
@@ -189,11 +189,34 @@ def test_a_unit_that_the_format_leaves_open(
     assert [bool(n.remedy) for n in units] == ([True] if guessed else [])
 
 
-def test_a_unit_that_the_format_says_is_not_guessed(tmp_path: Path) -> None:
-    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(apart=100.0), True)
-    given = read(tmp_path / "Calib.toml")
-    assert rig_of(given).cameras["cam1"].camera.centre[0] == 100.0
-    assert not any(n.remedy for n in given.notes)
+@pytest.mark.parametrize("name", ["rig-pose2sim", "rig-kalibr", "rig-easymocap", "rig-caliscope"])
+def test_a_unit_that_the_format_says_is_not_guessed(name: str, tmp_path: Path) -> None:
+    """Beyond what rigs measure it is doubted: the board may have been described in millimetres."""
+    for apart, doubted in ((20.0, False), (1000.0, True)):
+        RIG_WRITERS[name](tmp_path, cameras(apart=apart), True)
+        source = tmp_path if name == "rig-easymocap" else next(tmp_path.iterdir())
+        given = read(source)
+        centres = [c.camera.centre for c in rig_of(given).cameras.values()]
+        assert np.linalg.norm(centres[1] - centres[0]) == pytest.approx(apart)
+        units = [n for n in given.notes if n.check == "unit of the given calibration"]
+        assert [("given_unit" in n.remedy, "m" in n.text.split()[0]) for n in units] == [
+            (True, True)
+        ] * doubted
+        assert not any(n.remedy for n in read(source, unit="m").notes)
+
+
+@pytest.mark.parametrize(("apart", "metres"), [(2828.0, 2.828), (2.828, 2.828)])
+def test_where_all_lenses_are_fisheyes_aniposelib_may_have_written_it(
+    apart: float, metres: float, tmp_path: Path
+) -> None:
+    wide = {name: replace(c, model="OPENCV_FISHEYE") for name, c in cameras(apart=apart).items()}
+    RIG_WRITERS["rig-anipose"](tmp_path, wide, True)
+    given = read(tmp_path / "calibration.toml")
+    assert given.format == "aniposelib"
+    assert rig_of(given).cameras["cam1"].camera.centre[0] == pytest.approx(metres)
+    assert ["given_unit" in n.remedy for n in given.notes if n.check == "unit of the given calibration"] == [
+        True
+    ]
 
 
 def test_an_arbitrary_scale_stays_so_or_is_measured(tmp_path: Path) -> None:

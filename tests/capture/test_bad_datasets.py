@@ -102,11 +102,14 @@ def test_transforms(folders, name: Any, change, refusal):
 
 
 @pytest.mark.parametrize("name", TRANSFORMS)
-@pytest.mark.parametrize("text", ["{", "[1]", "", "\x00\xff"])
-def test_no_json(folders, name: Any, text):
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [("{", "file-damaged"), ("[1]", "file-damaged"), ("", "file-damaged"), ("\x00\xff", "encoding-wrong")],
+)
+def test_no_json(folders, name: Any, text, code):
     path = folders[name] / TRANSFORMS[name]
     path.write_bytes(text.encode("latin-1"))
-    with refused("file-damaged", path, kind=CaptureError):
+    with refused(code, path, kind=CaptureError):
         read_dataset(name, folders[name])
 
 
@@ -276,3 +279,14 @@ def test_a_folder_of_another_format_and_none(tmp_path: Path, name: Any):
         read_dataset(name, tmp_path)
     with refused("folder-missing", tmp_path / "none", kind=CaptureError):
         read_dataset(name, tmp_path / "none")
+
+
+@pytest.mark.parametrize("name", TRANSFORMS)
+def test_json_of_windows_programs(folders: Folders, name: Any) -> None:
+    path = folders[name] / TRANSFORMS[name]
+    before, text = read_dataset(name, folders[name]), path.read_text()
+    path.write_text(text, "utf-8-sig")
+    assert read_dataset(name, folders[name]).frames[0].camera.width == before.frames[0].camera.width
+    path.write_text(text, "utf-16")
+    with refused("encoding-wrong", TRANSFORMS[name], "UTF-8", kind=CaptureError):
+        read_dataset(name, folders[name])

@@ -131,6 +131,19 @@ def test_fisheyes_come_back_or_are_undistorted(odd_scene: Scene, tmp_path: Path,
     assert {f.camera.model for f in again.frames} == {"OPENCV_FISHEYE" if kept else "OPENCV"}
 
 
+def test_nerfstudio_is_told_the_lens_at_the_top_where_it_looks(odd_scene: Scene, tmp_path: Path):
+    wide = with_fisheyes(odd_scene)
+    notes = write_dataset("nerfstudio", wide, tmp_path / "wide")
+    assert json.loads((tmp_path / "wide/transforms.json").read_text())["camera_model"] == "OPENCV_FISHEYE"
+    assert not any("OPENCV_FISHEYE" in note for note in notes)
+    few = replace(odd_scene, static=wide.static[:1] + odd_scene.static[1:])
+    write_dataset("nerfstudio", few, tmp_path / "few")
+    assert json.loads((tmp_path / "few/transforms.json").read_text())["camera_model"] == "OPENCV"
+    assert f"1 of the {len(few.frames)} pictures" in (tmp_path / "few/README.txt").read_text()
+    models = [f.camera.model for f in read_dataset("nerfstudio", tmp_path / "few").static]
+    assert models == ["OPENCV_FISHEYE", *["OPENCV"] * (len(models) - 1)]  # ours asks each entry
+
+
 @pytest.mark.parametrize("fisheye", [False, True])
 @pytest.mark.parametrize("background", ["shell", "white"])
 def test_written_pictures_show_what_their_cameras_say(odd_scene: Scene, tmp_path: Path, background, fisheye):

@@ -105,7 +105,6 @@ def test_nerfstudio_files_of_others_with_global_intrinsics(tmp_path):
             '{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}',
             ("picture-missing", "no.png"),
         ),
-        ('{"camera_model": "FULL_OPENCV", "frames": [1]}', ("lens-unread", "FULL_OPENCV")),
     ],
 )
 def test_bad_transforms_are_named(tmp_path, content, refusal):

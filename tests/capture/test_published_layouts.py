@@ -307,3 +307,159 @@ def test_names_of_plain_colours():
 def test_flip_is_its_own_inverse():
     np.testing.assert_array_equal(FLIP_YZ @ FLIP_YZ, np.eye(4))
     assert isinstance(Camera(2, 2, np.eye(3), np.eye(4)[:3]).moved(FLIP_YZ), Camera)
+
+
+def test_names_as_windows_writes_them(tmp_path: Path):
+    files = ["images/0.png", "images/1.JPG", "images/2.png", "masks/0.png"]
+    for file in files:
+        picture(tmp_path / file)
+    names = ["images\\0.png", "images\\1.jpg", ".\\images\\2"]
+    entries = [{"file_path": n, "transform_matrix": opengl(k).tolist()} for k, n in enumerate(names)]
+    entries[0]["mask_path"] = "masks\\0.PNG"
+    meta = {"camera_angle_x": 0.8, "frames": entries, "test_filenames": ["images/1.jpg"]}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    frames = read_dataset("nerfstudio", tmp_path).static
+    assert [f.path.name for f in frames] == ["0.png", "1.JPG", "2.png"]
+    assert [f.split for f in frames] == ["train", "test", "train"]
+    assert frames[0].matte == tmp_path / files[3]
+    entries[0]["file_path"] = "C:\\set\\images\\0.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    with refused("picture-missing", "C:\\set\\images\\0.png", f"relative to {tmp_path}", kind=CaptureError):
+        read_dataset("nerfstudio", tmp_path)
+
+
+def test_a_backslash_in_the_name_of_a_file_stays_one(tmp_path: Path):
+    entries = [{"file_path": f"a\\{n}.png", "transform_matrix": opengl(n).tolist()} for n in range(2)]
+    for n in range(2):
+        picture(tmp_path / f"a\\{n}.png")
+        picture(tmp_path / f"a/{n}.png")
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": entries}))
+    names = [f.path.name for f in read_dataset("nerfstudio", tmp_path).static]
+    assert names == ["a\\0.png", "a\\1.png"]
+
+
+LENS = {"fl_x": 40.0, "fl_y": 40.0, "k1": 0.05, "k2": -0.02}
+
+
+def lens_set(folder: Path, common: dict, entry: dict) -> Path:
+    """Two pictures with these keys for the whole file and for each entry."""
+    entries = [{"file_path": f"{n}.png", "transform_matrix": opengl(n).tolist(), **entry} for n in range(2)]
+    for n in range(2):
+        picture(folder / f"{n}.png")
+    (folder / "transforms.json").write_text(json.dumps({**common, "frames": entries}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("common", "entry", "model", "distortion"),
+    [
+        (
+            {"is_fisheye": True, "k3": 0.004, "k4": -0.001},
+            {},
+            "OPENCV_FISHEYE",
+            [0.05, -0.02, 0.004, -0.001, 0],
+        ),
+        (
+            {"k3": 0.004, "k4": -0.001},
+            {"is_fisheye": True},
+            "OPENCV_FISHEYE",
+            [0.05, -0.02, 0.004, -0.001, 0],
+        ),
+        ({"is_fisheye": True}, {"is_fisheye": False, "p1": 0.1}, "OPENCV", [0.05, -0.02, 0.1, 0, 0]),
+        (
+            {"is_fisheye": True, "camera_model": "OPENCV_FISHEYE"},
+            {},
+            "OPENCV_FISHEYE",
+            [0.05, -0.02, 0, 0, 0],
+        ),
+        ({"camera_model": "RADIAL_FISHEYE"}, {}, "OPENCV_FISHEYE", [0.05, -0.02, 0, 0, 0]),
+        ({"camera_model": "SIMPLE_RADIAL", "k2": 0.0}, {}, "OPENCV", [0.05, 0, 0, 0, 0]),
+        (
+            {"camera_model": "FULL_OPENCV", "k3": 0.1, "k4": 0, "k5": 0},
+            {},
+            "OPENCV",
+            [0.05, -0.02, 0, 0, 0.1],
+        ),
+        ({"camera_model": None, "latlong": False}, {"camera_model": None}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
+        ({"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "PINHOLE"}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
+    ],
+)
+def test_lenses_by_the_words_of_others(tmp_path: Path, common, entry, model, distortion):
+    camera = read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, entry)).static[0].camera
+    assert (camera.model, camera.distortion.tolist()) == (model, distortion)
+
+
+@pytest.mark.parametrize(
+    ("common", "code", "named"),
+    [
+        ({"latlong": True}, "lens-unread", ("latlong",)),
+        ({"ftheta_p0": 0.0}, "lens-unread", ("ftheta_p0",)),
+        ({"camera_model": "EUCM"}, "lens-unread", ("EUCM", "OPENCV_FISHEYE")),
+        ({"camera_model": ["OPENCV"]}, "lens-unread", ("camera_model",)),
+        ({"camera_model": "OPENCV", "is_fisheye": True}, "lens-unread", ("is_fisheye", "OPENCV")),
+        ({"is_fisheye": "yes"}, "entry-wrong", ("is_fisheye", "'yes'")),
+        ({"k4": 0.01}, "lens-unread", ("k4 = 0.01", "k1, k2, p1, p2, k3")),
+        ({"is_fisheye": True, "p1": 0.01}, "lens-unread", ("p1 = 0.01", "k1, k2, k3, k4")),
+    ],
+)
+def test_lenses_that_are_not_read_are_refused_by_name(tmp_path: Path, common, code, named):
+    with refused(code, "frames[0]", *named, kind=CaptureError):
+        read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, {}))
+
+
+def test_one_picture_at_the_origin_is_no_scene(tmp_path: Path):
+    lens_set(tmp_path, LENS, {})
+    meta = json.loads((tmp_path / "transforms.json").read_text())
+    entry = meta["frames"][0] | {"transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta | {"frames": [entry]}))
+    with np.errstate(all="ignore"), refused("scene-cameras-unusable", tmp_path, kind=CaptureError):
+        read_dataset("nerfstudio", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["nerfstudio", "blender"])
+def test_pixels_that_are_not_square(tmp_path: Path, name):
+    angles = {"camera_angle_x": 2 * np.arctan(24 / 40), "camera_angle_y": 2 * np.arctan(16 / 44)}
+    lens_set(tmp_path, angles, {})
+    if name == "blender":
+        (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
+    K = read_dataset(name, tmp_path).static[0].camera.K
+    np.testing.assert_allclose([K[0, 0], K[1, 1]], [40, 44])
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{n}.png" for n in (1, 10, 11, 2, 3, 7, 8, 9, 91)],  # as numpy.argsort of the names has them
+        ["IMG_2.png", "IMG_3.png", *(f"img_{n}.png" for n in (1, 10, 2, 3, 4, 5, 6))],
+    ],
+)
+@pytest.mark.parametrize("name", ["devrf", "llff"])
+def test_rows_belong_to_names_by_code_points(forward: Path, name, names: list[str]):
+    folder = forward if name == "devrf" else forward / "static"
+    notes: list[str] = []
+    before = read_dataset(name, folder, notes=notes)
+    assert not any("order" in note for note in notes)
+    for n, new in enumerate(names):
+        (forward / f"static/images_2/{n:03d}.png").rename(forward / "static/images_2" / new)
+    after = read_dataset(name, folder, notes=notes)
+    assert [f.path.name for f in after.static] == names
+    for a, b in zip(before.static, after.static, strict=True):
+        np.testing.assert_array_equal(a.camera.cam_from_world, b.camera.cam_from_world)
+    assert [", ".join(names[:3]) in note for note in notes if "order" in note] == [True]
+    if name == "devrf":  # frames of a view stand in the order of their numbers
+        for n in range(4):
+            (forward / f"dynamic_3views/view1/images_2/{n}.png").rename(
+                forward / f"dynamic_3views/view1/images_2/{8 + n}.png"
+            )
+        moved = [f.path.name for f in read_dataset(name, folder).dynamic if f.camera_name == "view1"]
+        assert moved == ["8.png", "9.png", "10.png", "11.png"]
+
+
+def test_points_that_name_no_pictures_are_counted(tmp_path: Path):
+    (tmp_path / "a.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement vertex 300\nproperty float x\nend_header\n"
+    )
+    for name, count in (("a.ply", 1), (".\\a.ply", 1), ("b.ply", 0)):
+        notes: list[str] = []
+        read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, "ply_file_path": name}, {}), notes=notes)
+        assert [note.startswith("300 points") for note in notes] == [True] * count

@@ -1,12 +1,16 @@
 """The list of stages agrees with the contract, with the configuration and with what each stage does."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from devrf.capture.camera import Camera
+from devrf.capture.formats import read_dataset
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
@@ -121,3 +125,30 @@ def test_code_version_changes_with_the_code(tmp_path: Path, monkeypatch: pytest.
     assert code_version("devrf.flow.a") == before
     (tmp_path / "capture/b.py").write_text("x = 2\n")
     assert code_version("devrf.flow.a") != before
+
+
+@pytest.mark.parametrize(
+    ("times", "at_rest"),
+    [
+        ([None, None, None, None], True),
+        ([None, None, 0.0, 1.0], False),
+        ([None, None, None, 0.5], True),  # the last is a test picture
+    ],
+)
+def test_motion_needs_training_pictures_with_times(tmp_path: Path, times: list, at_rest: bool) -> None:
+    pose = np.eye(4)
+    entries = []
+    for n, time in enumerate(times):
+        pose[0, 3] = n
+        entries.append({"file_path": f"{n}.png", "transform_matrix": pose.tolist(), "time": time})
+        Image.new("RGB", (8, 8)).save(tmp_path / f"{n}.png")
+    meta = {"fl_x": 8.0, "frames": entries, "test_filenames": ["3.png"]}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    (tmp_path / "scene.yaml").write_text("name: x\ndataset: {format: nerfstudio, path: .}\n")
+    loaded = load_scene(tmp_path / "scene.yaml")
+    motion = ["flow", "deformation"]
+    assert applying(loaded) == [name for name in CONTRACT[5:] if not (at_rest and name in motion)]
+    notes: list[str] = []
+    scene = read_dataset("nerfstudio", tmp_path, notes=notes)
+    assert bool(scene.dynamic) is not at_rest
+    assert [note.split()[0] for note in notes] == ["1"] * times.count(0.5)  # how many are left out
