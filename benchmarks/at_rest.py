@@ -4,9 +4,8 @@
         [--seeds 1] [--json FILE]
 
 The rooms are simulated once and their look is fixed; each program runs its own stages up to `canonical`. What it
-renders is measured here, the same way for all: the test camera's picture of what stands
-(`reconstruct.still_picture`), whole and by the outline of the scene box; the held-out sweep; the fixed cameras
-against the truth; seconds of training.
+renders is measured here, the same way for all: the test camera's clean plate (`reconstruct.still_picture`), whole and
+by the outline of the scene box; the held-out sweep; the fixed cameras against the truth; seconds of training.
 """
 
 import json
@@ -15,6 +14,7 @@ import shutil
 import statistics
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +86,8 @@ def measured(name: str, scene_yaml: Path, program: str, run: Path, seed: int) ->
 
 
 def _scores(run: Path, renders: Any) -> dict[str, float]:
-    scene = read_scene(run / "scene").in_box_frame()
+    # Versions differ in when they take the scene to be at rest: all are compared with clean plates.
+    scene = replace(read_scene(run / "scene").in_box_frame(), rest_time=None)
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     whole, inside, outside = [], [], []
     tested = sorted((f for f in scene.dynamic if f.split == "test"), key=lambda f: f.time or 0.0)
