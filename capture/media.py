@@ -13,7 +13,7 @@ from devrf.capture.errors import InputError
 from devrf.capture.limits import CLIP_PX, check_pixels
 
 ARBITRARY_CLOCK_FORMATS = ("mpegts", "mpeg")  # camcorders' .mts starts at 1.4 s or at the time of day
-CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mxf,asf,flv,ogg,dv,wav,yuv4mpegpipe"
+CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mxf,asf,flv,ogg,dv,yuv4mpegpipe,wav,mp3,aac,flac"
 """FFmpeg's names of what cameras and recorders write, and what programs hand on.
 
 None of them opens other files, as lists, playlists and patterns of FFmpeg's four hundred formats do.

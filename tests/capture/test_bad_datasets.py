@@ -264,10 +264,13 @@ def test_colmap_files_that_were_cut_off(folders, name, kept):
 def test_colmap_text_that_is_none(folders):
     folder = folders["colmap"] / "sparse/0"
     (folder / "cameras.bin").unlink()
-    for text in ("1 PINHOLE 40", "1 PINHOLE 40 30 1 2 3", "1 NEW_MODEL 40 30 1 2 3", "a b c d e"):
+    for text in ("1 PINHOLE 40", "1 PINHOLE 40 30 1 2 3", "a PINHOLE c d e"):
         (folder / "cameras.txt").write_text(text)
         with refused("file-damaged", "cameras.txt", kind=CaptureError):
             read_dataset("colmap", folders["colmap"])
+    (folder / "cameras.txt").write_text("1 NEW_MODEL 40 30 1 2 3")
+    with refused("lens-unread", "cameras.txt", "NEW_MODEL", kind=CaptureError):
+        read_dataset("colmap", folders["colmap"])
     (folder / "cameras.txt").write_text("")
     with refused("camera-missing", "camera 1", kind=CaptureError):
         read_dataset("colmap", folders["colmap"])

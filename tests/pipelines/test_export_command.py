@@ -209,6 +209,7 @@ def test_a_calibration_for_other_cameras_is_told_before_anything_starts(
     assert re.search("Calib.qca.txt: .*'cam1' .* 1088x1920.* 1080x1920", said)
     file = cv2.FileStorage(str(tmp_path / "lens.yml"), cv2.FILE_STORAGE_WRITE)
     file.write("camera_matrix", np.array([[1600.0, 0, 540], [0, 1600, 960], [0, 0, 1]]))
+    file.write("distortion_coefficients", np.zeros((1, 5)))
     file.release()
     lens = str(tmp_path / "lens.yml")
     assert "calibration.rig.given: holds intrinsics only" in check({"cam1": lens, "cam3": lens})

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.config.load import load_scene
@@ -173,7 +174,7 @@ def test_one_whose_stage_was_finished_is_cleared_away(folder: Path) -> None:
     """Killed between the stage's last rename and the removal; while a stage is trained anew, its checkpoint stays."""
     run(folder)
     left = folder / "run/.learn.safetensors"
-    left.write_bytes(b"state")
+    save_file({"state": torch.zeros(1)}, left, metadata={"devrf": "{}"})
     stamp = (folder / "run/learn/stamp.json").stat().st_mtime
     os.utime(left, (stamp + 10, stamp + 10))
     assert run(folder) == [] and left.exists()
