@@ -34,7 +34,7 @@ class RestSeen:
     Attributes:
         expected: Points among what moves that would be recognised if nothing had moved.
         seen: How many of them are, at each moment: start, those between, end; None where it does not film.
-        still: At the start and at the end: whether next to nothing moves there.
+        still: At the first and the last moment at which it films: whether next to nothing moves there.
     """
 
     expected: float
@@ -54,7 +54,8 @@ class RestSeen:
         shown = seen >= max(AS_USUAL * self.expected, AS_BEST * float(seen.max()))
         if not self.told_by_points:
             shown[:] = False
-            shown[[0, -1]] = self.still
+            at = np.flatnonzero(filmed)
+            shown[at[:1]], shown[at[-1:]] = self.still
         return np.where(filmed, shown.astype(float), np.nan)
 
 
@@ -83,7 +84,8 @@ def rest_seen(
     size = np.array(moves.shape[::-1])
     at = np.clip((places / [camera.width, camera.height] * size).astype(int), 0, size - 1)
     among = moves[at[:, 1], at[:, 0]]
-    usual = float(found[:, ~among].mean()) if (~among).any() else 0.0
+    beside = found[:, ~among]
+    usual = float(beside.mean()) if beside.size else 0.0
     counts = iter(found[:, among].sum(axis=1).tolist())
     seen = tuple(None if picture is None else int(next(counts)) for picture in pictures)
     return RestSeen(usual * float(among.sum()), seen, still)
@@ -134,4 +136,4 @@ def end_of(times: np.ndarray, votes: np.ndarray, shared: tuple[float, float]) ->
 
 def middle_of(times: np.ndarray, votes: np.ndarray) -> float:
     """The time between start and end at which most cameras show the rest."""
-    return float(times[1 + int(votes[1:-1].argmax())])
+    return float(times[1 + int(votes[1:-1].argmax())]) if len(times) > 2 else 0.5

@@ -7,8 +7,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
+from devrf.reconstruct.key_times import AT_KEY
 
-AT_KEY = 1e-3  # of the key times' spacing
 LEAST_SAY = 0.25  # a key's share in a picture, for the key to be tracked by it
 
 

@@ -15,6 +15,7 @@ from devrf.reconstruct.sizing import Decision
 
 BENT_PX = 0.25  # pixels of the training size by which a point's way between two key times may bend
 FARTHEST = 0.06  # of the picture's width, that a point may move between two key times
+AT_KEY = 1e-3  # of the key times' spacing: what is nearer counts as at it
 SPARSE = 3  # every so many pixels of the flow are looked at, along each axis
 MOVING_PX = 0.5  # what moves less per picture is not asked; over several, errors of flow add up as noise does
 FEWEST_MOVE = 0.002  # of the pixels, that have to move for them to be asked
@@ -26,6 +27,13 @@ def offered_keys(frames: Sequence[PosedFrame], options: MotionOptions) -> int:
     times = {f.time for f in frames if f.time is not None}
     clips = Counter(f.camera_name for f in frames)
     return max(2, min(options.keys or options.most_keys, len(times), max(clips.values())))
+
+
+def rest_key_of(rest_time: float, times: Sequence[float], keys: int) -> int:
+    """The key time at rest: the last before a rest from the start is over, the first after one to the end begins."""
+    share = (rest_time - times[0]) / max(times[-1] - times[0], 1e-9)
+    at = (keys - 1) * min(1.0, max(0.0, share))
+    return math.floor(at + AT_KEY) if share < 0.5 else math.ceil(at - AT_KEY)
 
 
 def fewer_keys(flows: dict[str, CameraFlow], most: int) -> tuple[int, Decision | None]:

@@ -33,7 +33,7 @@ from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.key_pictures import KeyPictures
-from devrf.reconstruct.key_times import fewer_keys, offered_keys
+from devrf.reconstruct.key_times import fewer_keys, offered_keys, rest_key_of
 from devrf.reconstruct.losses import (
     VARIATION_CLAMP,
     cycle_loss,
@@ -183,10 +183,6 @@ class _Recipe:
         if options.adapt and options.keys is None:
             keys, decision = fewer_keys(flows, keys)
             self._note(decision)
-        rest_key = None
-        if scene.rest_time is not None:
-            share = (scene.rest_time - times[0]) / max(times[-1] - times[0], 1e-9)
-            rest_key = round((keys - 1) * min(1.0, max(0.0, share)))
         box = motion_box(scene, rest, rays.frames, len(times))
         self.motion = MotionField.still(
             box,
@@ -194,10 +190,10 @@ class _Recipe:
             options.levels[0],
             t_first=times[0],
             t_last=times[-1],
-            rest_key=rest_key,
+            rest_key=None if scene.rest_time is None else rest_key_of(scene.rest_time, times, keys),
             device=device,
         )
-        after = 0 if rest_key is None else rest_key + 1
+        after = 0 if self.motion.rest_key is None else self.motion.rest_key + 1
         self.order = [*range(after, keys), *range(after - 2, -1, -1)]  # from the rest on, and back from it
         self.tau_of_frame = self.motion.tau(rays.times)
         names = [f.camera_name for f in rays.frames]

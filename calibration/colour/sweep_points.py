@@ -62,7 +62,8 @@ def sweep_sightings(
         small = _small(swept)
         at = seen * (small.camera.width / swept.camera.width)
         places.append(camera.project(xyz))
-        found.append(np.stack([shared_colours(xyz, small, view, (at, None))[1] for view in views]))
+        usable = [shared_colours(xyz, small, view, (at, None))[1] for view in views]
+        found.append(np.array(usable, dtype=bool).reshape(len(views), len(xyz)))
     return np.concatenate(places), np.concatenate(found, axis=1)
 
 

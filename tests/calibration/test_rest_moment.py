@@ -87,6 +87,16 @@ def test_without_points_what_stands_still_decides() -> None:
     )
 
 
+def test_what_stands_still_when_a_late_camera_begins_counts_there() -> None:
+    late = RestSeen(0.0, (None, 0, 0, 0, 0, 0, 0), (True, False))
+    np.testing.assert_array_equal(late.moments, [np.nan, 1, 0, 0, 0, 0, 0])
+
+
+def test_a_camera_that_films_at_none_of_the_moments_tells_nothing(swept) -> None:
+    seen = seen_at(swept, [None] * MOMENTS)
+    assert seen.expected == 0 and np.isnan(seen.moments).all()
+
+
 def test_cameras_told_by_points_count_before_others() -> None:
     told = RestSeen(100.0, (3, 2, 2, 2, 2, 2, 95), (False, False))
     plain = [RestSeen(0.0, (0,) * MOMENTS, (True, False))] * 3
@@ -97,6 +107,7 @@ def test_a_middle_is_never_the_start_or_the_end() -> None:
     votes = np.array([1.0, 0, 0.25, 0.5, 0, 0, 1])
     assert middle_of(TIMES, votes) == pytest.approx(3 / 6)
     assert 0 < middle_of(TIMES, np.zeros(MOMENTS)) < 1
+    assert middle_of(TIMES[:2], np.ones(2)) == 0.5  # nobody films between
 
 
 @pytest.mark.parametrize(

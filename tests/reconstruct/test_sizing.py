@@ -15,7 +15,7 @@ from devrf.reconstruct import train_motion as motion_training
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
-from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing
+from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing, rest_key_of
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import MotionOptions, preset
@@ -82,6 +82,15 @@ def test_key_times_follow_how_much_ways_bend(acceleration: float) -> None:
     steps = np.stack([-1.0 - acceleration * np.arange(6), np.zeros(6)], axis=1)
     found = needed_spacing({"cam0": _clip(steps, width=3200)})
     assert found is not None and found[0] == pytest.approx(np.sqrt(8 * BENT_PX / acceleration), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("rest_time", "key"), [(0.0, 0), (0.09, 0), (0.1, 1), (0.19, 1), (0.5, 5), (0.81, 9), (0.9, 9), (1.0, 10)]
+)
+def test_at_the_key_time_of_the_rest_nothing_has_moved_yet_or_any_more(rest_time: float, key: int) -> None:
+    """What lasts from the start to this time lasts at the key before; what lasts from it on, at the key after."""
+    assert rest_key_of(rest_time, [0.0, 0.3, 1.0], 11) == key
+    assert rest_key_of(0.0, [0.2, 1.0], 11) == 0 and rest_key_of(1.0, [0.2, 0.9], 11) == 10
 
 
 def test_a_short_straight_way_needs_two_key_times() -> None:
