@@ -24,9 +24,7 @@ from devrf.pipelines.health.rows import HealthRow, note
 CHECK = "scene at rest in the clips"
 SUCCESSIVE = 4  # pictures, to see whether anything moves
 LATEST = 0.25  # of the time: a camera that begins to film later does not see a rest that scene.yaml puts at the start
-WITHIN_GAPS = (
-    1.5  # of a camera's pictures: clocks that run free have one within one of all times that they film
-)
+WITHIN_GAPS = 1.5  # of a camera's pictures: it films whenever one is no farther away
 REMEDY = (
     "Let the fixed cameras run for a second before the action, or say in capture.rest when their clips show the "
     "scene as in the sweep."

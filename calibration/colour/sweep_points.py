@@ -19,9 +19,7 @@ MOST_POINTS = 3000  # of a camera, those that the sweep's model knows best
 MOST_PICTURES = 40  # of the sweep that are read for a camera: a second or two
 WIDEST_DEG = 40.0  # between the two lines of sight; beyond, even matt surfaces change
 DISTANCE_PER_OCTAVE_DEG = 10.0  # twice the distance counts as much as so many degrees
-SIGHTED_SIDE_PX = (
-    640  # of pictures in which points are only recognised: seven of a camera, in a second or two
-)
+SIGHTED_SIDE_PX = 640  # of pictures in which points are only recognised
 MAX_ERROR_PX = 2.0  # mean reprojection error of a point
 
 

@@ -15,7 +15,7 @@ from devrf.capture.scene import Rest
 
 CLIP_FRAMES = 21  # of the whole clip's median
 REST_FRAMES = 3
-AT_REST = ("start", "middle", "end")  # when a clip may show the rest
+REST_MOMENTS = ("start", "middle", "end")  # when a clip may show the rest
 
 
 def clean_pictures(name: str, files: list[Path], rest: Rest, out: Path) -> list[Path]:

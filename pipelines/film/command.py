@@ -191,8 +191,8 @@ def _leaving(plan: Film, model: "DynamicModel") -> list[str]:
             "film-path-blind",
             f"--path {plan.path}: {len(found.unseen)} of {count} pictures cannot be rendered, the first is {first} (at "
             f"{first / plan.fps:.2f} s): the camera is inside of something solid, or farther from "
-            f"the scene's box than anything was filmed from ({model.rest.far:.3g} box units); move the path nearer to "
-            "where cameras stood",
+            f"the scene's box than any camera saw ({model.rest.far:.3g} box units); move the path nearer to where "
+            "cameras stood",
         )
     notes = []
     if found.outside:

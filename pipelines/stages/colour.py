@@ -14,7 +14,7 @@ from devrf.calibration.colour.result import CameraColour, Colours, Source
 from devrf.calibration.colour.surface import Pairs, View
 from devrf.calibration.colour.sweep_points import sweep_pairs
 from devrf.calibration.flicker import steady_gains
-from devrf.calibration.rigs.clean_picture import AT_REST, rest_frames
+from devrf.calibration.rigs.clean_picture import REST_MOMENTS, rest_frames
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.calibration.vignetting import flat_field
@@ -123,15 +123,13 @@ class _Job:
     def _clean(self, name: str) -> UInt8[np.ndarray, "_ _ 3"]:
         """The picture that was registered into the sweep, in steady light."""
         folder, used = self.context.run_dir / "rig" / "clean", self.moving[name].used
-        path, frame = (
-            folder / f"{name}_clip.png",
-            None,
-        )  # a median of the whole clip has the clip's usual light
-        for moment in AT_REST:
-            if (folder / f"{name}_{moment}.png").is_file():
-                path = folder / f"{name}_{moment}.png"
+        path = folder / f"{name}_clip.png"
+        frame = None  # a median of the whole clip has the clip's usual light
+        for moment in REST_MOMENTS:
+            at_rest = folder / f"{name}_{moment}.png"
+            if at_rest.is_file():
                 frames = rest_frames(moment, len(used))
-                frame = used[frames[len(frames) // 2]].index
+                path, frame = at_rest, used[frames[len(frames) // 2]].index
         return self.base.before_matching(name, frame).apply(read_pixels(path)[..., :3])
 
     def _moments(self) -> Iterator[dict[str, View]]:

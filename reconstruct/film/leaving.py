@@ -40,7 +40,7 @@ class Leaving:
         farthest_deg: Largest angle of a picture from the nearest training camera.
         cut: Pictures in which something solid lies nearer than the nearest distance at which anything is shown.
         unseen: Places in the path of cameras from which nothing can be shown: inside of something solid, or farther
-            from the scene than anything was filmed from.
+            from the box than any camera saw.
     """
 
     outside: int
