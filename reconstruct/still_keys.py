@@ -38,6 +38,24 @@ def still_keys(
     return still, Decision("key times to train", trained, f"{len(order)}", reason)
 
 
+def still_beyond_rest(rays: RaySet, tau: Float[Tensor, " F"], keys: int, rest_key: int | None) -> set[int]:
+    """Key times between the rest and the nearer end at which nobody sees a change: a rest that lasts.
+
+    They are not trained: every step would only make them worse, which looks as if training ran away. Cameras that film
+    nothing else there tell nothing. Other arguments as `still_keys`'.
+    """
+    still: set[int] = set()
+    if rest_key is None:
+        return still
+    at_rest = _nearest(rays, tau, rest_key)
+    for key in range(rest_key - 1, -1, -1) if 2 * rest_key < keys else range(rest_key + 1, keys):
+        now = _nearest(rays, tau, key)
+        if any(n != at_rest[name] and not same(rays, at_rest[name], n) for name, n in now.items()):
+            break
+        still.add(key)
+    return still
+
+
 def _nearest(rays: RaySet, tau: Tensor, key: int) -> dict[str, int]:
     """Each camera's picture nearest to a key time."""
     away = (tau - key).abs().tolist()

@@ -52,7 +52,7 @@ from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
-from devrf.reconstruct.still_keys import still_keys
+from devrf.reconstruct.still_keys import still_beyond_rest, still_keys
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
@@ -210,9 +210,10 @@ class _Recipe:
         self.held_back = HeldBack(rays, self.changing) if options.adapt else None
         self.errors = [0.0, 0.0]  # of held-back rays before and after this level
         self.gains: list[float] = []  # of the levels so far, dB
-        self.still: set[int] = set()
+        self.still = still_beyond_rest(rays, self.tau_of_frame, keys, self.motion.rest_key)
         if options.adapt:
-            self.still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
+            still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
+            self.still |= still
             self._note(decision)
 
     def _note(self, decision: Decision | None) -> None:

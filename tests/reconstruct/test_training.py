@@ -101,6 +101,20 @@ def test_motion_leads_out_of_a_rest_in_the_middle(ball, rest: RestModel) -> None
 
 
 @pytest.mark.full
+def test_what_is_at_rest_before_the_motion_is_not_trained(ball, rest: RestModel) -> None:
+    """The rest lasts a while: until then nothing has moved, exactly, and no step has been taken."""
+    there = tuple(f for f in ball.scene.dynamic if f.time is not None)
+    before = tuple(replace(f, time=t) for t in (0.0, 0.2) for f in there if f.time == 0.0)
+    after = tuple(replace(f, time=0.4 + 0.6 * (f.time or 0.0)) for f in there)
+    scene = replace(ball.scene, dynamic=(*before, *after), rest_time=0.4)
+    motion, metrics = train_motion(scene, rest, {}, replace(MOTION, keys=6))
+    assert motion.rest_key == 2 and metrics["restarts"] == 0
+    assert (motion.backward[:3] == 0).all() and (motion.forward[:3] == 0).all()
+    assert metrics["iterations"] == 3 * sum(MOTION.iterations)
+    assert _off_the_path(ball, replace(motion, t_first=-2 / 3), 1.0) < 0.2
+
+
+@pytest.mark.full
 def test_pictures_just_past_a_key_do_not_throw_the_next_one(ball, rest: RestModel) -> None:
     """Free-running cameras: two are a hundredth of the keys' spacing late, so that the next key hardly shows."""
     late = {"cam1": 0.003, "cam2": 0.003}
