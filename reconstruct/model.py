@@ -21,9 +21,10 @@ from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
 from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.movers import Layered, Movers, Placed, render_layered
 from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.rays import camera_rays, intersect
-from devrf.reconstruct.render import distances, plain_of, points_on, render_rest, segments_in, shade
+from devrf.reconstruct.render import Rendered, distances, plain_of, points_on, render_rest, segments_in, shade
 from devrf.reconstruct.rest_model import RestModel
 
 FEWEST_AT_ONCE = 1 << 9  # rays, where memory is short: fewer would be slow and need hardly less
@@ -87,12 +88,14 @@ class Moved:
 class DynamicModel:
     """The scene at rest, how it moves (None: it does not), and the same as it looks in motion (None: the same).
 
-    Pictures are rendered `chunk` rays at a time.
+    With `movers` pictures in motion are made of these and of what stands, which is `in_motion` then; `motion` says where
+    points go. Pictures are rendered `chunk` rays at a time.
     """
 
     rest: RestModel
     motion: MotionField | None = None
     in_motion: RestModel | None = None
+    movers: Movers | None = None
     chunk: int = CHUNK
     _around: OrderedDict[tuple[object, ...], Around] = field(default_factory=OrderedDict, repr=False)
     _live: OrderedDict[float, Tensor] = field(default_factory=OrderedDict, repr=False)
@@ -102,7 +105,13 @@ class DynamicModel:
         parts = [self.rest, self.in_motion]
         rest, in_motion = (p and replace(p, shell=None, background=background) for p in parts)
         assert rest is not None
-        return DynamicModel(rest, self.motion, in_motion, self.chunk)
+        return DynamicModel(rest, self.motion, in_motion, self.movers, self.chunk)
+
+    def box_at_rest(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Rendered:
+        """Colours of the box alone, before nothing, and what it lets through."""
+        black, middle = torch.zeros(3, device=rays_o.device), rays_o.new_full((2, len(rays_o)), 0.5)
+        canonical = self.rest.canonical
+        return render_rest(canonical, None, black, rays_o, rays_d, near=self.rest.near, jitter=middle)
 
     def around_camera(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
         """Surroundings of all pixels of a camera, row by row; remembered. `between` as `render_layers`'."""
@@ -252,8 +261,10 @@ def _layers(
     device = str(rest.canonical.density.device)
     rays_o, rays_d = camera_rays(camera, device)
     around = (model.around_roughly if roughly else model.around_camera)(camera, between)
-    live = tau = None
-    if motion is not None and time is not None:
+    live = tau = placed = None
+    if model.movers is not None and model.in_motion is not None and time is not None:
+        placed = model.movers.placed(torch.tensor([time]))
+    elif motion is not None and time is not None:
         rest = model.in_motion or rest
         motion, tau = motion.at(time, device)
         live = model.live_at(time)
@@ -261,16 +272,25 @@ def _layers(
     for o, d in _chunks(rays_o, rays_d, model.chunk):
         between()
         middle = o.new_full((len(o),), 0.5)
-        if motion is not None and live is not None and tau is not None:
+        if placed is not None:
+            seen = _layered(model, placed, o, d, middle)
+        elif motion is not None and live is not None and tau is not None:
             seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
         else:
-            black, still = torch.zeros(3, device=device), middle.expand(2, -1)
-            seen = render_rest(rest.canonical, None, black, o, d, near=rest.near, jitter=still.contiguous())
+            seen = model.box_at_rest(o, d)
         out.append((seen.rgb, seen.left, seen.depth))
     rgb, left, depth = (torch.cat(parts) for parts in zip(*out, strict=True))
     size = (camera.height, camera.width)
     picture = around.compose(rgb, left).clamp(0, 1).reshape(*size, 3)
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
+
+
+def _layered(model: DynamicModel, placed: Placed, rays_o: Tensor, rays_d: Tensor, jitter: Tensor) -> Layered:
+    """Rays through what stands and what moves, all at the time of `placed`."""
+    assert model.in_motion is not None and model.movers is not None
+    frame = torch.zeros(len(rays_o), dtype=torch.int64, device=rays_o.device)
+    stands = model.in_motion.canonical
+    return render_layered(stands, model.movers, placed, frame, rays_o, rays_d, model.rest.near, jitter)
 
 
 def _chunks(rays_o: Tensor, rays_d: Tensor, size: int) -> list[tuple[Tensor, Tensor]]:

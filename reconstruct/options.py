@@ -102,6 +102,9 @@ class MotionOptions:
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
         find_late_camera: Look for a camera whose clock is wrong once the motion is trained (`late_camera.py`).
+        together: Iterations in which what stands and rigid parts that were tracked are trained (`train_movers.py`);
+            0: motion is a field, as published.
+        together_rays: Rays of each.
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
         seed: Of every random draw.
@@ -128,6 +131,8 @@ class MotionOptions:
     fine_tuning: int = 0
     fine_tuning_given: bool = False
     find_late_camera: bool = False
+    together: int = 0
+    together_rays: int = 4096
     stepsize: float = 0.5
     alpha_threshold: float = 1e-4
     weight_threshold: float = 1e-4
@@ -164,6 +169,7 @@ QUICK_MOTION: dict[str, Any] = {
     "flow": 0.02,
     "flow_confidence": True,
     "find_late_camera": True,
+    "together": 200,
     "stepsize": 1.0,
     "alpha_threshold": 5e-3,
     "weight_threshold": 1e-2,

@@ -24,11 +24,11 @@ class Cloud:
     rgb: Float[np.ndarray, "n 3"]
 
 
-def point_cloud(views: Sequence[SeenView]) -> Cloud:
+def point_cloud(views: Sequence[SeenView], cell: float | None = None) -> Cloud:
     """The surfaces of views at one time, one point for all that lie in a cell and face the same way, as their mean.
 
-    Cells are as wide as pixels are on the surfaces. Thin things keep their two sides apart: normals along other axes,
-    or the other way, are other points.
+    Cells are as wide as pixels are on the surfaces, or as `cell` says. Thin things keep their two sides apart: normals
+    along other axes, or the other way, are other points.
     """
     kept = [agreed(views, n) for n in range(len(views))]
     xyz, normals, rgb = (
@@ -39,7 +39,7 @@ def point_cloud(views: Sequence[SeenView]) -> Cloud:
     )
     if not len(xyz):
         return Cloud(xyz, normals, rgb)
-    cell = _pixel_width(views)
+    cell = _pixel_width(views) if cell is None else cell
     axis = np.abs(normals).argmax(1)
     side = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] < 0)
     place = np.floor((xyz - xyz.min(0)) / cell).astype(np.int64)

@@ -1,0 +1,256 @@
+"""What moves, apart from what stands: rigid parts of the scene at rest, each with its own motion.
+
+sigma(x, t) = sigma_stands(x) + sum over parts of sigma_part(x taken back by the part's motion). A ray is turned into each
+part's own frame and marched there; all samples are then sorted along the ray and composited once, so nothing blends
+across parts. Where two parts meet, both hold the voxels next to the border: a joint has no seam.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int, UInt8
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.grids import grown, vertices
+from devrf.reconstruct.kernels.composite import accumulate, composite_weights
+from devrf.reconstruct.kernels.march import Samples, Volume, march
+from devrf.reconstruct.kernels.occupancy import distance
+from devrf.reconstruct.render import FAINT, points_on, segments_in
+from devrf.reconstruct.shading import Shading
+
+COUNTS = 1e-3  # weight from which a sample has a colour
+FARTHEST = 1e4  # box units: farther than any sample
+
+Grads = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
+"""Buffers for the gradient: density and features of what stands, then of what moves."""
+
+
+class Placed(NamedTuple):
+    """Where parts are in some pictures.
+
+    Attributes:
+        rotations, shifts: A point x of part m at rest is at R x + t in picture f.
+        times: Of the pictures, in [0, 1].
+    """
+
+    rotations: Float[Tensor, "F M 3 3"]
+    shifts: Float[Tensor, "F M 3"]
+    times: Float[Tensor, " F"]
+
+
+class Layered(NamedTuple):
+    """Rays through what stands and what moves, and what the losses need.
+
+    Attributes:
+        rgb: Colour of the box alone.
+        left: Transmittance of the box.
+        depth: Weighted distance of what is seen in the box.
+        moving: How much of it is a mover.
+        weights, colours, ray_id: Of the samples that have a colour; no colours where they are deferred.
+    """
+
+    rgb: Float[Tensor, "R 3"]
+    left: Float[Tensor, " R"]
+    depth: Float[Tensor, " R"]
+    moving: Float[Tensor, " R"]
+    weights: Float[Tensor, " S"]
+    colours: Float[Tensor, "S 3"] | None
+    ray_id: Int[Tensor, " S"]
+
+
+@dataclass
+class Movers:
+    """Rigid parts and their motion.
+
+    Attributes:
+        canonical: Density and features of all parts at rest, empty elsewhere, on the grid of the scene at rest. Its MLP
+            is that of what stands.
+        labels: Part of each vertex, counted from 1; 0 stands.
+        times: Moments of the motion, in the scene's time of [0, 1], rising and evenly spaced; on the CPU.
+        rotations, shifts: At these moments, on the CPU: a point x at rest is at R x + t.
+        shading: How brightness changes; None: not at all.
+    """
+
+    canonical: Canonical
+    labels: UInt8[Tensor, "X Y Z"]
+    times: Float[Tensor, " T"]
+    rotations: Float[Tensor, "T M 3 3"]
+    shifts: Float[Tensor, "T M 3"]
+    shading: Shading | None = None
+    _volumes: list[Volume | None] | None = field(default=None, repr=False)
+    _middles: np.ndarray | None = field(default=None, repr=False)
+
+    @property
+    def parts(self) -> int:
+        """How many."""
+        return self.rotations.shape[1]
+
+    def unshaded(self) -> "Movers":
+        """The same in constant light."""
+        return replace(self, shading=None)
+
+    def middles(self) -> Float[np.ndarray, "M 3"]:
+        """Of the parts at rest."""
+        if self._middles is None:
+            labels = self.labels.cpu()
+            places = vertices(self.canonical.aabb, self.canonical.shape)
+            mine = [places[labels == m] for m in range(1, self.parts + 1)]
+            self._middles = np.stack([p.mean(0).numpy() if len(p) else np.zeros(3) for p in mine])
+        return self._middles
+
+    def placed(self, times: Float[Tensor, " F"]) -> Placed:
+        """Where the parts are at times, between the moments along arcs: their middles go straight, the rest turns."""
+        device = self.canonical.density.device
+        first, gap = float(self.times[0]), float(self.times[1] - self.times[0])
+        at = ((times.cpu().double().numpy() - first) / gap).clip(0, len(self.times) - 1)
+        before = np.minimum(at.astype(int), len(self.times) - 2)
+        share = (at - before)[:, None]
+        R, t, middles = self.rotations.double().numpy(), self.shifts.double().numpy(), self.middles()
+        turn = R[before + 1] @ R[before].transpose(0, 1, 3, 2)
+        turned = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:3])
+        turned = Rotation.from_rotvec((share[..., None] * turned).reshape(-1, 3)).as_matrix()
+        rotations = turned.reshape(turn.shape) @ R[before]
+        place = np.einsum("tmij,mj->tmi", R, middles) + t
+        there = place[before] + share[..., None] * (place[before + 1] - place[before])
+        shifts = there - np.einsum("fmij,mj->fmi", rotations, middles)
+        return Placed(
+            torch.from_numpy(rotations).float().to(device),
+            torch.from_numpy(shifts).float().to(device),
+            times.to(device),
+        )
+
+    def volumes(self) -> list[Volume | None]:
+        """What the march needs to know of each part: its own voxels and those next to them; None where it is empty."""
+        if self._volumes is None:
+            self._volumes = [self._volume(m) for m in range(1, self.parts + 1)]
+        return self._volumes
+
+    def changed(self) -> None:
+        """The density is another: `volumes` are to be made anew."""
+        self._volumes = None
+
+    def _volume(self, part: int) -> Volume | None:
+        k = self.canonical
+        own = grown(self.labels == part)
+        if not bool(own.any()):
+            return None
+        at = own.nonzero()
+        last = torch.tensor(k.shape, device=at.device) - 1
+        lo, hi = (at.amin(0) - 1).clamp(min=0), torch.minimum(at.amax(0) + 1, last)
+        cut = tuple(slice(int(a), int(b) + 1) for a, b in zip(lo, hi, strict=True))
+        density = torch.where(own[cut], k.density[cut][..., 0], EMPTY).contiguous()
+        alpha = 1 - torch.exp(-k.interval * F.softplus(density + k.shift))
+        occupied = grown(alpha > k.alpha_threshold) & own[cut]
+        low, high = k.aabb
+        step = (high - low) / last.cpu()
+        box = torch.stack([low + lo.cpu() * step, low + hi.cpu() * step])
+        return Volume(
+            density, distance(occupied), box, k.shift, k.interval, k.step, k.alpha_threshold, k.weight_threshold
+        )
+
+
+def render_layered(
+    stands: Canonical,
+    movers: Movers,
+    placed: Placed,
+    frame: Int[Tensor, " R"],
+    rays_o: Float[Tensor, "R 3"],
+    rays_d: Float[Tensor, "R 3"],
+    near: float,
+    jitter: Float[Tensor, " R"],
+    grads: Grads = (None, None, None, None),
+) -> Layered:
+    """Colours of rays through what stands and what moves; differentiable in both and in the shading.
+
+    Args:
+        stands: What stands.
+        movers: What moves.
+        placed: Where it is, in some pictures.
+        frame: Picture of each ray, among those.
+        rays_o, rays_d: In the box frame.
+        near: Distance before which rays do not begin.
+        jitter: Of the first step, in steps.
+        grads: Where the gradients of the grids are added.
+    """
+    rays = len(rays_o)
+    x, ray_id, t, part, samples_d = _samples(stands, movers, placed, frame, rays_o, rays_d, near, jitter)
+    offsets = torch.zeros(rays + 1, dtype=torch.int64, device=x.device)
+    torch.cumsum(torch.bincount(ray_id, minlength=rays), 0, out=offsets[1:])
+    still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]
+    alpha = torch.zeros_like(t).index_put((still,), stands.alpha(x[still], grads[0]))
+    alpha = alpha.index_put((moved,), movers.canonical.alpha(x[moved], grads[2]))
+    weights, left = composite_weights(alpha, offsets)
+    with torch.no_grad():
+        of_movers = accumulate(weights, torch.stack([t, (part > 0).float()], 1), ray_id, rays)
+    counts = (weights.detach() > COUNTS).nonzero()[:, 0]
+    x, ray_id, t, part, samples_d = (values[counts] for values in (x, ray_id, t, part, samples_d))
+    weights = weights[counts]
+    still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]
+    features = x.new_zeros(len(x), stands.features.shape[3])
+    features = features.index_put((still,), stands.features_at(x[still], grads[1]))
+    features = features.index_put((moved,), movers.canonical.features_at(x[moved], grads[3]))
+    light = None
+    if movers.shading is not None:
+        place = rays_o[ray_id] + t[:, None] * rays_d[ray_id]
+        place = torch.where((part > 0)[:, None], x, place)
+        light = movers.shading.at((part > 0).long(), place, placed.times[frame[ray_id]])
+    if stands.deferred:
+        rgb, colours = _deferred(stands, features, weights, light, rays_d, ray_id), None
+    else:
+        colours = stands.net(features, samples_d, torch.arange(len(x), device=x.device))
+        if light is not None:
+            colours = colours * torch.exp(light)[:, None]
+        rgb = accumulate(weights, colours, ray_id, rays)
+    return Layered(rgb, left, of_movers[:, 0], of_movers[:, 1], weights, colours, ray_id)
+
+
+def _deferred(
+    stands: Canonical, features: Tensor, weights: Tensor, light: Tensor | None, rays_d: Tensor, ray_id: Tensor
+) -> Tensor:
+    """Colours of rays by the mean features of their samples."""
+    rays = len(rays_d)
+    ones = torch.ones_like(weights)[:, None]
+    light = torch.zeros_like(ones) if light is None else light[:, None]
+    sums = accumulate(weights, torch.cat([features, light, ones], dim=1), ray_id, rays)
+    opacity = sums[:, -1:]
+    mean = sums[:, :-1] / opacity.clamp_min(FAINT)
+    every = torch.arange(rays, device=rays_d.device)
+    return opacity * stands.net(mean[:, :-1], rays_d, every) * torch.exp(mean[:, -1:])
+
+
+@torch.no_grad()
+def _samples(
+    stands: Canonical,
+    movers: Movers,
+    placed: Placed,
+    frame: Tensor,
+    rays_o: Tensor,
+    rays_d: Tensor,
+    near: float,
+    jitter: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Samples of all layers, ray by ray and near to far: where they rest, ray, distance, part, direction at rest."""
+    out: list[tuple[Tensor, ...]] = []
+
+    def add(volume: Volume, part: int, o: Tensor, d: Tensor) -> None:
+        segments = segments_in(volume.aabb, None, o.contiguous(), d.contiguous(), near, jitter)
+        samples: Samples = march(segments, volume)
+        ray_id = samples.ray_id.long()
+        out.append(
+            (points_on(segments, samples), ray_id, samples.t, torch.full_like(ray_id, part), d[ray_id])
+        )
+
+    add(stands.volume(), 0, rays_o, rays_d)
+    for number, volume in enumerate(movers.volumes()):
+        if volume is not None:
+            back = placed.rotations[frame, number].transpose(1, 2)
+            o = torch.einsum("rij,rj->ri", back, rays_o - placed.shifts[frame, number])
+            add(volume, number + 1, o, torch.einsum("rij,rj->ri", back, rays_d))
+    x, ray_id, t, part, d = (torch.cat(parts) for parts in zip(*out, strict=True))
+    order = torch.argsort(ray_id.double() * FARTHEST + t.double())
+    return x[order], ray_id[order], t[order], part[order], d[order]

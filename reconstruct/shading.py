@@ -1,0 +1,60 @@
+"""How brightness changes in space and time: cast shadows, faces that turn away from a light.
+
+A coarse, smooth grid of the logarithm of a factor, one for what stands and one for what moves (at rest).
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+LONGEST, LEAST, KEYS = 33, 4, 14  # cells along the longest side; along the shortest; moments
+EVEN, SMALL = 2.0, 0.1  # weights of squared differences of neighbours and of squared values
+
+
+class Shading(torch.nn.Module):
+    """The grid.
+
+    Attributes:
+        aabb: Its box, on the CPU.
+        t_first, t_last: Times of its first and last moment, in [0, 1].
+        grid: Logarithms of the factor [2, T, X, Y, Z].
+    """
+
+    def __init__(
+        self, aabb: Float[Tensor, "2 3"], t_first: float, t_last: float, grid: Float[Tensor, "2 T X Y Z"]
+    ) -> None:
+        super().__init__()
+        self.aabb, self.t_first, self.t_last = aabb, t_first, t_last
+        self.grid = torch.nn.Parameter(grid)
+
+    @staticmethod
+    def none(aabb: Float[Tensor, "2 3"], t_first: float, t_last: float, device: torch.device) -> "Shading":
+        """A factor of one everywhere."""
+        sides = (aabb[1] - aabb[0]).tolist()
+        shape = [max(LEAST, round(LONGEST * side / max(sides))) for side in sides]
+        return Shading(aabb, t_first, t_last, torch.zeros(2, KEYS, *shape, device=device))
+
+    def at(
+        self, layer: Int[Tensor, " S"], x: Float[Tensor, "S 3"], time: Float[Tensor, " S"]
+    ) -> Float[Tensor, " S"]:
+        """Logarithms of the factor at points of a layer (0 stands, 1 moves), linear in place and time."""
+        shape = torch.tensor(self.grid.shape[1:], device=x.device)
+        lo, hi = self.aabb.to(x)
+        span = max(self.t_last - self.t_first, 1e-9)
+        unit = torch.cat([((time - self.t_first) / span)[:, None], (x - lo) / (hi - lo)], dim=1)
+        at = unit.clamp(0, 1) * (shape - 1)
+        first = torch.minimum(at.floor().long(), shape - 2)
+        share = at - first
+        strides = torch.tensor(self.grid.stride(), device=x.device)
+        base = layer * strides[0] + (first * strides[1:]).sum(1)
+        flat, out = self.grid.reshape(-1), torch.zeros_like(time)
+        for corner in range(16):
+            ends = torch.tensor([corner >> axis & 1 for axis in range(4)], device=x.device)
+            weight = torch.where(ends.bool(), share, 1 - share).prod(1)
+            out = out + weight * flat[base + (ends * strides[1:]).sum()]
+        return out
+
+    def penalty(self) -> Float[Tensor, ""]:
+        """What keeps it smooth and near to no change."""
+        differences = sum((self.grid.diff(dim=axis) ** 2).mean() for axis in range(1, 5))
+        return EVEN * differences + SMALL * (self.grid**2).mean()

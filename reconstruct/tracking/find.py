@@ -1,0 +1,166 @@
+"""From a scene at rest and its fixed cameras to rigid parts, their motion, and the voxels that are theirs."""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import Scene
+from devrf.flow.estimator import FlowEstimator
+from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.movers import Movers
+from devrf.reconstruct.rays import pixel_directions
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.still_picture import plate
+from devrf.reconstruct.tracking.film import Film, films
+from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.graph import Graph
+from devrf.reconstruct.tracking.moving_points import moving_points
+from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
+from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
+
+FEWEST_CAMERAS = 2  # that stand: one says nothing of depth
+FEWEST_POINTS = 60  # that move
+OWN = 5.0  # spacings: voxels farther from every surface point stand
+SOLID = 0.5  # opacity of what stands from which it hides what is behind
+STILL, MOVING_SHARE = 0.75, 0.05  # voxels; moments at which fewer points have moved by this say nothing of parts
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found to move.
+
+    Attributes:
+        surface: Points that move, at rest.
+        tracks: Where they are.
+        labels: Part of each, counted from 0.
+        stands: The scene at rest without them.
+        movers: The parts, not trained.
+    """
+
+    surface: Surface
+    tracks: Tracks
+    labels: Int[np.ndarray, " p"]
+    stands: Canonical
+    movers: Movers
+
+
+def trackable(scene: Scene, rest: RestModel) -> bool:
+    """Whether movers can be tracked: a rest that clips show, seen by fixed cameras before real surroundings."""
+    if scene.rest_time is None or rest.canonical.ndc is not None or scene.background != "shell":
+        return False
+    return len(films(scene, _no_flow())) >= FEWEST_CAMERAS
+
+
+def find_movers(
+    scene: Scene, rest: RestModel, estimator: FlowEstimator, progress: Progress = no_progress
+) -> Found | None:
+    """Rigid parts and their motion; None where too little moves.
+
+    Args:
+        scene: In the box frame; `trackable`.
+        rest: The scene at rest; stays as it is.
+        estimator: Of optical flow.
+        progress: Told how far it is.
+    """
+    assert scene.rest_time is not None
+    clips = films(scene, estimator)
+    surface = surface_at_rest(scene, rest)
+    progress(0.1, f"{len(surface)} points at rest")
+    moves = moving_points(surface, clips, scene.rest_time)
+    if moves.sum() < FEWEST_POINTS:
+        return None
+    progress(0.2, f"{int(moves.sum())} of {len(surface)} points move")
+    region = _region(rest.canonical, surface, moves)
+    stands = _without(rest.canonical, region)
+    clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
+    moving = surface.only(moves)
+    graph = Graph(moving)
+    tracks = follow_both_ways(
+        moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
+    )
+    voxel = rest.canonical.voxel
+    labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
+    progress(1.0, f"{labels.max() + 1} rigid parts")
+    return Found(moving, tracks, labels, stands, movers_of(rest.canonical, region, moving, tracks, labels))
+
+
+def movers_of(
+    canonical: Canonical,
+    region: Bool[Tensor, "X Y Z"],
+    surface: Surface,
+    tracks: Tracks,
+    labels: Int[np.ndarray, " p"],
+) -> Movers:
+    """Parts with the rigid motions that explain their points' tracks."""
+    motions = [
+        motion_of(surface.xyz[labels == m], tracks.xyz[:, labels == m].astype(float))
+        for m in range(labels.max() + 1)
+    ]
+    rotations, shifts = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
+    own = copy.copy(canonical)
+    own.density = torch.where(region[..., None], canonical.density, EMPTY)
+    own.features = canonical.features.clone()
+    own.rebuild_occupancy()
+    of_vertex = torch.zeros(canonical.shape, dtype=torch.uint8, device=canonical.density.device)
+    places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()
+    nearest = cKDTree(surface.xyz).query(places)[1]
+    of_vertex[region] = torch.from_numpy(labels[nearest] + 1).to(of_vertex)
+    times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
+    return Movers(own, of_vertex, times, R, t)
+
+
+def _region(
+    canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]
+) -> Bool[Tensor, "X Y Z"]:
+    """Vertices near the surface whose nearest point moves."""
+    near = canonical.distance <= 1
+    places = vertices(canonical.aabb, canonical.shape)[near.cpu()].numpy()
+    distance, nearest = cKDTree(surface.xyz).query(places)
+    region = torch.zeros_like(near)
+    region[near] = torch.from_numpy(moves[nearest] & (distance < OWN * surface.spacing)).to(near)
+    return region
+
+
+def _without(canonical: Canonical, region: Bool[Tensor, "X Y Z"]) -> Canonical:
+    """The scene at rest with a region emptied."""
+    out = copy.copy(canonical)
+    out.density = torch.where(region[..., None], EMPTY, canonical.density)
+    out.rebuild_occupancy()
+    return out
+
+
+def _with_what_stands(scene: Scene, film: Film, stands: RestModel) -> Film:
+    """The film with its depth and its plate: where nothing changes, what it shows; elsewhere the model's picture."""
+    picture, depth, opacity = render_layers(DynamicModel(stands), film.camera, None)
+    axis = film.camera.cam_from_world[2, :3]
+    along = depth / np.maximum(opacity, SOLID) * (pixel_directions(film.camera) @ axis)
+    own, known = plate(replace(scene, image_scale=film.scale), film.frames)
+    shown = np.where(known[..., None], own.astype(np.float32) / 255, picture)
+    return replace(film, depth=np.where(opacity > SOLID, along, np.inf), plate=shown.astype(np.float32))
+
+
+def _while_moving(tracks: Tracks, surface: Surface, voxel: float) -> Float[np.ndarray, "t p 3"]:
+    """The tracks at moments at which something has moved."""
+    away = np.linalg.norm(tracks.xyz - surface.xyz, axis=-1)
+    moved = np.percentile(away, 100 * (1 - MOVING_SHARE), axis=1) > STILL * voxel
+    return tracks.xyz[moved] if moved.any() else tracks.xyz
+
+
+def _no_flow() -> FlowEstimator:
+    """For films that are only counted."""
+
+    class Nothing:
+        name, parallel = "none", True
+
+        def estimate(self, image0: np.ndarray, image1: np.ndarray) -> np.ndarray:
+            return np.zeros((*image0.shape[:-1], 2), np.float32)
+
+    return Nothing()

@@ -1,0 +1,130 @@
+"""Which surface points move: by what cameras that saw them at rest see there later, and by their neighbours.
+
+A point moves if every camera that saw it sees something else there for much of the time in which things move: what
+covers it hides it from some cameras only. A shadow changes brightness and not colour. Labels are a minimum cut
+(Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one direction and colour belong together.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
+from scipy.spatial import cKDTree
+
+from devrf.reconstruct.pictures import spread
+from devrf.reconstruct.tracking.film import Film, blurred, sampled
+from devrf.reconstruct.tracking.sight import Sight
+from devrf.reconstruct.tracking.surface import Surface
+
+MOST_PICTURES = 61
+LOWEST = 5  # pictures by which a point's own noise is known
+CHANGED, CHANGED_RAW = 0.045, 0.06  # of the full range; brightness made equal, and as it is
+BLUR_PX, LIGHT_PX = 1.0, 2.0  # of colours; of brightness
+DARKER, BRIGHTER = 0.45, 1.6  # than at rest, in shadow and in light
+BUSY = 0.5  # of the largest share of points that change: in pictures with as many, something moves
+MOVES = 0.3  # share of the busy pictures from which a point moves
+ONE_CAMERA = 0.6  # weight of what one camera says alone
+STAYS = 0.6  # weight of the vote against motion
+NEIGHBOURS, REACH, COLOUR_REACH, FLAT = 12, 2.25, 0.3, 0.03  # number; spacings; of the full range; across edges
+CRUMB, CRUMB_REACH = 60, 2.5  # fewer points than these, nearer than so many spacings, follow their surroundings
+UNIT = 1000  # of weights, which are whole numbers in the cut
+
+
+def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> Bool[np.ndarray, " n"]:
+    """Whether each point moves.
+
+    Args:
+        surface: At rest.
+        films: Of the fixed cameras; what stands in them is not looked at.
+        rest_time: Of the scene, in [0, 1].
+    """
+    even, raw = np.stack([_changes(surface, film, rest_time) for film in films], axis=1)
+    return _cut(surface, _votes(even, raw))
+
+
+def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray, "2 n"]:
+    """Share of the busy pictures in which each point looks other than at rest, brightness made equal and as it is.
+
+    NaN where the camera did not see it at rest.
+    """
+    sight = Sight(film, surface.xyz, surface.normals, surface.spacing)
+    seen = np.flatnonzero(sight.seen)
+    at = sight.at[seen]
+    before = film.picture(int(np.argmin(np.abs(film.times - rest_time))))
+    colour, light = sampled(blurred(before, BLUR_PX), at), sampled(blurred(before.mean(-1), LIGHT_PX), at)
+    apart: list[list[np.ndarray]] = [[], []]
+    for n in spread(range(len(film.times)), MOST_PICTURES):
+        picture = film.picture(n)
+        now = sampled(blurred(picture, BLUR_PX), at)
+        gain = sampled(blurred(picture.mean(-1), LIGHT_PX), at) / np.maximum(light, 0.02)
+        gain = gain.clip(DARKER, BRIGHTER)
+        apart[0].append(np.abs(now / gain[:, None] - colour).max(1) * np.minimum(1, gain))
+        apart[1].append(np.abs(now - colour).max(1))
+    out = np.full((2, len(surface)), np.nan)
+    if len(seen):
+        for row, changes, least in zip(out, apart, (CHANGED, CHANGED_RAW), strict=True):
+            stack = np.stack(changes)
+            usual = np.sort(stack, axis=0)[:LOWEST].mean(0)
+            changed = stack > usual + least
+            amount = changed.mean(1)
+            row[seen] = changed[amount >= BUSY * amount.max()].mean(0)
+    return out
+
+
+def _votes(even: Float[np.ndarray, "c n"], raw: Float[np.ndarray, "c n"]) -> Float[np.ndarray, " n"]:
+    """For motion above 0, against it below; 0 where nothing is known, or only brightness speaks for it."""
+    seen = np.isfinite(even).sum(0)
+    least, least_raw = (np.where(np.isfinite(x), x, 9.0).min(0) for x in (even, raw))
+    votes = np.where(
+        least > MOVES, np.clip(3 * least - 0.6, 0, 1), -STAYS * np.clip(1.2 - 3 * least, 0, 1)
+    )
+    votes[(least <= MOVES) & (least_raw > MOVES + 0.1)] = 0
+    return votes * np.select([seen == 0, seen == 1], [0.0, ONE_CAMERA], 1.0)
+
+
+def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    xyz, n = surface.xyz, len(surface)
+    if n <= NEIGHBOURS or not (votes > 0).any():
+        return np.zeros(n, dtype=bool)
+    distance, near = cKDTree(xyz).query(xyz, k=NEIGHBOURS + 1)
+    rows, columns = np.repeat(np.arange(n), NEIGHBOURS), near[:, 1:].ravel()
+    level = (surface.normals[rows] * surface.normals[columns]).sum(1).clip(0, 1) ** 4
+    alike = np.linalg.norm(surface.rgb[rows] - surface.rgb[columns], axis=1) / COLOUR_REACH
+    weight = np.exp(-((distance[:, 1:].ravel() / (REACH * surface.spacing)) ** 2) - alike**2)
+    weight *= np.maximum(FLAT, level)
+    links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
+    links = links.maximum(links.T).tocoo()
+    source, sink = n, n + 1
+    vote = np.round(UNIT * votes).astype(np.int32)
+    for_it, against = np.flatnonzero(vote > 0), np.flatnonzero(vote < 0)
+    graph = csr_matrix(
+        (
+            np.concatenate([links.data, vote[for_it], -vote[against]]).astype(np.int32),
+            (
+                np.concatenate([links.row, np.full(len(for_it), source), against]),
+                np.concatenate([links.col, for_it, np.full(len(against), sink)]),
+            ),
+        ),
+        shape=(n + 2, n + 2),
+    )
+    left = graph - maximum_flow(graph, source, sink).flow
+    left.data = np.maximum(left.data, 0)
+    left.eliminate_zeros()
+    moves = np.zeros(n + 2, dtype=bool)
+    moves[breadth_first_order(left, source, return_predecessors=False)] = True
+    return _without_crumbs(surface, moves[:n])
+
+
+def _without_crumbs(surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    moves = moves.copy()
+    for label in (True, False):
+        some = np.flatnonzero(moves == label)
+        if not len(some):
+            continue
+        pairs = cKDTree(surface.xyz[some]).query_pairs(CRUMB_REACH * surface.spacing, output_type="ndarray")
+        links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(some), len(some)))
+        _, piece = connected_components(links, directed=False)
+        moves[some[np.bincount(piece)[piece] < CRUMB]] = not label
+    return moves

@@ -1,0 +1,113 @@
+"""Rigid parts of what moves: the fewest rigid motions that explain the tracks.
+
+Motions and labels are found in turn; labels are even on the surface. Then neighbours are merged while one motion
+explains both. Distances between points that stay the same would be a weaker rule: on a figure they give fragments.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_matrix
+
+MOST = 24  # parts to begin with
+TURNS = 25  # of motions and labels
+EVEN = 2.0  # what agreeing with all neighbours is worth, in usual squared residuals
+MOTION = 3.0  # how much more motion counts than place in the choice of the first parts
+SAME = 0.75  # voxels: residual of two parts up to which they are one
+SMALL, SMALL_SAME = 50, 3.3  # points; so much more residual joins a part of fewer
+FEWEST = 8  # points that have a motion
+EVERY = 2  # moments that are looked at
+
+Motions = tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3"]]
+"""Rotation and translation at each moment: a point x at rest is at R x + t."""
+
+
+def motion_of(rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]) -> Motions:
+    """The rigid motion that explains tracks best (Kabsch 1976)."""
+    middle, middles = rest.mean(0), tracks.mean(1)
+    U, _, V = np.linalg.svd(np.einsum("pi,tpj->tij", rest - middle, tracks - middles[:, None]))
+    U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
+    rotations = (U @ V).transpose(0, 2, 1)
+    return rotations, middles - rotations @ middle
+
+
+def residual(motion: Motions, rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]) -> np.ndarray:
+    """Mean squared distance of each point from where a rigid motion has it [p]."""
+    rotations, shifts = motion
+    expected = np.einsum("tij,pj->tpi", rotations, rest) + shifts[:, None]
+    return ((expected - tracks) ** 2).sum(-1).mean(0)
+
+
+def rigid_parts(
+    rest: Float[np.ndarray, "p 3"],
+    tracks: Float[np.ndarray, "t p 3"],
+    links: csr_matrix,
+    voxel: float,
+    seed: int = 0,
+) -> Int[np.ndarray, " p"]:
+    """The part of each point, counted from 0.
+
+    Args:
+        rest: Points at rest.
+        tracks: Where they are.
+        links: Neighbours on the surface.
+        voxel: Of the scene at rest, the unit of what counts as the same motion.
+        seed: Of the choice of the first point.
+    """
+    tracks = tracks[::EVERY].astype(np.float64)
+    labels = _first_parts(rest, tracks, np.random.default_rng(seed))
+    beside = links.copy()
+    beside.data = np.ones_like(beside.data)
+    neighbours = np.maximum(np.asarray(beside.sum(1)).ravel(), 1)
+    for _ in range(TURNS):
+        kept = [k for k in np.unique(labels) if (labels == k).sum() >= FEWEST] or [labels[0]]
+        mine = [labels == k for k in kept]
+        cost = np.stack([residual(motion_of(rest[m], tracks[:, m]), rest, tracks) for m in mine])
+        usual = max(float(np.median(cost.min(0))), 1e-7)
+        agree = np.stack([np.asarray(beside @ m.astype(float)).ravel() / neighbours for m in mine])
+        labels = np.argmin(cost / usual - EVEN * agree, axis=0)
+    return _merged(rest, tracks, beside, labels, SAME * voxel)
+
+
+def _first_parts(
+    rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"], rng: np.random.Generator
+) -> Int[np.ndarray, " p"]:
+    """Around points that are far from one another, at rest and in motion."""
+    flat = tracks.transpose(1, 0, 2).reshape(len(rest), -1)
+
+    def away(n: int) -> np.ndarray:
+        return MOTION * ((flat - flat[n]) ** 2).mean(1) + ((rest - rest[n]) ** 2).sum(1)
+
+    apart = [away(int(rng.integers(len(rest))))]
+    for _ in range(min(MOST, len(rest)) - 1):
+        apart.append(away(int(np.min(apart, axis=0).argmax())))
+    return np.argmin(apart, axis=0)
+
+
+def _merged(
+    rest: np.ndarray, tracks: np.ndarray, beside: csr_matrix, labels: np.ndarray, same: float
+) -> Int[np.ndarray, " p"]:
+    links = beside.tocoo()
+    known: dict[tuple[int, int], float] = {}
+    while True:
+        best: tuple[float, int, int] | None = None
+        for a, b in _touching(labels[links.row], labels[links.col]):
+            if (a, b) not in known:
+                both = (labels == a) | (labels == b)
+                motion = motion_of(rest[both], tracks[:, both])
+                rms = np.sqrt(residual(motion, rest[both], tracks[:, both]).mean())
+                few = min((labels == a).sum(), (labels == b).sum()) < SMALL
+                known[a, b] = rms / (SMALL_SAME * same if few else same)
+            if known[a, b] < 1 and (best is None or known[a, b] < best[0]):
+                best = known[a, b], a, b
+        if best is None:
+            return np.unique(labels, return_inverse=True)[1]
+        _, a, b = best
+        labels = np.where(labels == b, a, labels)
+        known = {pair: rms for pair, rms in known.items() if not {a, b} & set(pair)}
+
+
+def _touching(one: np.ndarray, other: np.ndarray) -> Iterator[tuple[int, int]]:
+    pairs = np.unique(np.sort(np.stack([one, other], 1)[one != other], axis=1), axis=0)
+    yield from ((int(a), int(b)) for a, b in pairs)

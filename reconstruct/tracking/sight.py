@@ -1,0 +1,71 @@
+"""Which surface points a camera sees: points are drawn as small squares, the nearest one counts."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from devrf.reconstruct.tracking.film import Film
+
+BEHIND = 0.03  # box units: what stands hides what is farther behind it than this
+SLACK = 0.05  # box units: points this little behind the one that is drawn are seen, too
+FACING = 0.15  # cosine between the normal and the direction to the camera
+LARGEST = 4  # pixels: half the side of a square
+
+
+class Sight:
+    """What a film's camera sees of points at a moment.
+
+    Attributes:
+        ids: Point drawn at each pixel, -1: none [h, w].
+        at: Of the points in the picture, pixels [n, 2]; NaN behind the camera.
+        seen: Whether a point is seen [n].
+    """
+
+    def __init__(self, film: Film, xyz: np.ndarray, normals: np.ndarray, spacing: float) -> None:
+        camera = film.camera
+        self.at = camera.project(xyz)
+        z = (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
+        self.ids, depth = _drawn(film, self.at, z, spacing)
+        size = np.array([camera.width, camera.height])
+        inside = ((self.at > 1) & (self.at < size - 1)).all(1)  # NaN is not
+        pixel = np.where(inside[:, None], self.at, 0).astype(int)
+        x, y = pixel.T
+        towards = camera.centre - xyz
+        facing = (towards * normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
+        drawn = self.ids[y, x] >= 0
+        self.seen = inside & facing & drawn & (z < depth[y, x] + SLACK)
+        self.pixel = pixel
+
+
+class _Drawn(NamedTuple):
+    ids: np.ndarray
+    depth: np.ndarray
+
+
+def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> _Drawn:
+    camera = film.camera
+    width, height = camera.width, camera.height
+    near = np.isfinite(at).all(1) & (z > 0)
+    near &= ((at > -LARGEST) & (at < np.array([width, height]) + LARGEST)).all(1)
+    points = np.flatnonzero(near)
+    radius = np.clip(np.ceil(0.5 * spacing * camera.K[0, 0] / z[points]), 1, LARGEST).astype(int)
+    centre = np.floor(at[points]).astype(int)
+    pixels, owners = [], []
+    for r in np.unique(radius):
+        y, x = np.mgrid[-r : r + 1, -r : r + 1]
+        disc = np.stack([x, y], -1)[x * x + y * y <= r * r + 1]
+        mine = radius == r
+        pixels.append((centre[mine, None] + disc).reshape(-1, 2))
+        owners.append(np.repeat(points[mine], len(disc)))
+    ids, depth = np.full(width * height, -1), np.full(width * height, np.inf)
+    if pixels:
+        pixel, owner = np.concatenate(pixels), np.concatenate(owners)
+        inside = ((pixel >= 0) & (pixel < [width, height])).all(1)
+        flat, owner = pixel[inside] @ [1, width], owner[inside]
+        far_first = np.argsort(-z[owner], kind="stable")  # of several values for a pixel the last one stays
+        ids[flat[far_first]] = owner[far_first]
+        on = ids >= 0
+        depth[on] = z[ids[on]]
+        hidden = film.depth.reshape(-1) < depth - BEHIND
+        ids[hidden] = -1
+    return _Drawn(ids.reshape(height, width), depth.reshape(height, width))

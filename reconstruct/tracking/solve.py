@@ -1,0 +1,92 @@
+"""One Gauss-Newton step of the graph: what pictures say, as rigid as possible, not far from what was expected."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_matrix
+from scipy.spatial.transform import Rotation
+
+from devrf.reconstruct.tracking.graph import Graph, Pose, skew
+
+RIGID = 1e3  # weight of edges that stretch or bend, per squared relative length
+EXPECTED = 0.01  # weight of the expected pose, per squared box unit and radian
+DAMPED, LEAST = 1e-3, 1e-2  # of the diagonal; added to it
+LONGEST_STEP, LARGEST_TURN = 0.08, 0.5  # box units, radians
+
+
+class Pulls(NamedTuple):
+    """What pictures want of points: the quadratic x^T H x / 2 + b^T x of their moves."""
+
+    points: Int[np.ndarray, " m"]
+    hessian: Float[np.ndarray, "m 3 3"]
+    gradient: Float[np.ndarray, "m 3"]
+
+
+def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
+    """The pose after one step."""
+    nodes = len(graph.nodes)
+    rows, columns, values, residuals = _data(graph, pose, pulls)
+    first = len(residuals)
+    for part in (_rigid(graph, pose), _expected(pose, expected)):
+        rows.append(part[0] + first)
+        columns.append(part[1])
+        values.append(part[2])
+        residuals = np.concatenate([residuals, part[3]])
+        first = len(residuals)
+    J = csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(first, 6 * nodes)
+    )
+    A = (J.T @ J).toarray()
+    A[np.diag_indices(6 * nodes)] = A.diagonal() * (1 + DAMPED) + LEAST
+    move = np.linalg.solve(A, -(J.T @ residuals)).reshape(nodes, 6)
+    turn, shift = move[:, :3], move[:, 3:]
+    too_far = max(1.0, np.abs(shift).max() / LONGEST_STEP, np.abs(turn).max() / LARGEST_TURN)
+    turn, shift = turn / too_far, shift / too_far
+    return Pose(Rotation.from_rotvec(turn).as_matrix() @ pose.rotations, pose.shifts + shift)
+
+
+def _data(
+    graph: Graph, pose: Pose, pulls: Pulls
+) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Rows of the points' quadratics: three a point, by the root of its Hessian."""
+    trace = np.trace(pulls.hessian, axis1=1, axis2=2)
+    kept = trace > 1e-6
+    points, hessian = pulls.points[kept], pulls.hessian[kept]
+    root = np.linalg.cholesky(hessian + np.eye(3) * (1e-6 * trace[kept, None, None] + 1e-9))
+    residual = np.linalg.solve(root, pulls.gradient[kept][..., None])[..., 0]
+    by_node = np.einsum("pji,pkjc->pikc", root, graph.derivative(pose, points))  # the transposed root
+    row = np.arange(3 * len(points)).reshape(-1, 3)
+    column = 6 * graph.followed[points][:, :, None] + np.arange(6)
+    rows = np.broadcast_to(row[:, :, None, None], by_node.shape).ravel()
+    columns = np.broadcast_to(column[:, None], by_node.shape).ravel()
+    return [rows], [columns], [by_node.ravel()], residual.ravel()
+
+
+def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Edges as they were at rest, turned with their first node."""
+    a, b = graph.edges.T
+    edge = graph.nodes[b] - graph.nodes[a]
+    turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
+    residual = turned + graph.nodes[a] + pose.shifts[a] - graph.nodes[b] - pose.shifts[b]
+    root = np.sqrt(RIGID) / np.linalg.norm(edge, axis=1)[:, None]
+    row = np.arange(3 * len(a)).reshape(-1, 3)
+    by_turn = -skew(turned) * root[..., None]
+    rows, columns, values = (
+        [np.broadcast_to(row[:, :, None], by_turn.shape).ravel()],
+        [np.broadcast_to(6 * a[:, None, None] + np.arange(3), by_turn.shape).ravel()],
+        [by_turn.ravel()],
+    )
+    for node, sign in ((a, 1.0), (b, -1.0)):
+        rows.append(row.ravel())
+        columns.append((6 * node[:, None] + 3 + np.arange(3)).ravel())
+        values.append(np.broadcast_to(sign * root, row.shape).ravel())
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(values), (residual * root).ravel()
+
+
+def _expected(pose: Pose, expected: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes near where they were expected."""
+    turn = Rotation.from_matrix(pose.rotations @ expected.rotations.transpose(0, 2, 1)).as_rotvec()
+    residual = np.concatenate([turn, pose.shifts - expected.shifts], axis=1).ravel()
+    number, root = np.arange(residual.size), np.sqrt(EXPECTED)
+    return number, number, np.full(residual.size, root), residual * root

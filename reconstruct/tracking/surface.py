@@ -1,0 +1,53 @@
+"""Points on the surfaces of the scene at rest, which are followed through time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from devrf.capture.scene import Scene
+from devrf.reconstruct.geometry.cloud import point_cloud
+from devrf.reconstruct.geometry.seen import look, poses
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.rest_model import RestModel
+
+SPACING = 1.5  # voxels between points
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Surface points at rest, in the box frame.
+
+    Attributes:
+        xyz: Positions.
+        normals: Unit normals, outwards.
+        rgb: Colours of the model in [0, 1].
+        spacing: Their distance from one another.
+    """
+
+    xyz: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    rgb: Float[np.ndarray, "n 3"]
+    spacing: float
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.xyz)
+
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "Surface":
+        """Some of the points."""
+        return Surface(self.xyz[kept], self.normals[kept], self.rgb[kept], self.spacing)
+
+
+def surface_at_rest(scene: Scene, rest: RestModel) -> Surface:
+    """What training cameras see of the scene at rest inside its box.
+
+    Args:
+        scene: In the box frame.
+        rest: Its model.
+    """
+    model = DynamicModel(rest).alone("black")
+    views = [look(model, camera, None) for camera in poses(scene)]
+    spacing = SPACING * rest.canonical.voxel
+    cloud = point_cloud(views, spacing)
+    return Surface(cloud.xyz, cloud.normals, cloud.rgb, spacing)

@@ -1,0 +1,295 @@
+"""What stands and what moves, trained together on all pictures of the moving cameras, the motion known.
+
+What stood behind a mover was never seen at rest, nor were all of its faces; both are filled in here. Shading takes what
+light does meanwhile: without it cast shadows would be painted on what is filled in. Pictures of the scene at rest are
+still made of what the sweep has taught.
+"""
+
+import copy
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from devrf.capture.progress import Progress, no_progress
+from devrf.capture.scene import Scene
+from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
+from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grown
+from devrf.reconstruct.guard import Guard, diverged
+from devrf.reconstruct.held_back import HeldBack
+from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.movers import Layered, Movers, render_layered
+from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
+from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.rays import RayBatch, RaySet
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.shading import Shading
+from devrf.reconstruct.surroundings import PixelSurroundings
+from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
+
+PICTURES = 16  # of which an iteration's rays are
+LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; all fall by 10
+ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
+FOG = 0.004  # opacity of a step, of what could stand where movers are
+ZONE = 2  # voxels around movers in which it could
+OCCUPANCY_EVERY = 50  # iterations
+LOG_EVERY = 50
+AT_ONCE = 1 << 13  # held-back rays
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What came of it.
+
+    Attributes:
+        stands: What stands as it looks in motion, without surroundings.
+        movers: What moves, and the shading.
+        gain_db, unshaded_gain_db: On changing pixels held back, over a scene in which nothing moves; without shading.
+        metrics: What the training measured.
+    """
+
+    stands: RestModel
+    movers: Movers
+    gain_db: float
+    unshaded_gain_db: float
+    metrics: dict[str, Any]
+
+
+def train_movers(
+    scene: Scene,
+    rest: RestModel,
+    stands: Canonical,
+    movers: Movers,
+    options: MotionOptions,
+    device: str = "cpu",
+    progress: Progress = no_progress,
+    checkpoint: Checkpoint = NOWHERE,
+) -> Trained:
+    """Train for `together` iterations.
+
+    Args:
+        scene: In the box frame; its moving cameras are trained on.
+        rest: The scene at rest; stays as it is.
+        stands: The same without what moves.
+        movers: What moves.
+        options: What can be chosen.
+        device: cpu or cuda.
+        progress: Told how far it is.
+        checkpoint: Where to keep the state between two iterations, and to take it up from.
+    Raises:
+        ReconstructError: The loss diverges with small steps, too.
+    """
+    log, iterations = TrainingLog(device, LOG_EVERY), options.together
+    recipe = _Recipe(scene, rest, stands, movers, options, device)
+    saved = checkpoint.found(log)
+    iteration = 0 if saved is None else recipe.take_up(saved)
+    while iteration < iterations:
+        ran_away = recipe.guard.ran_away(log, options.together_rays, recipe.step(iteration))
+        if ran_away or (iteration + 1 == iterations and not recipe.guard.sound()):
+            recipe.go_back(log, stands, movers, iteration)
+            iteration = 0
+            continue
+        if iteration % 10 == 0:
+            progress(iteration / iterations, f"together, iteration {iteration} of {iterations}")
+        iteration += 1
+        checkpoint.keep(iteration, iterations, log, recipe.state)
+    log.close_row()
+    recipe.finish()
+    still, moving, unshaded = recipe.held_errors()
+    return Trained(
+        replace(rest, canonical=recipe.stands, shell=None, metrics={}),
+        recipe.movers,
+        10 * math.log10(still / moving),
+        10 * math.log10(still / unshaded),
+        log.summary() | recipe.guard.summary(),
+    )
+
+
+class _Recipe:
+    """The state of the training: both layers, their optimisers, and one iteration."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        rest: RestModel,
+        stands: Canonical,
+        movers: Movers,
+        options: MotionOptions,
+        device: str,
+    ) -> None:
+        frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
+        self.options, self.rest, self.device = options, rest, device
+        self.rays = RaySet(frames, scene.image_scale, scene.background, device)
+        self.changing = changing_pixels(self.rays)
+        self.held_back = HeldBack(self.rays, self.changing)
+        self.around = PixelSurroundings(DynamicModel(rest), self.rays)
+        self.placed = movers.placed(self.rays.times)
+        self.generator = torch.Generator().manual_seed(options.seed)
+        net = copy.deepcopy(stands.net)
+        for parameter in net.parameters():
+            parameter.requires_grad_(True)
+        self.stands, own = _own(stands, net), _own(movers.canonical, net)
+        times = movers.times
+        light = Shading.none(own.aabb, float(times[0]), float(times[-1]), own.density.device)
+        self.movers = replace(movers, canonical=own, shading=light)
+        self.guard = Guard()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Fog where something could stand; fresh optimisers."""
+        stands, own = self.stands, self.movers.canonical
+        self.region = grown(self.movers.labels > 0)
+        zone = self.region
+        for _ in range(ZONE - 1):
+            zone = grown(zone)
+        self.zone = zone & (stands.distance > 0)
+        stands.density[self.zone] = math.log(math.expm1(FOG / stands.interval)) - stands.shift
+        stands.features[self.zone] = 0
+        self.grids = {
+            "stands density": GridTrainer(stands.density),
+            "stands features": GridTrainer(stands.features),
+            "movers density": GridTrainer(own.density),
+            "movers features": GridTrainer(own.features),
+        }
+        self.net = torch.optim.Adam(stands.net.parameters(), 0.0, BETAS, EPS)
+        assert self.movers.shading is not None
+        self.light = torch.optim.Adam(self.movers.shading.parameters(), 0.0, BETAS)
+        self._look()
+
+    def _look(self) -> None:
+        """At what is empty by now."""
+        self.stands.rebuild_occupancy()
+        self.movers.canonical.rebuild_occupancy()
+        self.movers.changed()
+        for name, grid in self.grids.items():
+            grid.visit(self.zone if name.startswith("stands") else self.region)
+
+    def step(self, iteration: int) -> dict[str, Tensor]:
+        """One iteration; returns the unweighted losses."""
+        if iteration and iteration % OCCUPANCY_EVERY == 0:
+            self._look()
+        chosen = torch.randperm(len(self.rays), generator=self.generator)[:PICTURES].to(self.device)
+        batch = self.held_back.without(
+            draw_with_importance(
+                self.rays, self.changing, self.options.together_rays, 1.0, chosen, self.generator
+            )
+        )
+        grids = list(self.grids.values())
+        jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
+        seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
+        rgb = self.around.at(batch.frame, batch.pixel).compose(seen.rgb, seen.left)
+        parts = {
+            "mse": rendering_loss(rgb, batch.rgb),
+            "entropy": entropy_loss(seen.left),
+            "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
+        }
+        assert self.movers.shading is not None
+        loss = parts["mse"] + ENTROPY * parts["entropy"] + PER_POINT * parts["per_point"]
+        (loss + self.movers.shading.penalty()).backward()
+        decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.options.together)
+        for name, grid in self.grids.items():
+            grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
+        for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING)):
+            for group in optimiser.param_groups:
+                group["lr"] = decay * rate
+            optimiser.step()
+            optimiser.zero_grad()
+        return parts
+
+    def _seen(
+        self, batch: RayBatch, jitter: Tensor, movers: Movers, grads: tuple[Tensor | None, ...] = (None,) * 4
+    ) -> Layered:
+        assert len(grads) == 4
+        return render_layered(
+            self.stands, movers, self.placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
+            grads,
+        )  # fmt: skip
+
+    def state(self) -> State:
+        """Everything that the next iteration depends on."""
+        assert self.movers.shading is not None
+        tensors = {"generator": self.generator.get_state(), "zone": self.zone}
+        tensors |= net_state(self.stands.net, self.net) | grids_state(self.grids)
+        light = self.light.state_dict()["state"].get(0, {})
+        tensors |= {f"light {name}": value for name, value in light.items()}
+        tensors["light"] = self.movers.shading.grid.detach()
+        tensors |= {"stands distance": self.stands.distance, "own distance": self.movers.canonical.distance}
+        return tensors, {"guard": self.guard.state()}
+
+    def take_up(self, saved: Saved) -> int:
+        """Go on from a `state`; returns the number of iterations behind it."""
+        done, tensors, numbers = saved
+        assert self.movers.shading is not None
+        take_up_grids(self.grids, tensors)
+        take_up_net(self.stands.net, self.net, tensors)
+        self.generator.set_state(tensors["generator"])
+        self.guard.take_up(numbers["guard"])
+        with torch.no_grad():
+            self.movers.shading.grid.copy_(tensors["light"])
+        names = ("step", "exp_avg", "exp_avg_sq")
+        if "light step" in tensors:
+            light = {name: tensors[f"light {name}"] for name in names}
+            self.light.load_state_dict(self.light.state_dict() | {"state": {0: light}})
+        self.zone = tensors["zone"].to(self.zone)
+        self.stands.distance = tensors["stands distance"].to(self.stands.distance)
+        self.movers.canonical.distance = tensors["own distance"].to(self.stands.distance)
+        self.movers.changed()
+        return done
+
+    def go_back(self, log: TrainingLog, stands: Canonical, movers: Movers, iteration: int) -> None:
+        """To the beginning, with smaller steps.
+
+        Raises:
+            ReconstructError: Steps are small enough.
+        """
+        where = f"training together, iteration {iteration}"
+        if not self.guard.go_back(log, where):
+            raise diverged(f"the loss of {where} ran away")
+        for mine, begun in ((self.stands, stands), (self.movers.canonical, movers.canonical)):
+            mine.density.copy_(begun.density)
+            mine.features.copy_(begun.features)
+            mine.distance = begun.distance
+        self.stands.net.load_state_dict(stands.net.state_dict())
+        assert self.movers.shading is not None
+        with torch.no_grad():
+            self.movers.shading.grid.zero_()
+        self._begin()
+
+    def finish(self) -> None:
+        """No more training."""
+        self._look()
+        assert self.movers.shading is not None
+        for parameter in (*self.stands.net.parameters(), *self.movers.shading.parameters()):
+            parameter.requires_grad_(False)
+
+    @torch.no_grad()
+    def held_errors(self) -> tuple[float, float, float]:
+        """Mean squared errors of rays held back: if nothing moved, as it is, without shading."""
+        still = DynamicModel(self.rest)
+        sums = torch.zeros(3, dtype=torch.float64)
+        batch = self.held_back.rays_of(torch.arange(len(self.rays), device=self.device))
+        assert batch is not None  # some pixel of many pictures is held back
+        for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
+            some = self.rays.at(frame, pixel)
+            around = self.around.at(frame, pixel)
+            middle = torch.full_like(some.time, 0.5)
+            for n, movers in ((1, self.movers), (2, self.movers.unshaded())):
+                seen = self._seen(some, middle, movers)
+                sums[n] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()
+            seen = still.box_at_rest(some.rays_o, some.rays_d)
+            sums[0] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()
+        values = (sums / (3 * len(batch.rgb))).clamp_min(1e-12).tolist()
+        return values[0], values[1], values[2]
+
+
+def _own(canonical: Canonical, net: torch.nn.Module) -> Canonical:
+    """A copy that can be trained, with this MLP."""
+    own = copy.copy(canonical)
+    own.density, own.features = canonical.density.clone(), canonical.features.clone()
+    own.net = net  # type: ignore[assignment]
+    return own
