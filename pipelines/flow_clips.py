@@ -1,8 +1,10 @@
-"""The clips whose flow is needed, and whether it is there already."""
+"""The clips whose flow is needed, whether it is there already, and who finds it."""
 
 from collections.abc import Mapping, Sequence
 
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.flow.estimator import FlowEstimator, create_estimator
+from devrf.pipelines.stage import StageContext
 
 
 def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
@@ -22,3 +24,10 @@ def is_brought(clips: Mapping[str, Sequence[PosedFrame]]) -> bool:
 def time_of(frame: PosedFrame) -> float:
     """When it was taken: seconds, or the data set's time where it has no seconds."""
     return float(frame.time_s if frame.time_s is not None else frame.time or 0.0)
+
+
+def flow_estimator(context: StageContext) -> FlowEstimator:
+    """The estimator that scene.yaml names."""
+    flow = context.config.flow
+    weights = context.config.path(context.scene_dir, flow.weights) if flow.weights else None
+    return create_estimator(flow.method, weights, context.device)

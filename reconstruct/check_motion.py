@@ -23,12 +23,11 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct.clocks import error_curves, picture_gap_s
 from devrf.reconstruct.grids import voxel_size
 from devrf.reconstruct.late_camera import FEWEST_PICTURES
-from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
+from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance, grown_pixels
 from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.pictures import clips, spread
 from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.render import render_rest
 from devrf.reconstruct.surroundings import PixelSurroundings
 
 PICTURES = 8  # of each camera, spread over its clip
@@ -59,10 +58,6 @@ class MotionFit:
     unreachable: float
     alone: float | None
     better_at: float
-
-
-Rays = tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"], Float[Tensor, " n"]]
-"""Origins, directions and times."""
 
 
 @torch.no_grad()
@@ -97,19 +92,20 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     def error(rgb: Tensor, left: Tensor) -> Tensor:
         return ((around.compose(rgb, left) - batch.rgb) ** 2).mean(1)
 
-    rest_rgb, rest_left = _at_rest(model, batch.rays_o, batch.rays_d)
-    at_rest = error(rest_rgb, rest_left)
+    parts = zip(batch.rays_o.split(CHUNK), batch.rays_d.split(CHUNK), strict=True)
+    still = [model.box_at_rest(o, d) for o, d in parts]
+    rest_left = torch.cat([part.left for part in still])
+    at_rest = error(torch.cat([part.rgb for part in still]), rest_left)
     names = list(by_camera)
     of_frame = torch.tensor([names.index(f.camera_name) for f in frames], device=device)
     camera = of_frame[batch.frame]
-    rgb, left, depth = _at(model, (batch.rays_o, batch.rays_d, batch.time))
+    rgb, left, depth = model.box_at(batch.rays_o, batch.rays_d, batch.time)
     in_motion = error(rgb, left)
     gaps = torch.tensor([picture_gap_s(clip) for clip in by_camera.values()], device=device)[of_frame]
     shifts = torch.from_numpy(SHIFTS).to(rays.times) * gaps[:, None] / (scene.t1_s - scene.t0_s)
     times = (rays.times[:, None] + shifts).to(rays.times)
     times[~counts] = torch.nan  # at no time: these pictures are not rendered
-    rest = model.in_motion or model.rest
-    curves = error_curves(rest, model.motion, rays, surroundings, changing, times, generator)
+    curves = error_curves(model, rays, surroundings, changing, times, generator)
     empty = torch.minimum(left, rest_left) > OPAQUE
     solid = (left < OPAQUE).nonzero()[:, 0]
     surface = batch.rays_o + (depth / (1 - left).clamp_min(1e-6))[:, None] * batch.rays_d
@@ -152,37 +148,6 @@ def better_shift(curves: Float[np.ndarray, "pictures shifts"]) -> float:
     return float(SHIFTS[best]) if sure and ratio[best] > 10 ** (LEAST_SHIFT_DB / 10) else 0.0
 
 
-def _at_rest(model: DynamicModel, rays_o: Tensor, rays_d: Tensor) -> tuple[Tensor, Tensor]:
-    """Colour and transmittance of the box at rest along rays."""
-    black, parts = torch.zeros(3, device=rays_o.device), []
-    for o, d in zip(rays_o.split(CHUNK), rays_d.split(CHUNK), strict=True):
-        middle = torch.full((2, len(o)), 0.5, device=o.device)
-        rest = model.rest
-        seen = render_rest(rest.canonical, None, black, o, d, near=rest.near, jitter=middle)
-        parts.append((seen.rgb, seen.left))
-    rgb, left = (torch.cat(part) for part in zip(*parts, strict=True))
-    return rgb, left
-
-
-def _at(model: DynamicModel, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
-    """Colour, transmittance and weighted depth of the box along rays, each at its own time."""
-    rays_o, rays_d, time = rays
-    assert model.motion is not None  # as above
-    motion, rest = model.motion, model.in_motion or model.rest
-    tau = motion.tau(time)
-    interval = tau.long().clamp(max=motion.keys - 2)
-    rgb, left, depth = torch.zeros_like(rays_o), torch.ones_like(time), torch.zeros_like(time)
-    for first in interval.unique().tolist():
-        window = motion.window(first, first + 1, rays_o.device)
-        mine = (interval == first).nonzero()[:, 0]
-        live = live_distance(rest, window, (tau[mine] - first).unique(), 1)
-        for part in mine.split(CHUNK):
-            at, middle = (tau[part] - first).contiguous(), torch.full_like(tau[part], 0.5)
-            seen = render_moved(rest, window, live, rays_o[part], rays_d[part], at, middle)
-            rgb[part], left[part], depth[part] = seen.rgb, seen.left, seen.depth
-    return rgb, left, depth
-
-
 def _seen_by_others(
     model: DynamicModel,
     rays: RaySet,
@@ -213,7 +178,7 @@ def _seen_by_others(
         towards = points[asked] - rays.centres[view]
         away = towards.norm(dim=1)
         origin = rays.centres[view].expand(len(asked), 3).contiguous()
-        _, left, depth = _at(model, (origin, towards / away[:, None], time[asked]))
+        _, left, depth = model.box_at(origin, towards / away[:, None], time[asked])
         hit = origin + (depth / (1 - left).clamp_min(1e-6) / away)[:, None] * towards
         apart = (grid(hit) - grid(points[asked])).norm(dim=1)
         along = torch.nn.functional.normalize(points[asked] - seen_from[asked], dim=1)

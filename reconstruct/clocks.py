@@ -17,11 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.model import live_distance, render_moved
-from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.moving_pixels import ChangingPixels, draw_with_importance
 from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.surroundings import PixelSurroundings
 
 SHIFTS = np.linspace(-1.2, 1.2, 13)  # pictures by which a camera is tried to be early or late
@@ -45,8 +43,7 @@ def with_offset(scene: Scene, camera: str, offset_s: float) -> Scene:
 
 @torch.no_grad()
 def error_curves(
-    rest: RestModel,
-    motion: MotionField,
+    model: DynamicModel,
     rays: RaySet,
     around: PixelSurroundings,
     changing: ChangingPixels | None,
@@ -56,36 +53,26 @@ def error_curves(
     """Squared errors of pictures as if they had been taken at each of several times; NaN at times beyond the keys.
 
     Args:
-        rest, motion: The model.
+        model: With its motion.
         rays: The pictures.
         around: What they see outside the box.
         changing: Where they change; only there they are looked at.
         times: Ascending, in the scene's time; NaN: not to be looked at.
         generator: Of the pixels that are looked at.
     """
+    assert model.motion is not None  # asked of models with motion only
     curves = np.full(times.shape, np.nan)
-    taus = motion.tau(times.reshape(-1)).reshape(times.shape)
-    for n, inside in enumerate((times >= motion.t_first) & (times <= motion.t_last)):
+    for n, inside in enumerate((times >= model.motion.t_first) & (times <= model.motion.t_last)):
         picture = torch.tensor([n], device=rays.device)
         batch = draw_with_importance(rays, changing, RAYS, 1.0, picture, generator)
-        if not bool(inside.any()):
+        asked = times[n, inside]
+        if not len(asked):
             continue
-        asked = taus[n, inside]
-        first = min(int(asked[0]), motion.keys - 2)
-        window = motion.window(first, max(first + 1, int(asked[-1].ceil())), rays.device)
-        tau = (asked - first).to(rays.device)
-        ray = torch.arange(len(batch.frame), device=rays.device).repeat(len(tau))
-        seen = render_moved(
-            rest,
-            window,
-            live_distance(rest, window, tau, 1),
-            batch.rays_o[ray],
-            batch.rays_d[ray],
-            tau.repeat_interleave(len(batch.frame)),
-            torch.full_like(batch.time, 0.5)[ray],
-        )
+        ray = torch.arange(len(batch.frame), device=rays.device).repeat(len(asked))
+        at = asked.repeat_interleave(len(batch.frame))
+        seen = model.box_at(batch.rays_o[ray], batch.rays_d[ray], at)
         rgb = around.at(batch.frame[ray], batch.pixel[ray]).compose(seen.rgb, seen.left)
-        errors = ((rgb - batch.rgb[ray]) ** 2).reshape(len(tau), -1).sum(1)
+        errors = ((rgb - batch.rgb[ray]) ** 2).reshape(len(asked), -1).sum(1)
         curves[n, inside.cpu().numpy()] = errors.cpu().numpy()
     return curves
 

@@ -71,7 +71,8 @@ class Moments:
         gap = picture_gap_s(self._clips[camera]) / (self._scene.t1_s - self._scene.t0_s)
         times = rays.times[:, None] + gap * torch.from_numpy(shifts).to(rays.times)
         generator = torch.Generator().manual_seed(self._seed)
-        return error_curves(self._rest, motion, rays, around, changing, times, generator)
+        model = DynamicModel(self._rest, motion)
+        return error_curves(model, rays, around, changing, times, generator)
 
 
 def suspect(curves: Errors, reference: str) -> str | None:

@@ -7,6 +7,7 @@ background). Surroundings do not move, so a camera that stands still needs them 
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ CACHED_TIMES = 64  # of which it is remembered where the moving scene may be: 64
 QUICK = 2  # in a hurry, surroundings are rendered at so many times smaller sides: a quarter of the time
 LIVE_VOXELS = 40  # size of the grid that says where the moving scene may be
 STRETCH = 1.5  # how much a motion may stretch space inside one of its cells
+FIELD_VOXELS = 4  # of the scene at rest in a cell of the motion of movers, given as a field
 SOLID = 0.5  # opacity from which a pixel shows a surface
 
 Layers = tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]
@@ -84,12 +86,20 @@ class Moved:
     colours: Float[Tensor, "S 3"] | None
 
 
+class Seen(NamedTuple):
+    """What rays see in the box: its colour, the light that it lets through, weighted distance."""
+
+    rgb: Float[Tensor, "R 3"]
+    left: Float[Tensor, " R"]
+    depth: Float[Tensor, " R"]
+
+
 @dataclass
 class DynamicModel:
     """The scene at rest, how it moves (None: it does not), and the same as it looks in motion (None: the same).
 
-    With `movers` pictures in motion are made of these and of what stands, which is `in_motion` then; `motion` says where
-    points go. Pictures are rendered `chunk` rays at a time.
+    With `movers` pictures in motion are made of these and of what stands, which is `in_motion` then; `motion` says
+    where points go. Pictures are rendered `chunk` rays at a time.
     """
 
     rest: RestModel
@@ -99,6 +109,14 @@ class DynamicModel:
     chunk: int = CHUNK
     _around: OrderedDict[tuple[object, ...], Around] = field(default_factory=OrderedDict, repr=False)
     _live: OrderedDict[float, Tensor] = field(default_factory=OrderedDict, repr=False)
+
+    @staticmethod
+    def of_movers(
+        rest: RestModel, stands: RestModel, movers: Movers, keys: int, rest_time: float
+    ) -> "DynamicModel":
+        """What stands and what moves, and its motion as fields of `keys` key times."""
+        motion = movers.motion(keys, rest_time, rest.canonical.resolution / FIELD_VOXELS)
+        return DynamicModel(rest, motion, stands, movers)
 
     def alone(self, background: str) -> "DynamicModel":
         """What is in the box before a plain colour, without its surroundings; grids are not copied."""
@@ -112,6 +130,35 @@ class DynamicModel:
         black, middle = torch.zeros(3, device=rays_o.device), rays_o.new_full((2, len(rays_o)), 0.5)
         canonical = self.rest.canonical
         return render_rest(canonical, None, black, rays_o, rays_d, near=self.rest.near, jitter=middle)
+
+    def box_at(
+        self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"], times: Float[Tensor, " R"]
+    ) -> Seen:
+        """What rays see in the box, each at its own time in [0, 1]; `chunk` at a time."""
+        parts = []
+        if self.movers is not None:
+            moments, frame = times.unique(return_inverse=True)
+            placed = self.movers.placed(moments)
+            for part in torch.arange(len(times), device=times.device).split(self.chunk):
+                middle = torch.full_like(times[part], 0.5)
+                parts.append((part, _layered(self, placed, frame[part], rays_o[part], rays_d[part], middle)))
+        else:
+            assert self.motion is not None  # asked of models with motion only
+            motion, rest = self.motion, self.in_motion or self.rest
+            tau = motion.tau(times)
+            interval = tau.long().clamp(max=motion.keys - 2)
+            for first in interval.unique().tolist():
+                window = motion.window(first, first + 1, rays_o.device)
+                mine = (interval == first).nonzero()[:, 0]
+                live = live_distance(rest, window, (tau[mine] - first).unique(), 1)
+                for part in mine.split(self.chunk):
+                    at, middle = (tau[part] - first).contiguous(), torch.full_like(tau[part], 0.5)
+                    seen = render_moved(rest, window, live, rays_o[part], rays_d[part], at, middle)
+                    parts.append((part, seen))
+        rgb, left, depth = torch.zeros_like(rays_o), torch.ones_like(times), torch.zeros_like(times)
+        for part, seen in parts:
+            rgb[part], left[part], depth[part] = seen.rgb, seen.left, seen.depth
+        return Seen(rgb, left, depth)
 
     def around_camera(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
         """Surroundings of all pixels of a camera, row by row; remembered. `between` as `render_layers`'."""
@@ -273,7 +320,8 @@ def _layers(
         between()
         middle = o.new_full((len(o),), 0.5)
         if placed is not None:
-            seen = _layered(model, placed, o, d, middle)
+            frame = torch.zeros(len(o), dtype=torch.int64, device=device)
+            seen = _layered(model, placed, frame, o, d, middle)
         elif motion is not None and live is not None and tau is not None:
             seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
         else:
@@ -285,12 +333,14 @@ def _layers(
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
 
 
-def _layered(model: DynamicModel, placed: Placed, rays_o: Tensor, rays_d: Tensor, jitter: Tensor) -> Layered:
-    """Rays through what stands and what moves, all at the time of `placed`."""
+def _layered(
+    model: DynamicModel, placed: Placed, frame: Tensor, rays_o: Tensor, rays_d: Tensor, jitter: Tensor
+) -> Layered:
+    """Rays through what stands and what moves, each at the time of its picture."""
     assert model.in_motion is not None and model.movers is not None
-    frame = torch.zeros(len(rays_o), dtype=torch.int64, device=rays_o.device)
-    stands = model.in_motion.canonical
-    return render_layered(stands, model.movers, placed, frame, rays_o, rays_d, model.rest.near, jitter)
+    return render_layered(
+        model.in_motion.canonical, model.movers, placed, frame, rays_o, rays_d, model.rest.near, jitter
+    )
 
 
 def _chunks(rays_o: Tensor, rays_d: Tensor, size: int) -> list[tuple[Tensor, Tensor]]:

@@ -1,20 +1,23 @@
 """Models on disk: data only (safetensors), everything that rendering needs and nothing else.
 
 `canonical/model.safetensors` holds the scene at rest and its surroundings, `deformation/model.safetensors` both
-motion fields. Only vertices that samples can touch are kept; densities are in half precision, colours in bytes,
-motion is true to a fortieth of a voxel at rest (`packing.py`). Numbers that are not tensors stand in the file's
-metadata, as JSON under `devrf`.
+motion fields, or movers and what stands beside them (that only where it differs from the scene at rest). Only vertices
+that samples can touch are kept; densities are in half precision, colours in bytes, motion is true to a fortieth of a
+voxel at rest (`packing.py`). Numbers that are not tensors stand in the file's metadata, as JSON under `devrf`.
 """
 
+import copy
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from safetensors import SafetensorError, safe_open
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
@@ -23,6 +26,7 @@ from devrf.reconstruct.grids import grown
 from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.packing import (
     bits_of,
@@ -33,6 +37,7 @@ from devrf.reconstruct.packing import (
     to_bytes,
 )
 from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.tensor_file import save_tensors
 
@@ -70,13 +75,92 @@ def save_motion(path: Path, motion: MotionField, voxel: float) -> None:
     _save(path, tensors, meta)
 
 
-def save_deformation(folder: Path, motion: MotionField, tuned: RestModel | None, voxel: float) -> list[Path]:
+def save_movers(path: Path, model: DynamicModel) -> None:
+    """Write movers, and what stands where it is another than at rest."""
+    assert model.movers is not None and model.in_motion is not None and model.motion is not None
+    rest, stands, movers = model.rest.canonical, model.in_motion.canonical, model.movers
+    own, labelled = movers.canonical, movers.labels > 0
+    other = (stands.density != rest.density)[..., 0] | (stands.features != rest.features).any(-1)
+    turns = Rotation.from_matrix(movers.rotations.reshape(-1, 3, 3).numpy()).as_rotvec()
+    tensors = {
+        **_kept("movers", own.distance == 0, own.reachable(), own.density, own.features),
+        "movers.labelled": bits_of(labelled),
+        "movers.labels": movers.labels[labelled],
+        "movers.times": movers.times,
+        "movers.turns": torch.from_numpy(turns.reshape(*movers.shifts.shape)).float(),
+        "movers.shifts": movers.shifts,
+        **_kept("stands", stands.distance == 0, other, stands.density, stands.features),
+        "stands.other": bits_of(other),
+        **{f"net.{name}": value for name, value in own.net.state_dict().items()},
+    }
+    meta: dict[str, Any] = {
+        "kind": "movers",
+        "shape": rest.shape,
+        "keys": model.motion.keys,
+        "rest_time": model.motion.key_times[model.motion.rest_key or 0],
+    }
+    if movers.shading is not None:
+        light = movers.shading
+        meta["shading"] = {"t_first": light.t_first, "t_last": light.t_last, "shape": light.grid.shape}
+        tensors |= {f"shading.{part}": x for part, x in to_bytes(light.grid.detach().reshape(-1, 1)).items()}
+    _save(path, tensors, meta)
+
+
+def load_movers(path: Path, rest: RestModel, device: str = "cpu") -> DynamicModel:
+    """Read what `save_movers` wrote; `rest` is the scene at rest that they were found in. Errors as `load_rest`."""
+    tensors, meta = _load(path, "movers", device)
+    with _damage_named(path):
+        X, Y, Z = meta["shape"]
+        if (X, Y, Z) != rest.canonical.shape:
+            raise ValueError(f"voxels {X} x {Y} x {Z}, the scene at rest has {rest.canonical.shape}")
+        net = _rest_net(tensors, rest)
+
+        def mask(name: str) -> Bool[Tensor, "X Y Z"]:
+            return mask_of(tensors[name].cpu(), (X, Y, Z)).to(device)
+
+        own, stands = copy.copy(rest.canonical), copy.copy(rest.canonical)
+        own.net = stands.net = net
+        occupied = mask("movers.occupied")
+        own.density, own.features = _spread("movers", tensors, grown(occupied))
+        own.distance, stands.distance = distance(occupied), distance(mask("stands.occupied"))
+        other = mask("stands.other")
+        density, features = _spread("stands", tensors, other)
+        stands.density = torch.where(other[..., None], density, rest.canonical.density)
+        stands.features = torch.where(other[..., None], features, rest.canonical.features)
+        labels = torch.zeros(X, Y, Z, dtype=torch.uint8, device=device)
+        labels[mask("movers.labelled")] = tensors["movers.labels"]
+        turns = tensors["movers.turns"].cpu()
+        rotations = Rotation.from_rotvec(turns.reshape(-1, 3).numpy()).as_matrix().reshape(*turns.shape, 3)
+        light = None
+        if "shading" in meta:
+            told = meta["shading"]
+            grid = from_bytes(_parts("shading", tensors, BYTES)).reshape(tuple(told["shape"]))
+            light = Shading(own.aabb, float(told["t_first"]), float(told["t_last"]), grid)
+            light.requires_grad_(False)
+        movers = Movers(
+            own,
+            labels,
+            tensors["movers.times"].cpu(),
+            torch.from_numpy(rotations).float(),
+            tensors["movers.shifts"].cpu(),
+            light,
+        )
+        keys, rest_time = int(meta["keys"]), float(meta["rest_time"])
+        still = replace(rest, canonical=stands, shell=None, metrics={})
+        return DynamicModel.of_movers(rest, still, movers, keys, rest_time)
+
+
+def save_deformation(folder: Path, model: DynamicModel) -> list[Path]:
     """Write what stage 2 leaves; returns the files."""
     files = [folder / FILE]
-    save_motion(files[0], motion, voxel)
-    if tuned is not None:
+    if model.movers is not None:
+        save_movers(files[0], model)
+        return files
+    assert model.motion is not None
+    save_motion(files[0], model.motion, model.rest.canonical.voxel)
+    if model.in_motion is not None:
         files.append(folder / TUNED_FILE)
-        save_rest(files[1], tuned)
+        save_rest(files[1], model.in_motion)
     return files
 
 
@@ -106,16 +190,18 @@ def load_motion(path: Path, device: str = "cpu") -> MotionField:
 def load_model(run_dir: Path, device: str = "cpu") -> DynamicModel:
     """The trained model of a run folder: with motion where that stage has run, else at rest."""
     rest = load_rest(run_dir / "canonical" / FILE, device)
-    return DynamicModel(rest, *load_deformation(run_dir / "deformation", device))
+    return load_deformation(run_dir / "deformation", rest, device)
 
 
-def load_deformation(folder: Path, device: str = "cpu") -> tuple[MotionField | None, RestModel | None]:
-    """What `save_deformation` wrote, None for what is not there."""
+def load_deformation(folder: Path, rest: RestModel, device: str = "cpu") -> DynamicModel:
+    """What `save_deformation` wrote, beside the scene at rest; that alone where nothing was."""
     motion, tuned = folder / FILE, folder / TUNED_FILE
-    return (
-        load_motion(motion, device) if motion.is_file() else None,
-        load_rest(tuned, device) if tuned.is_file() else None,
-    )
+    if not motion.is_file():
+        return DynamicModel(rest)
+    if _kind(motion) == "movers":
+        return load_movers(motion, rest, device)
+    in_motion = load_rest(tuned, device) if tuned.is_file() else None
+    return DynamicModel(rest, load_motion(motion, device), in_motion)
 
 
 def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> RestModel:
@@ -161,6 +247,12 @@ def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Ten
     return MotionField(
         aabb, backward, forward, float(meta["t_first"]), float(meta["t_last"]), meta["rest_key"]
     )
+
+
+def _rest_net(tensors: dict[str, Tensor], rest: RestModel) -> ColourNet:
+    """The MLP among a file's tensors, of the size of that of the scene at rest."""
+    meta = rest.numbers()
+    return _net(tensors, {name: meta[name] for name in ("channels", "mlp_width", "view_frequencies")})
 
 
 def _net(tensors: dict[str, Tensor], meta: dict[str, Any]) -> ColourNet:
@@ -226,6 +318,15 @@ def _damaged(path: Path, why: str) -> ReconstructError:
 def _save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     ready = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
     save_tensors(path, ready, {"devrf": json.dumps({"format": FORMAT, **meta})})
+
+
+def _kind(path: Path) -> str:
+    """What a file says that it holds; nothing where it cannot be read, which `_load` says."""
+    try:
+        with safe_open(str(path), framework="pt", device="cpu") as file:
+            return str(json.loads((file.metadata() or {}).get("devrf", "{}")).get("kind", ""))
+    except (SafetensorError, ValueError, RecursionError, OSError, AttributeError):
+        return ""
 
 
 def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[str, Any]]:

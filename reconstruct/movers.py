@@ -1,10 +1,11 @@
 """What moves, apart from what stands: rigid parts of the scene at rest, each with its own motion.
 
-sigma(x, t) = sigma_stands(x) + sum over parts of sigma_part(x taken back by the part's motion). A ray is turned into each
-part's own frame and marched there; all samples are then sorted along the ray and composited once, so nothing blends
-across parts. Where two parts meet, both hold the voxels next to the border: a joint has no seam.
+sigma(x, t) = sigma_stands(x) + sum over parts of sigma_part(x taken back by the part's motion). A ray is turned into
+each part's own frame and marched there; all samples are then sorted along the ray and composited once, so nothing
+blends across parts. Where two parts meet, both hold the voxels next to the border: a joint has no seam.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -19,7 +20,8 @@ from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.grids import grown, vertices
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
 from devrf.reconstruct.kernels.march import Samples, Volume, march
-from devrf.reconstruct.kernels.occupancy import distance
+from devrf.reconstruct.kernels.occupancy import REACH, distance
+from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.render import FAINT, points_on, segments_in
 from devrf.reconstruct.shading import Shading
 
@@ -84,6 +86,7 @@ class Movers:
     shading: Shading | None = None
     _volumes: list[Volume | None] | None = field(default=None, repr=False)
     _middles: np.ndarray | None = field(default=None, repr=False)
+    _distances: list[Tensor] | None = field(default=None, repr=False)
 
     @property
     def parts(self) -> int:
@@ -93,6 +96,13 @@ class Movers:
     def unshaded(self) -> "Movers":
         """The same in constant light."""
         return replace(self, shading=None)
+
+    def at_rest(self) -> Placed:
+        """Where nothing has moved."""
+        device = self.canonical.density.device
+        turn = torch.eye(3, device=device).expand(1, self.parts, 3, 3)
+        first = self.times[:1].to(device)
+        return Placed(turn, torch.zeros(1, self.parts, 3, device=device), first)
 
     def middles(self) -> Float[np.ndarray, "M 3"]:
         """Of the parts at rest."""
@@ -124,6 +134,90 @@ class Movers:
             times.to(device),
         )
 
+    def to_rest(
+        self, x: Float[Tensor, "n 3"], placed: Placed, within: int = 1
+    ) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+        """Where points seen in the first picture of `placed` rest, and their part; 0: none is so near, they stand.
+
+        Args:
+            x: Points.
+            placed: Where the parts are.
+            within: Voxels from a part in which points are taken for its own.
+        """
+        return self._nearest(within, x, lambda m: (x - placed.shifts[0, m]) @ placed.rotations[0, m])
+
+    def part_of(self, x_rest: Float[Tensor, "n 3"], within: int = 1) -> Int[Tensor, " n"]:
+        """The part of resting points."""
+        return self._nearest(within, x_rest, lambda m: x_rest)[1]
+
+    def carried(
+        self, x_rest: Float[Tensor, "n 3"], part: Int[Tensor, " n"], placed: Placed
+    ) -> Float[Tensor, "n 3"]:
+        """Where resting points of parts are in the first picture of `placed`; those of part 0 stand."""
+        R, t = placed.rotations[0, part - 1], placed.shifts[0, part - 1]
+        return torch.where((part > 0)[:, None], torch.einsum("nij,nj->ni", R, x_rest) + t, x_rest)
+
+    def motion(self, keys: int, rest_time: float, resolution: float) -> MotionField:
+        """The same motion as fields: exact at vertices on a part or next to one, none elsewhere.
+
+        Args:
+            keys: Number of key times.
+            rest_time: In [0, 1]; at the key nearest to it nothing has moved.
+            resolution: As `MotionField.still`.
+        """
+        first, last = float(self.times[0]), float(self.times[-1])
+        rest_key = round((rest_time - first) / (last - first) * (keys - 1))
+        device = self.canonical.density.device
+        field = MotionField.still(
+            self.box(), keys, resolution, t_first=first, t_last=last, rest_key=rest_key, device=str(device)
+        )
+        shape = field.backward.shape[1:]
+        x = vertices(field.aabb, (shape[0], shape[1], shape[2])).reshape(-1, 3).to(device)
+        part = self.part_of(x, REACH - 1)
+        for key, time in enumerate(field.key_times):
+            if key == rest_key:
+                continue
+            placed = self.placed(torch.tensor([time]))
+            field.backward[key] = (self.to_rest(x, placed, REACH - 1)[0] - x).reshape(shape)
+            field.forward[key] = (self.carried(x, part, placed) - x).reshape(shape)
+        return field
+
+    def box(self) -> Float[Tensor, "2 3"]:
+        """The box of the scene at rest and all places at which parts ever are; on the CPU."""
+        places = vertices(self.canonical.aabb, self.canonical.shape)
+        corners = [self.canonical.aabb]
+        for m in range(self.parts):
+            own = places[self.labels.cpu() == m + 1]
+            if len(own):
+                ends = torch.cartesian_prod(*torch.stack([own.amin(0), own.amax(0)], dim=1))
+                corners.append((ends @ self.rotations[:, m].mT + self.shifts[:, m, None]).reshape(-1, 3))
+        every = torch.cat(corners)
+        return torch.stack([every.amin(0), every.amax(0)])
+
+    def _nearest(
+        self, within: int, x: Float[Tensor, "n 3"], rested: Callable[[int], Float[Tensor, "n 3"]]
+    ) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+        """Points as the nearest part has them at rest, and the part; as they are, and 0, where none is near."""
+        out, part = x.clone(), torch.zeros(len(x), dtype=torch.int64, device=x.device)
+        least = torch.full((len(x),), within + 1, dtype=torch.uint8, device=x.device)
+        for m in range(self.parts):
+            x0 = rested(m)
+            away = self._away(m, x0)
+            nearer = away < least
+            least[nearer], out[nearer], part[nearer] = away[nearer], x0[nearer], m + 1
+        return out, part
+
+    def _away(self, part: int, x_rest: Float[Tensor, "n 3"]) -> UInt8[Tensor, " n"]:
+        """Voxels from resting points to a part, at most REACH."""
+        if self._distances is None:
+            self._distances = [distance(self.labels == m + 1) for m in range(self.parts)]
+        lo, hi = self.canonical.aabb.to(x_rest)
+        last = torch.tensor(self.canonical.shape, device=x_rest.device) - 1
+        at = ((x_rest - lo) / (hi - lo) * last).round()
+        inside = ((at >= 0) & (at <= last)).all(-1)
+        at = torch.minimum(at.clamp(min=0), last).long()
+        return torch.where(inside, self._distances[part][tuple(at.unbind(-1))], REACH)
+
     def volumes(self) -> list[Volume | None]:
         """What the march needs to know of each part: its own voxels and those next to them; None where it is empty."""
         if self._volumes is None:
@@ -150,7 +244,14 @@ class Movers:
         step = (high - low) / last.cpu()
         box = torch.stack([low + lo.cpu() * step, low + hi.cpu() * step])
         return Volume(
-            density, distance(occupied), box, k.shift, k.interval, k.step, k.alpha_threshold, k.weight_threshold
+            density,
+            distance(occupied),
+            box,
+            k.shift,
+            k.interval,
+            k.step,
+            k.alpha_threshold,
+            k.weight_threshold,
         )
 
 

@@ -348,6 +348,7 @@ def preset(
             motion,
             iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations),
             fine_tuning=round(ratio * motion.fine_tuning),
+            together=round(ratio * motion.together),
         )
     if fine_tuning_iterations is not None:
         motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)

@@ -1,5 +1,10 @@
-"""Stage 2 as a whole: how the scene moves, then the scene at rest as it looks in motion."""
+"""Stage 2 as a whole: how the scene moves, then the scene at rest as it looks in motion.
 
+Where fixed cameras film what moves, it is tracked and split into rigid parts, which are trained together with what
+stands; else, and where that explains too little, motion is a field (`train_motion.py`).
+"""
+
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -8,6 +13,7 @@ import numpy as np
 
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
+from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
@@ -24,14 +30,20 @@ from devrf.reconstruct.late_camera import (
     suspect,
     without,
 )
+from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.sizing import Decision
+from devrf.reconstruct.tracking.find import find_movers, trackable
 from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.train_movers import train_movers
 from devrf.reconstruct.watch import Watch
 
+TRACKING = 0.5  # share of the progress bar
+LEAST_GAIN_DB = 1.0  # of movers over a scene in which nothing moves; with less, motion is a field
 MOTION = 0.9  # share of the progress bar, before a late camera is looked for and fine-tuning
 
 
@@ -45,12 +57,87 @@ def train_deformation(
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
     reference: str | None = None,
-) -> tuple[MotionField, RestModel | None, dict[str, Any]]:
-    """Motion, the scene at rest as it looks in motion (None: as it does at rest), and what was measured.
+    estimator: FlowEstimator | None = None,
+) -> tuple[DynamicModel, dict[str, Any]]:
+    """The scene at rest with its motion, and what was measured.
 
     Arguments and errors as `train_motion`'s, and `reference`: the camera whose clock is everyone's; without one no late
-    camera is looked for.
+    camera is looked for; `estimator`: of optical flow; without one nothing is tracked.
     """
+    reason = None
+    if options.together and estimator is not None and trackable(scene, rest):
+        found, reason = _movers(scene, rest, options, device, progress, checkpoint, estimator)
+        if found is not None:
+            return found
+    model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch, reference)
+    metrics["decisions"] += [] if reason is None else [str(reason)]
+    return model, metrics
+
+
+def _movers(
+    scene: Scene,
+    rest: RestModel,
+    options: MotionOptions,
+    device: str,
+    progress: Progress,
+    checkpoint: Checkpoint,
+    estimator: FlowEstimator,
+) -> tuple[tuple[DynamicModel, dict[str, Any]] | None, Decision | None]:
+    """The model with movers and what was measured; None, and why, where they explain too little."""
+    start = time.monotonic()
+    boxed = scene.in_box_frame()
+    assert boxed.rest_time is not None  # trackable
+    found = find_movers(boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m))
+    if found is None:
+        return None, Decision("movers", "none", "tracked", "too few points of the surface move")
+    tracking_s = time.monotonic() - start
+    trained = train_movers(
+        boxed,
+        rest,
+        found.stands,
+        found.movers,
+        options,
+        device,
+        lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
+        checkpoint.part("movers"),
+    )
+    parts = found.movers.parts
+    gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
+    if trained.unshaded_gain_db < LEAST_GAIN_DB:
+        reason = f"{parts} rigid parts gained {gains}, expected {LEAST_GAIN_DB} without"
+        return None, Decision("movers", "none", f"{parts} rigid parts", reason)
+    keys = min(len(found.tracks.times), options.keys or options.most_keys)
+    model = DynamicModel.of_movers(rest, trained.stands, trained.movers, keys, boxed.rest_time)
+    assert model.motion is not None
+    metrics = trained.metrics | {
+        "keys": keys,
+        "grid": list(model.motion.backward.shape[1:4]),
+        "pictures": sum(len(clip) for clip in clips(scene).values()),
+        "largest_motion": float(np.linalg.norm(found.tracks.xyz - found.surface.xyz, axis=-1).max()),
+        "parts": parts,
+        "points": len(found.surface),
+        "movers_gain_db": round(trained.gain_db, 3),
+        "movers_unshaded_gain_db": round(trained.unshaded_gain_db, 3),
+        "tracking_s": round(tracking_s, 1),
+        "decisions": [],
+        "flow_contradicted": {},
+    }
+    metrics["seconds"] += tracking_s
+    return (model, metrics), None
+
+
+def _field(
+    scene: Scene,
+    rest: RestModel,
+    flows: dict[str, CameraFlow],
+    options: MotionOptions,
+    device: str,
+    progress: Progress,
+    checkpoint: Checkpoint,
+    watch: Watch | None,
+    reference: str | None,
+) -> tuple[DynamicModel, dict[str, Any]]:
+    """Motion as a field, then the scene at rest as it looks in motion."""
     searched = reference if options.find_late_camera else None
     share, check = MOTION if options.fine_tuning or searched is not None else 1.0, _CheckedOnce()
     motion, metrics = train_motion(
@@ -69,7 +156,7 @@ def train_deformation(
             scene, rest, flows, options, device, progress, checkpoint, searched, check, motion, metrics
         )
     if not options.fine_tuning:
-        return motion, None, metrics
+        return DynamicModel(rest, motion), metrics
     tuned = fine_tune(
         as_trained(scene, metrics),
         rest,
@@ -82,7 +169,7 @@ def train_deformation(
     metrics = _with_cost_of(metrics, tuned.metrics)
     metrics["decisions"] += [str(tuned.decision)] if tuned.decision is not None else []
     metrics |= {"fine_tuning_s": tuned.metrics["seconds"], "fine_tuning_gain_db": tuned.gain_db}
-    return motion, tuned.model, metrics
+    return DynamicModel(rest, motion, tuned.model), metrics
 
 
 def _with_late_camera(

@@ -33,7 +33,7 @@ from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
-from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.model import render_view
 from devrf.reconstruct.model_io import load_deformation, load_rest, save_deformation, save_rest
 from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
@@ -133,11 +133,12 @@ class Bench:
         def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
             watch = looks.of_motion(rest) if looks is not None else None
             reference = reference_camera(self.run.run_dir)
-            motion, tuned, facts = train_deformation(
+            trained, facts = train_deformation(
                 scene, rest, self.flows, options, device, progress, checkpoint, watch, reference
             )
-            files = save_deformation(folder, motion, tuned, rest.canonical.voxel)
-            model = DynamicModel(rest, *load_deformation(folder, device))
+            files = save_deformation(folder, trained)
+            model = load_deformation(folder, rest, device)
+            assert trained.motion is not None
             model_mb = sum(f.stat().st_size for f in (*files, self._rest_file(options.seed))) / 1e6
             for file in files:
                 file.unlink()  # a gigabyte each at the published size
@@ -147,7 +148,7 @@ class Bench:
             result = {
                 k: scores[k] for k in ("test", "test_moving", "test_rest", "static_baseline", "render_fps")
             }
-            result["moving_voxels"] = moving_voxels(rest.canonical, motion)
+            result["moving_voxels"] = moving_voxels(rest.canonical, trained.motion)
             result |= {"train": {k: v for k, v in facts.items() if k != "curve"}, "model_mb": model_mb}
             return result | ({"looks": looks.taken()} if looks is not None else {})
 

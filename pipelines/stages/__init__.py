@@ -195,9 +195,11 @@ STAGES = (
             "reconstruct.motion_iterations",
             "reconstruct.fine_tuning_iterations",
             "reconstruct.key_times",
+            "flow",
         ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
+        plug_ins=_flow_method,
     ),
     Stage(
         name="evaluate",

@@ -6,8 +6,9 @@ from dataclasses import asdict, replace
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks_in_use import reference_camera
+from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
-from devrf.pipelines.health.rows import row
+from devrf.pipelines.health.rows import HealthRow, row
 from devrf.pipelines.health.training import flow_rows, late_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
@@ -15,7 +16,6 @@ from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.check_motion import check_motion
-from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
 from devrf.reconstruct.sizing import levels_for
 from devrf.reconstruct.train_deformation import train_deformation
@@ -36,7 +36,7 @@ def run(context: StageContext) -> None:
     checkpoint = training_checkpoint(context, "deformation", asked)
     options, fits = fit_to_memory(context, scene, asked, memory, checkpoint)
     flows = read_flows(context.run_dir / "flow")
-    motion, tuned, metrics = train_deformation(
+    model, metrics = train_deformation(
         scene,
         rest,
         flows,
@@ -45,29 +45,33 @@ def run(context: StageContext) -> None:
         context.progress,
         checkpoint,
         reference=reference_camera(context.run_dir),
+        estimator=flow_estimator(context),
     )
-    save_deformation(context.out, motion, tuned, rest.canonical.voxel)
+    save_deformation(context.out, model)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
-    cameras = check_motion(as_trained(scene, metrics), DynamicModel(rest, motion, tuned), options.seed)
+    cameras = check_motion(as_trained(scene, metrics), model, options.seed)
     metrics |= {
         "decisions": fits + metrics["decisions"],
         "options": asdict(options),
         "check": {name: asdict(fit) for name, fit in cameras.items()},
     }
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
-    context.health.append(
-        row(
-            "samples whose motion leads out of the box",
-            100 * metrics["left_box_share"],
-            "%",
-            warn_above=100 * OFTEN_LEFT,
-            fail_above=100 * MOSTLY_LEFT,
-            remedy="The subject moves out of the box around the scene at rest: keep it nearer to where it "
-            "rests, or let the fixed cameras see all of its way so that the box is made larger.",
-        )
-    )
+    if "left_box_share" in metrics:  # movers go wherever they were tracked
+        context.health.append(_left_box(metrics["left_box_share"]))
     context.health.extend(in_motion_rows(cameras))
     context.health.extend(restart_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
     context.health.extend(late_rows(metrics.get("late_camera")))
+
+
+def _left_box(share: float) -> HealthRow:
+    return row(
+        "samples whose motion leads out of the box",
+        100 * share,
+        "%",
+        warn_above=100 * OFTEN_LEFT,
+        fail_above=100 * MOSTLY_LEFT,
+        remedy="The subject moves out of the box around the scene at rest: keep it nearer to where it "
+        "rests, or let the fixed cameras see all of its way so that the box is made larger.",
+    )

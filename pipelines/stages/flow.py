@@ -18,11 +18,10 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
-from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
 from devrf.pipelines.budget.at_once import flow_at_once
-from devrf.pipelines.flow_clips import is_brought, time_of, training_clips
+from devrf.pipelines.flow_clips import flow_estimator, is_brought, time_of, training_clips
 from devrf.pipelines.health.flow import health
 from devrf.pipelines.health.rows import note
 from devrf.pipelines.stage import StageContext
@@ -37,7 +36,7 @@ def run(context: StageContext) -> None:
     scene = read_scene(context.run_dir / "scene")
     clips = training_clips(scene)
     brought = is_brought(clips)
-    estimator = None if brought else _estimator(context)
+    estimator = None if brought else flow_estimator(context)
     pixels = max(frame.camera.width * frame.camera.height for frames in clips.values() for frame in frames)
     side_by_side = estimator is None or estimator.parallel
     at_once = flow_at_once(context, pixels) if side_by_side else 1
@@ -93,12 +92,6 @@ def _unfinished(context: StageContext) -> Path:
         folder.mkdir()
         mark.write_text(made_of)
     return folder
-
-
-def _estimator(context: StageContext) -> FlowEstimator:
-    flow = context.config.flow
-    weights = context.config.path(context.scene_dir, flow.weights) if flow.weights else None
-    return create_estimator(flow.method, weights, context.device)
 
 
 def _stands_still(frames: Sequence[PosedFrame]) -> bool:

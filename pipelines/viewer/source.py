@@ -143,7 +143,7 @@ def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
         rest = load_rest(run_dir / "canonical" / FILE, device)
         return DynamicModel(rest, motion_in_training(checkpoint_path(run_dir, "deformation"), device))
     model = load_trained(run_dir, device)
-    return model if found.motion is not None else replace(model, motion=None, in_motion=None)
+    return model if found.motion is not None else replace(model, motion=None, in_motion=None, movers=None)
 
 
 def _points(run_dir: Path, scene: Scene) -> tuple[Float32[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 
 from devrf.reconstruct.canonical import Canonical
@@ -19,6 +19,7 @@ from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.kernels.trilinear import trilinear
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.movers import Movers, Placed
 
 AT_ONCE = 1 << 18  # points; each needs about 200 bytes on its way
 
@@ -31,11 +32,13 @@ class Field:
         canonical: The scene at rest, as it is rendered at this time.
         motion: The two key times around the time; None: the scene is at rest.
         tau: Of the time, in spacings of those two [1].
+        movers: Rigid parts and where they are at the time, where motion is theirs; `canonical` is what stands then.
     """
 
     canonical: Canonical
     motion: MotionField | None = None
     tau: Float[Tensor, "1"] | None = None
+    movers: tuple[Movers, Placed] | None = None
 
     @property
     def aabb(self) -> Float[Tensor, "2 3"]:
@@ -58,23 +61,31 @@ class Field:
 
     def at_rest(self) -> "Field":
         """The same scene before it moved."""
-        return replace(self, motion=None, tau=None)
+        movers = self.movers and (self.movers[0], self.movers[0].at_rest())
+        return replace(self, motion=None, tau=None, movers=movers)
 
     def to_rest(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Where points seen at this time rest (backward motion)."""
+        if self.movers is not None:
+            return self.layer(x)[0]
         return x if self.motion is None else self.motion.to_rest(x, self._taus(x))
 
     def from_rest(self, x_rest: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Where resting points are at this time (forward motion)."""
+        if self.movers is not None:
+            movers, placed = self.movers
+            return movers.carried(x_rest, movers.part_of(x_rest), placed)
         return x_rest if self.motion is None else self.motion.from_rest(x_rest, self._taus(x_rest))
 
     @torch.no_grad()
     def density(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Extinction at points: what absorbs light, per unit of the grids' coordinates (NDC: along z')."""
-        canonical, x0 = self.canonical, self.to_rest(x)
-        raw = trilinear(canonical.density, x0, canonical.aabb)[:, 0]
-        dense = F.softplus(raw + canonical.shift) / canonical.base_voxel
-        return torch.where(_occupied(canonical, x0), dense, 0.0)
+        if self.movers is None:
+            return _density(self.canonical, self.to_rest(x))
+        movers, placed = self.movers
+        x0, part = movers.to_rest(x, placed)
+        moving = torch.where(part > 0, _density(movers.canonical, x0), 0.0)
+        return _density(self.canonical, x) + moving
 
     def opacity(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """How much of the light a layer of a voxel's thickness absorbs, in [0, 1]: 0.5 and more looks solid."""
@@ -83,7 +94,11 @@ class Field:
     @torch.no_grad()
     def features(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
         """Colour features at points."""
-        return self.canonical.features_at(self.to_rest(x))
+        if self.movers is None:
+            return self.canonical.features_at(self.to_rest(x))
+        x0, part = self.layer(x)
+        there = self.movers[0].canonical.features_at(x0)
+        return torch.where((part > 0)[:, None], there, self.canonical.features_at(x))
 
     @torch.no_grad()
     def colours(self, x: Float[Tensor, "n 3"], rays_d: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -129,6 +144,14 @@ class Field:
             out[part] = self.opacity(x).reshape(-1, *shape[1:]).cpu()
         return out
 
+    def layer(self, x: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+        """Where points rest, and the part of the movers that they are on; 0: on what stands."""
+        assert self.movers is not None  # asked where there are some
+        movers, placed = self.movers
+        x0, part = movers.to_rest(x, placed)
+        part = torch.where(_density(movers.canonical, x0) > _density(self.canonical, x), part, 0)
+        return torch.where((part > 0)[:, None], x0, x), part
+
     def _taus(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         assert self.tau is not None
         return self.tau.to(x).expand(len(x)).contiguous()
@@ -139,6 +162,9 @@ def field_at(model: DynamicModel, time: float | None) -> Field:
     if model.motion is None or time is None:
         return Field(model.rest.canonical)
     motion, tau = model.motion.at(time, model.rest.canonical.density.device)
+    if model.movers is not None and model.in_motion is not None:
+        placed = model.movers.placed(torch.tensor([time]))
+        return Field(model.in_motion.canonical, motion, tau, (model.movers, placed))
     return Field((model.in_motion or model.rest).canonical, motion, tau)
 
 
@@ -149,10 +175,24 @@ def moved(
     """Where points of the box frame, seen at a time in [0, 1], are at another one; None: at rest."""
     if model.motion is None or time == then or not len(points):
         return points
-    now, other = field_at(model, time), field_at(model, then)
     x = torch.from_numpy(points.astype(np.float32)).to(model.rest.canonical.density.device)
+    if model.movers is not None and model.in_motion is not None:
+        movers = model.movers
+
+        def placed(moment: float | None) -> Placed:
+            return movers.at_rest() if moment is None else movers.placed(torch.tensor([moment]))
+
+        x_rest, part = Field(model.in_motion.canonical, movers=(movers, placed(time))).layer(x)
+        return movers.carried(x_rest, part, placed(then)).cpu().numpy().astype(np.float64)
+    now, other = field_at(model, time), field_at(model, then)
     x_rest = now.to_rest(now.from_box(x))
     return other.to_box(other.from_rest(x_rest)).cpu().numpy().astype(np.float64)
+
+
+def _density(canonical: Canonical, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    raw = trilinear(canonical.density, x, canonical.aabb)[:, 0]
+    dense = F.softplus(raw + canonical.shift) / canonical.base_voxel
+    return torch.where(_occupied(canonical, x), dense, 0.0)
 
 
 def _occupied(canonical: Canonical, x: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:

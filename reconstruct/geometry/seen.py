@@ -61,7 +61,7 @@ def solid(model: DynamicModel) -> DynamicModel:
     if model.rest.canonical.ndc is None:
         return model
     in_motion = None if model.in_motion is None else without(model.in_motion)
-    return DynamicModel(without(model.rest), model.motion, in_motion, model.chunk)
+    return DynamicModel(without(model.rest), model.motion, in_motion, chunk=model.chunk)
 
 
 def poses(scene: Scene) -> list[Camera]:

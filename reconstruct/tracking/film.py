@@ -18,6 +18,7 @@ SIDE = 512  # pixels: the longest side of pictures that are tracked; finer ones 
 REMEMBERED = 12  # pictures of a film, and as many filtered ones
 # Of the high-pass: standard deviations at a longest side of 640 pixels, and what keeps the logarithm finite.
 FINE_PX, COARSE_PX, DARK, REFERENCE_SIDE = 0.7, 6.0, 0.05, 640
+ROW = 1024  # points that are looked up in a row
 GREY_GAIN = 300  # levels of 8 bits for a contrast of 1 in the logarithm
 
 Picture = Float32[np.ndarray, "h w 3"]
@@ -108,12 +109,20 @@ def films(scene: Scene, estimator: FlowEstimator) -> list[Film]:
 
 
 def sampled(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values of a picture [h, w] or [h, w, c] at pixels [n, 2] whose centres are at halves, linearly; the border goes on."""
-    if not len(at):
+    """Values of a picture [h, w, ...] at pixels [n, 2] whose centres are at halves, linearly; the border goes on."""
+    return fetched(values, at - 0.5)
+
+
+def fetched(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The same at pixels whose centres are at whole numbers."""
+    rows = -(-len(at) // ROW)  # OpenCV has a limit for the length of rows
+    if not rows:
         return np.zeros((0, *values.shape[2:]), np.float32)
-    x, y = ((at[:, axis] - 0.5).astype(np.float32)[None] for axis in (0, 1))
+    padded = np.zeros((rows * ROW, 2), np.float32)
+    padded[: len(at)] = at
+    x, y = padded.reshape(rows, ROW, 2).transpose(2, 0, 1).copy()
     out = cv2.remap(values.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return out[0]
+    return out.reshape(rows * ROW, *values.shape[2:])[: len(at)]
 
 
 def round_trip(flow: np.ndarray, back: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from devrf.capture.progress import Progress, no_progress
@@ -30,7 +30,10 @@ FEWEST_CAMERAS = 2  # that stand: one says nothing of depth
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
-STILL, MOVING_SHARE = 0.75, 0.05  # voxels; moments at which fewer points have moved by this say nothing of parts
+STILL, MOVING_SHARE = (
+    0.75,
+    0.05,
+)  # voxels; moments at which fewer points have moved by this say nothing of parts
 
 
 @dataclass(frozen=True)
@@ -111,19 +114,17 @@ def movers_of(
     own.rebuild_occupancy()
     of_vertex = torch.zeros(canonical.shape, dtype=torch.uint8, device=canonical.density.device)
     places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()
-    nearest = cKDTree(surface.xyz).query(places)[1]
+    nearest = KDTree(surface.xyz).query(places)[1]
     of_vertex[region] = torch.from_numpy(labels[nearest] + 1).to(of_vertex)
     times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
     return Movers(own, of_vertex, times, R, t)
 
 
-def _region(
-    canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]
-) -> Bool[Tensor, "X Y Z"]:
+def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:
     """Vertices near the surface whose nearest point moves."""
     near = canonical.distance <= 1
     places = vertices(canonical.aabb, canonical.shape)[near.cpu()].numpy()
-    distance, nearest = cKDTree(surface.xyz).query(places)
+    distance, nearest = KDTree(surface.xyz).query(places)
     region = torch.zeros_like(near)
     region[near] = torch.from_numpy(moves[nearest] & (distance < OWN * surface.spacing)).to(near)
     return region

@@ -64,7 +64,9 @@ def follow_both_ways(
     gap = min(float(np.median(np.diff(film.times))) for film in films)
     last = max(float(film.times[-1]) for film in films)
     first = min(float(film.times[0]) for film in films)
-    after, before = (max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first))
+    after, before = (
+        max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
+    )
     done = 0
 
     def tell(_: float) -> None:
@@ -178,9 +180,7 @@ class _Shot:
         at = sight.at[points]
         self.came = points, at + sampled(flow, at), np.exp(-(sampled(missed, at) ** 2))
 
-    def look(
-        self, xyz: np.ndarray, normals: np.ndarray, surface: Surface, sigmas: tuple[float, ...]
-    ) -> None:
+    def look(self, xyz: np.ndarray, normals: np.ndarray, surface: Surface, sigmas: tuple[float, ...]) -> None:
         """Draw what the picture should show with points at `xyz`, and hold it against the picture."""
         sight = Sight(self.film, xyz, normals, surface.spacing)
         self.points = self.templates.known(sight)
@@ -195,7 +195,8 @@ class _Shot:
         self.contrasts = []
         for sigma in sigmas:
             one, other = blurred(drawn, sigma), blurred(real, sigma)
-            gradient = 0.5 * np.stack(np.gradient(one + other, axis=(1, 0)), -1)
+            along, down = np.gradient(one + other, axis=1), np.gradient(one + other, axis=0)
+            gradient = 0.5 * np.stack([along, down], -1)
             slope = sampled(gradient.reshape(*one.shape[:2], -1), self.at).reshape(-1, 3, 2)
             apart = sampled(other, self.at) - sampled(one, self.at)
             self.contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))

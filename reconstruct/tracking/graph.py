@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from devrf.reconstruct.tracking.surface import Surface
 
@@ -72,7 +72,7 @@ class Graph:
         pairs = np.stack([rows[reached], columns[reached]], 1)
         alone = np.setdiff1d(np.arange(n), pairs)
         if len(alone) and n > 1:
-            beside = cKDTree(self.nodes).query(self.nodes[alone], k=min(4, n))[1][:, 1:]
+            beside = np.asarray(KDTree(self.nodes).query(self.nodes[alone], k=min(4, n))[1])[:, 1:]
             pairs = np.vstack([pairs, np.stack([np.repeat(alone, beside.shape[1]), beside.ravel()], 1)])
         pairs = np.unique(np.sort(pairs, axis=1), axis=0)
         return np.vstack([pairs, pairs[:, ::-1]])
@@ -107,19 +107,19 @@ def _links(surface: Surface) -> csr_matrix:
     """Neighbouring points, with their distances."""
     n = len(surface)
     k = min(SURROUNDING, n - 1)
-    distance, near = cKDTree(surface.xyz).query(surface.xyz, k=k + 1)
+    distance, near = map(np.asarray, KDTree(surface.xyz).query(surface.xyz, k=k + 1))
     rows, columns, apart = np.repeat(np.arange(n), k), near[:, 1:].ravel(), distance[:, 1:].ravel()
     alike = (surface.normals[rows] * surface.normals[columns]).sum(1) > OPPOSED
     kept = (apart < LINK * surface.spacing) & alike
     links = csr_matrix((apart[kept], (rows[kept], columns[kept])), shape=(n, n))
-    return links.maximum(links.T)
+    return csr_matrix(links.maximum(links.T))
 
 
 def _cover(
     xyz: Float[np.ndarray, "p 3"], radius: float, order: Int[np.ndarray, " p"]
 ) -> Int[np.ndarray, " n"]:
     """Points such that every point has one of them within a radius, taken in an order."""
-    tree, left, out = cKDTree(xyz), np.ones(len(xyz), dtype=bool), []
+    tree, left, out = KDTree(xyz), np.ones(len(xyz), dtype=bool), []
     for n in order.tolist():
         if left[n]:
             out.append(n)

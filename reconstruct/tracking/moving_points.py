@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from devrf.reconstruct.pictures import spread
 from devrf.reconstruct.tracking.film import Film, blurred, sampled
@@ -27,8 +27,16 @@ BUSY = 0.5  # of the largest share of points that change: in pictures with as ma
 MOVES = 0.3  # share of the busy pictures from which a point moves
 ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
-NEIGHBOURS, REACH, COLOUR_REACH, FLAT = 12, 2.25, 0.3, 0.03  # number; spacings; of the full range; across edges
-CRUMB, CRUMB_REACH = 60, 2.5  # fewer points than these, nearer than so many spacings, follow their surroundings
+NEIGHBOURS, REACH, COLOUR_REACH, FLAT = (
+    12,
+    2.25,
+    0.3,
+    0.03,
+)  # number; spacings; of the full range; across edges
+CRUMB, CRUMB_REACH = (
+    60,
+    2.5,
+)  # fewer points than these, nearer than so many spacings, follow their surroundings
 UNIT = 1000  # of weights, which are whole numbers in the cut
 
 
@@ -77,9 +85,7 @@ def _votes(even: Float[np.ndarray, "c n"], raw: Float[np.ndarray, "c n"]) -> Flo
     """For motion above 0, against it below; 0 where nothing is known, or only brightness speaks for it."""
     seen = np.isfinite(even).sum(0)
     least, least_raw = (np.where(np.isfinite(x), x, 9.0).min(0) for x in (even, raw))
-    votes = np.where(
-        least > MOVES, np.clip(3 * least - 0.6, 0, 1), -STAYS * np.clip(1.2 - 3 * least, 0, 1)
-    )
+    votes = np.where(least > MOVES, np.clip(3 * least - 0.6, 0, 1), -STAYS * np.clip(1.2 - 3 * least, 0, 1))
     votes[(least <= MOVES) & (least_raw > MOVES + 0.1)] = 0
     return votes * np.select([seen == 0, seen == 1], [0.0, ONE_CAMERA], 1.0)
 
@@ -88,7 +94,7 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     xyz, n = surface.xyz, len(surface)
     if n <= NEIGHBOURS or not (votes > 0).any():
         return np.zeros(n, dtype=bool)
-    distance, near = cKDTree(xyz).query(xyz, k=NEIGHBOURS + 1)
+    distance, near = map(np.asarray, KDTree(xyz).query(xyz, k=NEIGHBOURS + 1))
     rows, columns = np.repeat(np.arange(n), NEIGHBOURS), near[:, 1:].ravel()
     level = (surface.normals[rows] * surface.normals[columns]).sum(1).clip(0, 1) ** 4
     alike = np.linalg.norm(surface.rgb[rows] - surface.rgb[columns], axis=1) / COLOUR_REACH
@@ -123,7 +129,7 @@ def _without_crumbs(surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[np.
         some = np.flatnonzero(moves == label)
         if not len(some):
             continue
-        pairs = cKDTree(surface.xyz[some]).query_pairs(CRUMB_REACH * surface.spacing, output_type="ndarray")
+        pairs = KDTree(surface.xyz[some]).query_pairs(CRUMB_REACH * surface.spacing, output_type="ndarray")
         links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(some), len(some)))
         _, piece = connected_components(links, directed=False)
         moves[some[np.bincount(piece)[piece] < CRUMB]] = not label

@@ -32,7 +32,9 @@ def motion_of(rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]
     return rotations, middles - rotations @ middle
 
 
-def residual(motion: Motions, rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]) -> np.ndarray:
+def residual(
+    motion: Motions, rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]
+) -> np.ndarray:
     """Mean squared distance of each point from where a rigid motion has it [p]."""
     rotations, shifts = motion
     expected = np.einsum("tij,pj->tpi", rotations, rest) + shifts[:, None]

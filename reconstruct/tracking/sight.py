@@ -27,7 +27,7 @@ class Sight:
         z = (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
         self.ids, depth = _drawn(film, self.at, z, spacing)
         size = np.array([camera.width, camera.height])
-        inside = ((self.at > 1) & (self.at < size - 1)).all(1)  # NaN is not
+        inside = np.all((self.at > 1) & (self.at < size - 1), axis=1)  # NaN is not
         pixel = np.where(inside[:, None], self.at, 0).astype(int)
         x, y = pixel.T
         towards = camera.centre - xyz
@@ -61,7 +61,7 @@ def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> _Drawn:
     if pixels:
         pixel, owner = np.concatenate(pixels), np.concatenate(owners)
         inside = ((pixel >= 0) & (pixel < [width, height])).all(1)
-        flat, owner = pixel[inside] @ [1, width], owner[inside]
+        flat, owner = pixel[inside, 1] * width + pixel[inside, 0], owner[inside]
         far_first = np.argsort(-z[owner], kind="stable")  # of several values for a pixel the last one stays
         ids[flat[far_first]] = owner[far_first]
         on = ids >= 0

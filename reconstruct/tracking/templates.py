@@ -1,10 +1,9 @@
 """How points look: real pictures, each warped from where a camera first showed a point to where it should be now."""
 
-import cv2
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from devrf.reconstruct.tracking.film import Film, Picture, blurred
+from devrf.reconstruct.tracking.film import Film, Picture, blurred, fetched
 from devrf.reconstruct.tracking.sight import Sight
 
 EVEN_PX = 1.5  # standard deviation by which the warp is made smooth
@@ -55,11 +54,5 @@ class Templates:
             way = blurred(way, EVEN_PX)[row, column]
             way /= np.maximum(blurred(drawn, EVEN_PX)[row, column], 1e-6)[:, None]
             at = (np.stack([column, row], 1) + way).astype(np.float32)
-            picture[row, column] = _fetched(self.film.picture(int(n)), at)
+            picture[row, column] = fetched(self.film.picture(int(n)), at)
         return picture
-
-
-def _fetched(picture: Picture, at: np.ndarray) -> np.ndarray:
-    """Colours at pixels whose centres are at whole numbers."""
-    x, y = (at[:, axis][None] for axis in (0, 1))
-    return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]

@@ -57,7 +57,7 @@ def test_a_late_camera_is_seen_where_the_motion_is_right(ball, moving: Scene, re
         pictures = SHIFTS + offset * np.array([[name == "cam1"] for name in names])
         times = rays.times[:, None] + (GAP_S * torch.from_numpy(pictures)).float()
         g = torch.Generator().manual_seed(0)
-        curves = error_curves(looked_at, motion, rays, around, changing, times, g)
+        curves = error_curves(DynamicModel(looked_at, motion), rays, around, changing, times, g)
         known = np.isfinite(curves).all(1)
         found = [
             lowest(curves[known & (np.array(names) == name)]) for name in ("cam1", "cam0", "cam2", "cam3")

@@ -80,7 +80,7 @@ def test_a_camera_two_pictures_late_is_brought_back(
     late = replace(
         late, dynamic=tuple(f for f in late.dynamic if f.camera_name != "cam1" or f.index < TIMES - LATE)
     )
-    _, _, metrics = train_deformation(late, rest, {}, MOTION, reference="cam0")
+    _, metrics = train_deformation(late, rest, {}, MOTION, reference="cam0")
     found = metrics["late_camera"]
     assert found["name"] == "cam1" and found["pictures"] == pytest.approx(-LATE, abs=0.25)
     assert found["offset_s"] == pytest.approx(found["pictures"] * GAP_S)
@@ -95,7 +95,7 @@ def test_a_camera_two_pictures_late_is_brought_back(
 
 
 def test_right_clocks_stay_and_cost_no_training(moving: Scene, rest: RestModel, trained: list[Scene]) -> None:
-    _, _, metrics = train_deformation(moving, rest, {}, MOTION, reference="cam0")
+    _, metrics = train_deformation(moving, rest, {}, MOTION, reference="cam0")
     assert "late_camera" not in metrics and late_rows(metrics.get("late_camera")) == []
     assert len(trained) == 1
 
