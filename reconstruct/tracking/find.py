@@ -91,6 +91,14 @@ def find_movers(
     )
     voxel = rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
+    kept, labels = _that_move(moving, tracks, labels, voxel)
+    if kept.sum() < FEWEST_POINTS:
+        return None
+    if not kept.all():
+        moves[moves] = kept
+        region = _region(rest.canonical, surface, moves)
+        stands = _without(rest.canonical, region)
+        moving, tracks = moving.only(kept), replace(tracks, xyz=tracks.xyz[:, kept])
     progress(1.0, f"{labels.max() + 1} rigid parts")
     return Found(moving, tracks, labels, stands, movers_of(rest.canonical, region, moving, tracks, labels))
 
@@ -146,6 +154,16 @@ def _with_what_stands(scene: Scene, film: Film, stands: RestModel) -> Film:
     own, known = plate(replace(scene, image_scale=film.scale), film.frames)
     shown = np.where(known[..., None], own.astype(np.float32) / 255, picture)
     return replace(film, depth=np.where(opacity > SOLID, along, np.inf), plate=shown.astype(np.float32))
+
+
+def _that_move(
+    surface: Surface, tracks: Tracks, labels: Int[np.ndarray, " p"], voxel: float
+) -> tuple[Bool[np.ndarray, " p"], Int[np.ndarray, " k"]]:
+    """Points of parts that go anywhere, and their parts, counted anew; the others stand, whatever changed there."""
+    farthest = np.linalg.norm(tracks.xyz - surface.xyz, axis=-1).max(0)
+    goes = np.array([np.median(farthest[labels == m]) > STILL * voxel for m in range(labels.max() + 1)])
+    kept = goes[labels]
+    return kept, np.unique(labels[kept], return_inverse=True)[1]
 
 
 def _while_moving(tracks: Tracks, surface: Surface, voxel: float) -> Float[np.ndarray, "t p 3"]:

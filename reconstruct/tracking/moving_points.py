@@ -19,7 +19,7 @@ from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.surface import Surface
 
 MOST_PICTURES = 61
-LOWEST = 5  # pictures by which a point's own noise is known
+LOWEST = 5  # pictures by which a point's own noise is known; of fewer than 25, one in five
 CHANGED, CHANGED_RAW = 0.045, 0.06  # of the full range; brightness made equal, and as it is
 BLUR_PX, LIGHT_PX = 1.0, 2.0  # of colours; of brightness
 DARKER, BRIGHTER = 0.45, 1.6  # than at rest, in shadow and in light
@@ -27,12 +27,11 @@ BUSY = 0.5  # of the largest share of points that change: in pictures with as ma
 MOVES = 0.3  # share of the busy pictures from which a point moves
 ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
-NEIGHBOURS, REACH, COLOUR_REACH, FLAT = (
-    12,
-    2.25,
-    0.3,
-    0.03,
-)  # number; spacings; of the full range; across edges
+NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
+TOGETHER, CREASE = (
+    8.0,
+    0.003,
+)  # votes that neighbours of one direction and colour are worth; of that, across a crease
 CRUMB, CRUMB_REACH = (
     60,
     2.5,
@@ -74,7 +73,8 @@ def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray
     if len(seen):
         for row, changes, least in zip(out, apart, (CHANGED, CHANGED_RAW), strict=True):
             stack = np.stack(changes)
-            usual = np.sort(stack, axis=0)[:LOWEST].mean(0)
+            lowest = max(1, min(LOWEST, len(stack) // LOWEST))
+            usual = np.sort(stack, axis=0)[:lowest].mean(0)
             changed = stack > usual + least
             amount = changed.mean(1)
             row[seen] = changed[amount >= BUSY * amount.max()].mean(0)
@@ -99,7 +99,7 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     level = (surface.normals[rows] * surface.normals[columns]).sum(1).clip(0, 1) ** 4
     alike = np.linalg.norm(surface.rgb[rows] - surface.rgb[columns], axis=1) / COLOUR_REACH
     weight = np.exp(-((distance[:, 1:].ravel() / (REACH * surface.spacing)) ** 2) - alike**2)
-    weight *= np.maximum(FLAT, level)
+    weight *= TOGETHER * np.maximum(CREASE, level)
     links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
     links = links.maximum(links.T).tocoo()
     source, sink = n, n + 1

@@ -1,0 +1,229 @@
+"""Points on two textured cards, each with its own motion, are followed, and found to be two rigid parts."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.transform import Rotation
+
+from devrf.capture.camera import Camera
+from devrf.capture.scene import PosedFrame
+from devrf.flow.dis import DisFlow
+from devrf.reconstruct.tracking.film import Film, fetched, round_trip
+from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.moving_points import moving_points
+from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
+from devrf.reconstruct.tracking.sight import Sight
+from devrf.reconstruct.tracking.solve import Pulls, step
+from devrf.reconstruct.tracking.surface import Surface
+from tests.reconstruct.conftest import look_at
+
+SIDE, SPACING = 0.3, 0.03  # half a card's side; of the points on it
+CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
+PICTURES, REST = 9, 4  # of each camera; number of the one at rest
+WALL = -0.8  # y of the wall behind the cards
+
+
+def texture(seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).random((256, 256, 3))
+    fine = gaussian_filter(noise, (3, 3, 0)) - 0.5
+    return np.clip(0.5 + 4 * fine, 0.05, 0.95)
+
+
+TEXTURES = [texture(n) for n in range(3)]
+
+
+def placed(card: int, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and translation of a card away from its rest at time 0.5."""
+    away = time - 0.5
+    turn = Rotation.from_rotvec([0, 0.5 * away * (1 if card else -1), 0.6 * away]).as_matrix()
+    return turn, away * (np.array([0.1, 0.15, 0.3]) if card else np.array([-0.2, 0.0, -0.25]))
+
+
+def coloured(card: int, x: np.ndarray, z: np.ndarray, side: float) -> np.ndarray:
+    at = [(x / side + 1) / 2 * 255, (z / side + 1) / 2 * 255]
+    return np.stack([map_coordinates(TEXTURES[card][..., c], at, order=1, mode="wrap") for c in range(3)], -1)
+
+
+def picture(camera: Camera, time: float) -> np.ndarray:
+    """The wall and both cards, traced."""
+    y, x = np.mgrid[: camera.height, : camera.width]
+    d = camera.directions(np.stack([x + 0.5, y + 0.5], -1).astype(float))
+    far = (WALL - camera.centre[1]) / d[..., 1]
+    hit = camera.centre + far[..., None] * d
+    out = coloured(2, hit[..., 0], hit[..., 2], 2.0)
+    nearest = np.where(far > 0, far, np.inf)
+    for card, centre in enumerate(CENTRES):
+        R, t = placed(card, time)
+        o, local = R.T @ (camera.centre - centre - t), d @ R
+        at = -o[1] / local[..., 1]
+        u, v = o[0] + at * local[..., 0], o[2] + at * local[..., 2]
+        inside = (np.abs(u) < SIDE) & (np.abs(v) < SIDE) & (at > 0) & (at < nearest)
+        out[inside] = coloured(card, u, v, SIDE)[inside]
+        nearest = np.where(inside, at, nearest)
+    return (255 * out).round().astype(np.uint8)
+
+
+def on_cards() -> tuple[Surface, np.ndarray]:
+    """Points on both cards at rest, and the card of each."""
+    along = np.arange(-SIDE + SPACING / 2, SIDE, SPACING)
+    x, z = (grid.ravel() for grid in np.meshgrid(along, along))
+    flat = np.stack([x, np.zeros_like(x), z], 1)
+    xyz, card = np.concatenate([flat + centre for centre in CENTRES]), np.repeat([0, 1], len(flat))
+    return Surface(xyz, np.tile([0.0, 1.0, 0.0], (len(xyz), 1)), np.full_like(xyz, 0.5), SPACING), card
+
+
+def true_tracks(surface: Surface, card: np.ndarray, times: np.ndarray) -> np.ndarray:
+    out = np.empty((len(times), len(surface), 3))
+    for n, time in enumerate(times):
+        for number, centre in enumerate(CENTRES):
+            R, t = placed(number, time)
+            mine = card == number
+            out[n, mine] = (surface.xyz[mine] - centre) @ R.T + centre + t
+    return out
+
+
+@pytest.fixture(scope="module")
+def films(tmp_path_factory: pytest.TempPathFactory) -> list[Film]:
+    folder: Path = tmp_path_factory.mktemp("cards")
+    out = []
+    for name, eye in (("left", [-1.2, 2.2, 0.5]), ("middle", [0.1, 2.5, 0.2]), ("right", [1.2, 2.2, 0.4])):
+        small = look_at(np.array(eye))
+        K = np.array([[240.0, 0, 120], [0, 240, 90], [0, 0, 1]])
+        camera = replace(small, width=240, height=180, K=K)
+        frames, times = [], np.linspace(0, 1, PICTURES)
+        for n, time in enumerate(times):
+            path = folder / f"{name}_{n}.png"
+            cv2.imwrite(str(path), picture(camera, time)[..., ::-1])
+            frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
+        away = np.full((180, 240), np.inf)
+        plate = np.zeros((180, 240, 3), np.float32) + 0.5
+        out.append(Film(name, camera, frames, times, 1.0, "shell", DisFlow(), away, plate))
+    return out
+
+
+@pytest.fixture(scope="module")
+def tracks(films: list[Film]) -> Tracks:
+    surface, _ = on_cards()
+    return follow_both_ways(surface, Graph(surface), films, 0.5)
+
+
+def test_points_are_followed_from_the_middle_to_both_ends(tracks: Tracks) -> None:
+    surface, card = on_cards()
+    assert tracks.rest == REST and np.allclose(tracks.times, np.linspace(0, 1, PICTURES))
+    true = true_tracks(surface, card, tracks.times)
+    assert np.linalg.norm(true[[0, -1]] - surface.xyz, axis=-1).mean() > 0.1
+    wrong = np.linalg.norm(tracks.xyz - true, axis=-1)
+    assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02  # a pixel is 0.01
+
+
+def test_two_motions_are_two_parts(tracks: Tracks) -> None:
+    surface, card = on_cards()
+    labels = rigid_parts(surface.xyz, tracks.xyz, Graph(surface).links, voxel=0.02)
+    assert labels.max() == 1
+    assert np.array_equal(labels == labels[0], card == card[0])
+
+
+def test_the_wall_stands_and_the_cards_move(films: list[Film]) -> None:
+    cards, _ = on_cards()
+    along = np.arange(-0.9, 0.9, SPACING)
+    x, z = (grid.ravel() for grid in np.meshgrid(along, along))
+    wall = np.stack([x, np.full_like(x, WALL), z], 1)
+    xyz = np.concatenate([cards.xyz, wall])
+    normals = np.tile([0.0, 1.0, 0.0], (len(xyz), 1))
+    rgb = np.concatenate([cards.rgb, np.zeros_like(wall)])
+    moves = moving_points(Surface(xyz, normals, rgb, SPACING), films, 0.5)
+    assert moves[: len(cards)].mean() > 0.95 and moves[len(cards) :].mean() < 0.05
+
+
+def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
+    film = films[1]
+    line = film.camera.centre / np.linalg.norm(film.camera.centre)
+    ring = 0.02 * np.stack([np.cos(np.arange(6)), np.zeros(6), np.sin(np.arange(6))], 1)
+    xyz = np.concatenate([0.6 * line + ring, 0.1 * line + ring])
+    normals = np.tile(line, (12, 1))
+    seen = Sight(film, xyz, normals, 0.1).seen
+    assert seen[:6].all() and not seen[6:].any()
+    assert not Sight(film, xyz, -normals, 0.1).seen.any()
+    behind = replace(film, depth=np.full_like(film.depth, 1.0))
+    assert not Sight(behind, xyz, normals, 0.1).seen.any()
+
+
+def test_a_rigid_pose_moves_points_and_normals_rigidly() -> None:
+    surface, _ = on_cards()
+    graph = Graph(surface)
+    R = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    t = np.array([0.2, -0.1, 0.3])
+    pose = Pose(np.tile(R, (len(graph.nodes), 1, 1)), graph.nodes @ R.T + t - graph.nodes)
+    assert np.allclose(graph.points(pose), surface.xyz @ R.T + t)
+    assert np.allclose(graph.turned(pose, surface.normals), surface.normals @ R.T)
+    assert np.allclose(graph.points(Pose.rest(len(graph.nodes))), surface.xyz)
+
+
+def test_the_graph_does_not_join_what_does_not_touch() -> None:
+    surface, card = on_cards()
+    graph = Graph(surface)
+    links = graph.links.tocoo()
+    assert (card[links.row] == card[links.col]).all()
+    node_card = (graph.nodes[:, 0] > 0).astype(int)
+    assert (node_card[graph.edges[:, 0]] == node_card[graph.edges[:, 1]]).all()
+
+
+def test_a_step_goes_where_all_points_are_pulled() -> None:
+    surface, _ = on_cards()
+    graph = Graph(surface)
+    pose = Pose.rest(len(graph.nodes))
+    goal = surface.xyz + [0.01, 0.02, -0.015]
+    for _ in range(3):
+        points = graph.points(pose)
+        pulls = Pulls(
+            np.arange(len(points)), np.tile(1e4 * np.eye(3), (len(points), 1, 1)), 1e4 * (points - goal)
+        )
+        pose = step(graph, pose, Pose.rest(len(graph.nodes)), pulls)
+    assert np.abs(graph.points(pose) - goal).max() < 1e-4
+
+
+def test_a_step_is_held_to_its_longest() -> None:
+    surface, _ = on_cards()
+    graph = Graph(surface)
+    far = np.zeros_like(surface.xyz) - 1e5
+    pulls = Pulls(np.arange(len(far)), np.tile(1e4 * np.eye(3), (len(far), 1, 1)), far)
+    pose = step(graph, Pose.rest(len(graph.nodes)), Pose.rest(len(graph.nodes)), pulls)
+    assert np.abs(pose.shifts).max() == pytest.approx(0.08)
+
+
+def test_rigid_motions_are_recovered_exactly() -> None:
+    rng = np.random.default_rng(3)
+    rest = rng.normal(size=(40, 3))
+    rotations = Rotation.random(5, random_state=1).as_matrix()
+    shifts = rng.normal(size=(5, 3))
+    tracks = np.einsum("tij,pj->tpi", rotations, rest) + shifts[:, None]
+    found = motion_of(rest, tracks)
+    assert np.allclose(found[0], rotations) and np.allclose(found[1], shifts)
+    assert residual(found, rest, tracks).max() < 1e-20
+    mirrored = motion_of(rest, tracks * [1, 1, -1])
+    assert np.allclose(np.linalg.det(mirrored[0]), 1)
+
+
+def test_more_points_than_a_row_are_looked_up() -> None:
+    ramp = np.mgrid[:20, :30][1].astype(np.float32)
+    at = np.stack([np.linspace(0, 29, 40_000), np.full(40_000, 7.5)], 1)
+    assert np.allclose(fetched(ramp, at), at[:, 0], atol=0.05)
+    assert fetched(np.zeros((4, 4, 3)), np.zeros((0, 2))).shape == (0, 3)
+
+
+def test_a_flow_and_its_way_back_cancel() -> None:
+    flow = np.full((20, 30, 2), 3.0, np.float32)
+    assert round_trip(flow, -flow).max() < 1e-5
+    assert round_trip(flow, np.zeros_like(flow)).min() == pytest.approx(np.sqrt(18), abs=1e-4)
+
+
+def test_time_can_run_backwards(films: list[Film]) -> None:
+    back = films[0].backwards()
+    assert np.array_equal(back.times, -films[0].times[::-1])
+    assert np.array_equal(back.picture(0), films[0].picture(PICTURES - 1))
+    assert back.nearest(-1.0, 0.01) == 0 and back.nearest(-0.44, 0.01) is None
