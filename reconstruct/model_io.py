@@ -46,6 +46,7 @@ TUNED_FILE = "fine_tuned.safetensors"  # the scene at rest as it looks in motion
 FORMAT = 6
 BYTES, STREAM = ("codes", "low", "step"), ("stream", "ends")
 MOTION_STEP = 0.05  # voxels of the scene at rest
+SHADING_STEP = 0.005  # of the logarithm of a factor on brightness: about one level of 8 bits
 
 
 def save_rest(path: Path, model: RestModel) -> None:
@@ -101,8 +102,9 @@ def save_movers(path: Path, model: DynamicModel) -> None:
     }
     if movers.shading is not None:
         light = movers.shading
-        meta["shading"] = {"t_first": light.t_first, "t_last": light.t_last, "shape": light.grid.shape}
-        tensors |= {f"shading.{part}": x for part, x in to_bytes(light.grid.detach().reshape(-1, 1)).items()}
+        meta["shading"] = {"t_first": light.t_first, "t_last": light.t_last, "shape": light.grid.shape[1:]}
+        packed = field_to_stream(light.grid.detach().permute(1, 2, 3, 4, 0), SHADING_STEP)
+        tensors |= {f"shading.{part}": x for part, x in packed.items()}
     _save(path, tensors, meta)
 
 
@@ -134,8 +136,11 @@ def load_movers(path: Path, rest: RestModel, device: str = "cpu") -> DynamicMode
         light = None
         if "shading" in meta:
             told = meta["shading"]
-            grid = from_bytes(_parts("shading", tensors, BYTES)).reshape(tuple(told["shape"]))
-            light = Shading(own.aabb, float(told["t_first"]), float(told["t_last"]), grid)
+            packed = {part: tensor.cpu() for part, tensor in _parts("shading", tensors, STREAM).items()}
+            grid = field_from_stream(packed, told["shape"], SHADING_STEP, 2).permute(4, 0, 1, 2, 3)
+            light = Shading(
+                own.aabb, float(told["t_first"]), float(told["t_last"]), grid.contiguous().to(device)
+            )
             light.requires_grad_(False)
         movers = Movers(
             own,

@@ -51,7 +51,7 @@ def from_bytes(packed: dict[str, Tensor]) -> Float[Tensor, "N C"]:
     return packed["low"] + packed["codes"].float() * packed["step"]
 
 
-def field_to_stream(field: Float[Tensor, "T X Y Z 3"], step: float) -> dict[str, Tensor]:
+def field_to_stream(field: Float[Tensor, "T X Y Z C"], step: float) -> dict[str, Tensor]:
     """A field as `stream` (deflated, key by key) and `ends` [T] of its keys' parts."""
     parts = [_deflated(key.cpu().numpy(), step) for key in field]  # one by one: all at once would be large
     ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
@@ -60,8 +60,8 @@ def field_to_stream(field: Float[Tensor, "T X Y Z 3"], step: float) -> dict[str,
 
 
 def field_from_stream(
-    packed: dict[str, Tensor], shape: tuple[int, int, int, int], step: float
-) -> Float[Tensor, "T X Y Z 3"]:
+    packed: dict[str, Tensor], shape: tuple[int, int, int, int], step: float, channels: int = 3
+) -> Float[Tensor, "T X Y Z C"]:
     """What `field_to_stream` packed, to half a step; `shape` is T, X, Y, Z.
 
     Raises:
@@ -70,14 +70,14 @@ def field_from_stream(
     T, *size = shape
     if len(packed["ends"]) != T:
         raise ValueError(f"{len(packed['ends'])} parts for {T} key times")
-    stream, begin, field = packed["stream"].numpy().tobytes(), 0, torch.empty(*shape, 3)
+    stream, begin, field = packed["stream"].numpy().tobytes(), 0, torch.empty(*shape, channels)
     for key, end in enumerate(packed["ends"].tolist()):
-        field[key] = torch.from_numpy(_inflated(stream[begin:end], (3, *size), step))
+        field[key] = torch.from_numpy(_inflated(stream[begin:end], (channels, *size), step))
         begin = end
     return field
 
 
-def _deflated(key: Float[np.ndarray, "X Y Z 3"], step: float) -> bytes:
+def _deflated(key: Float[np.ndarray, "X Y Z C"], step: float) -> bytes:
     codes = np.moveaxis(np.rint(key / step).astype(np.int32), -1, 0)
     for axis in (1, 2, 3):
         codes = np.diff(codes, axis=axis, prepend=0)
@@ -86,7 +86,7 @@ def _deflated(key: Float[np.ndarray, "X Y Z 3"], step: float) -> bytes:
     return zlib.compress(np.ascontiguousarray(planes).tobytes(), LEVEL)
 
 
-def _inflated(part: bytes, shape: tuple[int, ...], step: float) -> Float[np.ndarray, "X Y Z 3"]:
+def _inflated(part: bytes, shape: tuple[int, ...], step: float) -> Float[np.ndarray, "X Y Z C"]:
     count = 4 * math.prod(shape)
     inflate = zlib.decompressobj()
     try:

@@ -97,7 +97,8 @@ def train_movers(
         if iteration % 10 == 0:
             progress(iteration / iterations, f"together, iteration {iteration} of {iterations}")
         iteration += 1
-        checkpoint.keep(iteration, iterations, log, recipe.state)
+        if iteration % OCCUPANCY_EVERY == 0:  # where it looks anew in any case
+            checkpoint.keep(iteration, iterations, log, recipe.state)
     log.close_row()
     recipe.finish()
     still, moving, unshaded = recipe.held_errors()
@@ -213,16 +214,15 @@ class _Recipe:
     def state(self) -> State:
         """Everything that the next iteration depends on."""
         assert self.movers.shading is not None
-        tensors = {"generator": self.generator.get_state(), "zone": self.zone}
+        tensors = {"generator": self.generator.get_state()}
         tensors |= net_state(self.stands.net, self.net) | grids_state(self.grids)
         light = self.light.state_dict()["state"].get(0, {})
         tensors |= {f"light {name}": value for name, value in light.items()}
         tensors["light"] = self.movers.shading.grid.detach()
-        tensors |= {"stands distance": self.stands.distance, "own distance": self.movers.canonical.distance}
         return tensors, {"guard": self.guard.state()}
 
     def take_up(self, saved: Saved) -> int:
-        """Go on from a `state`; returns the number of iterations behind it."""
+        """Go on from a `state`, at a point at which the next step looks; returns the iterations behind it."""
         done, tensors, numbers = saved
         assert self.movers.shading is not None
         take_up_grids(self.grids, tensors)
@@ -235,10 +235,6 @@ class _Recipe:
         if "light step" in tensors:
             light = {name: tensors[f"light {name}"] for name in names}
             self.light.load_state_dict(self.light.state_dict() | {"state": {0: light}})
-        self.zone = tensors["zone"].to(self.zone)
-        self.stands.distance = tensors["stands distance"].to(self.stands.distance)
-        self.movers.canonical.distance = tensors["own distance"].to(self.stands.distance)
-        self.movers.changed()
         return done
 
     def go_back(self, log: TrainingLog, stands: Canonical, movers: Movers, iteration: int) -> None:

@@ -1,0 +1,223 @@
+"""What stands and what moves: rendered, trained, saved, and asked where points are."""
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+import devrf.reconstruct.train_movers as train_movers_module
+from devrf.capture.scene import Scene
+from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.geometry.field import field_at, moved
+from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
+from devrf.reconstruct.movers import Movers, render_layered
+from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.rays import camera_rays
+from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.shading import Shading
+from devrf.reconstruct.train_movers import train_movers
+from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
+from tests.reconstruct.deaths import until_done
+
+TURN = np.array([0.2, -0.3, 0.4])
+OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)
+
+
+def halves(rest: RestModel) -> tuple[Canonical, Canonical, torch.Tensor]:
+    """What is left of the middle stands, what is right of it moves; labels."""
+    canonical = rest.canonical
+    places = vertices(canonical.aabb, canonical.shape)
+    right = places[..., 0] > 0
+    stands, own = copy.copy(canonical), copy.copy(canonical)
+    for part, kept in ((stands, ~right), (own, right)):
+        part.density = torch.where(kept[..., None], canonical.density, EMPTY)
+        part.rebuild_occupancy()
+    return stands, own, (right & (canonical.distance <= 1)).to(torch.uint8)
+
+
+def still(own: Canonical, labels: torch.Tensor, parts: int = 1) -> Movers:
+    turn = torch.eye(3).expand(3, parts, 3, 3).clone()
+    return Movers(own, labels, torch.tensor([0.0, 0.5, 1.0]), turn, torch.zeros(3, parts, 3))
+
+
+def whole(rest: RestModel, travel: np.ndarray, turn: np.ndarray | None = None) -> DynamicModel:
+    """All of the ball is one part that goes, and turns, evenly."""
+    canonical = rest.canonical
+    stands = copy.copy(canonical)
+    stands.density = torch.full_like(canonical.density, EMPTY)
+    stands.rebuild_occupancy()
+    labels = (canonical.distance <= 1).to(torch.uint8)
+    movers = still(canonical, labels)
+    for n, time in enumerate((0.0, 0.5, 1.0)):
+        movers.shifts[n, 0] = torch.from_numpy(time * travel)
+        if turn is not None:
+            movers.rotations[n, 0] = torch.from_numpy(Rotation.from_rotvec(time * turn).as_matrix())
+    return DynamicModel.of_movers(rest, replace(rest, canonical=stands), movers, 5, 0.0)
+
+
+def test_parts_that_do_not_move_look_as_at_rest(rest: RestModel) -> None:
+    stands, own, labels = halves(rest)
+    model = DynamicModel.of_movers(rest, replace(rest, canonical=stands), still(own, labels), 3, 0.0)
+    camera = look_at(np.array([1.5, 2.0, 0.7]))
+    at_rest, apart = render_view(model, camera, None), render_view(model, camera, 0.4)
+    assert np.abs(at_rest - apart).mean() < 0.01 and np.abs(at_rest - 1).mean() > 0.05
+
+
+def test_a_part_looks_as_from_a_camera_that_moves_the_other_way(rest: RestModel) -> None:
+    travel = np.array([0.2, -0.1, 0.15])
+    model = whole(rest, travel, TURN)
+    camera = look_at(np.array([1.5, 2.0, 0.7]))
+    for time in (0.25, 0.5, 1.0):  # between moments, too: places go straight, turns are even
+        back = np.eye(4)
+        back[:3, :3] = Rotation.from_rotvec(time * TURN).as_matrix()
+        back[:3, 3] = time * travel
+        seen = render_view(model, camera, time)
+        other = render_view(model, camera.moved(np.linalg.inv(back)), None)
+        middles = model.movers.middles()[0] if model.movers is not None else np.zeros(3)
+        assert np.abs(middles).max() < 0.05  # else a turn about it would not be even
+        assert np.abs(seen - other).mean() < 0.004
+    assert np.abs(render_view(model, camera, 1.0) - render_view(model, camera, None)).mean() > 0.03
+
+
+def test_gradients_are_those_of_differences(rest: RestModel) -> None:
+    stands, own, labels = halves(rest)
+    stands.density, own.density = stands.density.clone(), own.density.clone()
+    movers = still(own, labels)
+    light = Shading.none(own.aabb, 0.0, 1.0, torch.device("cpu"))
+    movers.shading = light
+    o, d = (x[300:1500:7].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
+    frame, middle = torch.zeros(len(o), dtype=torch.int64), torch.full((len(o),), 0.5)
+    placed = movers.placed(torch.tensor([0.3]))
+    grads = [torch.zeros_like(stands.density), torch.zeros_like(stands.features)]
+    grads += [torch.zeros_like(own.density), torch.zeros_like(own.features)]
+
+    def loss(given: tuple = (None,) * 4) -> torch.Tensor:
+        return render_layered(stands, movers, placed, frame, o, d, 0.5, middle, given).rgb.sum()  # type: ignore[arg-type]
+
+    loss(tuple(grads)).backward()
+    for grid, grad in ((stands.density, grads[0]), (own.density, grads[2])):
+        at = np.unravel_index(int(grad.abs().argmax()), grad.shape)
+        step, values = 0.02, []
+        for sign in (1, -1):
+            grid[at] += sign * step
+            values.append(float(loss().detach()))
+            grid[at] -= sign * step
+        assert float(grad[at]) == pytest.approx((values[0] - values[1]) / (2 * step), rel=0.05)
+    assert light.grid.grad is not None
+    brighter = float(light.grid.grad.sum())
+    with torch.no_grad():
+        before = float(loss())
+        light.grid += 0.01
+        assert float(loss()) - before == pytest.approx(0.01 * brighter, rel=0.05)
+
+
+def test_shading_is_linear_between_its_vertices_and_keeps_to_its_layer() -> None:
+    aabb = torch.tensor([[-1.0, -1, -1], [1, 1, 1]])
+    light = Shading.none(aabb, 0.2, 0.8, torch.device("cpu"))
+    times = torch.linspace(0.2, 0.8, light.grid.shape[1])
+    axes = [torch.linspace(-1, 1, n) for n in light.grid.shape[2:]]
+    t, x, y, z = torch.meshgrid(times, *axes, indexing="ij")
+    with torch.no_grad():
+        light.grid[0] = 2 * t + x - 3 * y + 0.5 * z
+    points = torch.rand(50, 3) * 2 - 1
+    time = torch.rand(50) * 0.6 + 0.2
+    expected = 2 * time + points @ torch.tensor([1.0, -3.0, 0.5])
+    assert torch.allclose(light.at(torch.zeros(50, dtype=torch.int64), points, time), expected, atol=1e-4)
+    assert float(light.at(torch.ones(50, dtype=torch.int64), points, time).detach().abs().max()) == 0
+    flat = Shading.none(aabb, 0.0, 1.0, torch.device("cpu"))
+    assert float(flat.penalty().detach()) == 0 < float(light.penalty().detach())
+
+
+def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
+    stands, own, labels = halves(rest)
+    stands.density[labels == 1] = 0.5  # filled where the mover stood
+    stands.rebuild_occupancy()
+    movers = still(own, labels)
+    movers.shifts[1:, 0, 2] = torch.tensor([0.1, 0.25])
+    light = Shading.none(own.aabb, 0.0, 1.0, torch.device("cpu"))
+    with torch.no_grad():
+        light.grid += torch.linspace(-0.3, 0.3, light.grid.shape[2])[:, None, None]
+    light.requires_grad_(False)
+    model = DynamicModel.of_movers(
+        rest, replace(rest, canonical=stands), replace(movers, shading=light), 3, 0.0
+    )
+    (path,) = save_deformation(tmp_path, model)
+    again = load_deformation(tmp_path, rest)
+    assert again.movers is not None and torch.equal(again.movers.labels, labels)
+    camera = look_at(np.array([1.5, 2.0, 0.7]))
+    for time in (0.0, 0.7):
+        assert np.abs(render_view(model, camera, time) - render_view(again, camera, time)).max() < 0.02
+    save_rest(tmp_path / "rest.safetensors", rest)
+    assert path.stat().st_size < (tmp_path / "rest.safetensors").stat().st_size
+
+
+def test_points_are_carried_and_brought_back(rest: RestModel) -> None:
+    model = whole(rest, TRAVEL, TURN)
+    R = Rotation.from_rotvec(TURN).as_matrix()
+    on_ball = RADIUS * np.array([[1.0, 0, 0], [0, 0.6, 0.8], [-0.6, 0.8, 0]])
+    there = on_ball @ R.T + TRAVEL
+    assert np.allclose(moved(model, on_ball, None, 1.0), there, atol=1e-5)
+    assert np.allclose(moved(model, there, 1.0, None), on_ball, atol=1e-5)
+    far = np.array([[0.95, 0.95, 0.95]])
+    assert np.allclose(moved(model, far, None, 1.0), far)
+    field = field_at(model, 1.0)
+    x = torch.from_numpy(there).float()
+    assert torch.allclose(
+        field.density(x), field_at(model, None).density(torch.from_numpy(on_ball).float()), rtol=1e-3
+    )
+    assert torch.allclose(field.to_rest(x), torch.from_numpy(on_ball).float(), atol=1e-5)
+    assert torch.allclose(field.from_rest(field.to_rest(x)), x, atol=1e-5)
+
+
+def test_the_motion_field_is_the_parts_motion(rest: RestModel) -> None:
+    motion = whole(rest, TRAVEL).motion
+    assert motion is not None and motion.rest_key == 0
+    assert float(motion.forward[0].abs().max()) == 0
+    on_ball = RADIUS * torch.tensor([[1.0, 0, 0], [0, 0.6, 0.8], [-0.6, 0.8, 0]])
+    way, last = torch.from_numpy(TRAVEL).float(), torch.full((3,), 4.0)
+    assert torch.allclose(motion.from_rest(on_ball, last), on_ball + way, atol=0.02)
+    assert torch.allclose(motion.to_rest(on_ball + way, last), on_ball, atol=0.02)
+    assert (motion.aabb[1, [0, 2]] > rest.canonical.aabb[1, [0, 2]]).all()
+
+
+@pytest.fixture(scope="module")
+def session(ball: Ball, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return ball_clips(ball, tmp_path_factory.mktemp("clips"), 5, TRAVEL)
+
+
+def test_training_together_gains_over_nothing_moves(session: Scene, rest: RestModel) -> None:
+    model = whole(rest, TRAVEL)
+    assert model.movers is not None and model.in_motion is not None
+    before = model.movers.canonical.density.clone()
+    trained = train_movers(session, rest, model.in_motion.canonical, model.movers, OPTIONS)
+    assert trained.gain_db > 5 and trained.unshaded_gain_db > 5
+    assert torch.equal(model.movers.canonical.density, before)  # nobody else's is changed
+    assert not torch.equal(trained.movers.canonical.density, before)
+    assert trained.movers.shading is not None and not trained.movers.shading.grid.requires_grad
+
+
+@pytest.mark.full
+def test_killed_it_goes_on_bit_for_bit(
+    session: Scene, rest: RestModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train_movers_module, "OCCUPANCY_EVERY", 3)
+    model = whole(rest, TRAVEL)
+    assert model.movers is not None and model.in_motion is not None
+    stands, movers = model.in_motion.canonical, model.movers
+    options = replace(OPTIONS, together=8)
+
+    def train(state):
+        return train_movers(session, rest, stands, movers, options, checkpoint=state)
+
+    once = train_movers(session, rest, stands, movers, options)
+    again = until_done(train, tmp_path, {("", done) for done in (3, 6)})
+    assert torch.equal(once.movers.canonical.density, again.movers.canonical.density)
+    assert torch.equal(once.stands.canonical.features, again.stands.canonical.features)
+    assert once.movers.shading is not None and again.movers.shading is not None
+    assert torch.equal(once.movers.shading.grid, again.movers.shading.grid)
