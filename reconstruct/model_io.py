@@ -136,8 +136,9 @@ def load_movers(path: Path, rest: RestModel, device: str = "cpu") -> DynamicMode
         light = None
         if "shading" in meta:
             told = meta["shading"]
+            T, A, B, C = told["shape"]
             packed = {part: tensor.cpu() for part, tensor in _parts("shading", tensors, STREAM).items()}
-            grid = field_from_stream(packed, told["shape"], SHADING_STEP, 2).permute(4, 0, 1, 2, 3)
+            grid = field_from_stream(packed, (T, A, B, C), SHADING_STEP, 2).permute(4, 0, 1, 2, 3)
             light = Shading(
                 own.aabb, float(told["t_first"]), float(told["t_last"]), grid.contiguous().to(device)
             )

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
+from tests.reconstruct.deaths import until_done
 
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
@@ -22,8 +24,6 @@ from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.train_movers import train_movers
-from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
-from tests.reconstruct.deaths import until_done
 
 TURN = np.array([0.2, -0.3, 0.4])
 OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)

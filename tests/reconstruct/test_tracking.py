@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
+from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
@@ -20,7 +21,6 @@ from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls, step
 from devrf.reconstruct.tracking.surface import Surface
-from tests.reconstruct.conftest import look_at
 
 SIDE, SPACING = 0.3, 0.03  # half a card's side; of the points on it
 CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
