@@ -108,9 +108,10 @@ def _in_motion(options: MotionOptions) -> Iterator[MotionOptions]:
     while options.rays // 2 >= FEWEST_RAYS:
         options = replace(options, rays=options.rays // 2)
         yield options
-    if options.fine_tuning:
-        options = replace(options, fine_tuning=0)
-        yield options
+    for name in ("together", "fine_tuning"):
+        if getattr(options, name):
+            options = replace(options, **{name: 0})
+            yield options
     ratio = COARSER
     while ratio * options.levels[-1] >= COARSEST_MOTION:
         yield replace(options, levels=tuple(max(4, round(ratio * level)) for level in options.levels))
@@ -123,6 +124,7 @@ def _decisions(wanted: Options, chosen: Options, need: Footprint, limits: Limits
         ("parts of an iteration's rays", lambda o: getattr(o, "parts", 1)),
         ("resolution at rest", lambda o: o.resolution),
         ("rays of an iteration", lambda o: o.rays),
+        ("movers", lambda o: "tracked" if getattr(o, "together", 0) else "none"),
         ("fine-tuning", lambda o: getattr(o, "fine_tuning", 0) or "none"),
         ("finest level of the motion", lambda o: o.levels[-1] if isinstance(o, MotionOptions) else 0),
     ]

@@ -97,12 +97,11 @@ class Movers:
         """The same in constant light."""
         return replace(self, shading=None)
 
-    def at_rest(self) -> Placed:
-        """Where nothing has moved."""
+    def at_rest(self, time: Float[Tensor, "1"]) -> Placed:
+        """Where nothing has moved, in the light of a time."""
         device = self.canonical.density.device
         turn = torch.eye(3, device=device).expand(1, self.parts, 3, 3)
-        first = self.times[:1].to(device)
-        return Placed(turn, torch.zeros(1, self.parts, 3, device=device), first)
+        return Placed(turn, torch.zeros(1, self.parts, 3, device=device), time.to(device))
 
     def middles(self) -> Float[np.ndarray, "M 3"]:
         """Of the parts at rest."""

@@ -122,6 +122,7 @@ PARTS: tuple[Part, ...] = (
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
     Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False),
          lambda scene, o: len({f.camera_name for f in scene.dynamic if f.split == "train"}) >= FEWEST),
+    Part("movers", "motion", "rigid parts are tracked, and trained with what stands", _motion(together=0), _around),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",
          _motion(**_published(MotionOptions, "lr"))),

@@ -21,8 +21,8 @@ from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grown
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.movers import Layered, Movers, render_layered
+from devrf.reconstruct.model import Around, DynamicModel
+from devrf.reconstruct.movers import Layered, Movers, Placed, render_layered
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
@@ -34,6 +34,8 @@ from devrf.reconstruct.training_state import grids_state, net_state, take_up_gri
 
 PICTURES = 16  # of which an iteration's rays are
 LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; all fall by 10
+OF_MOVERS = 1.0  # of these rates, for what the sweep has taught
+SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weight
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
 FOG = 0.004  # opacity of a step, of what could stand where movers are
 ZONE = 2  # voxels around movers in which it could
@@ -129,7 +131,12 @@ class _Recipe:
         self.changing = changing_pixels(self.rays)
         self.held_back = HeldBack(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
-        self.placed = movers.placed(self.rays.times)
+        still = tuple(f for f in scene.static if f.split == "train")
+        self.sweep = RaySet(still, scene.image_scale, scene.background, device)
+        self.at_rest = DynamicModel(rest)
+        rest_time = torch.tensor([scene.rest_time or 0.0], device=self.rays.times.device)
+        parts = zip(movers.placed(self.rays.times), movers.at_rest(rest_time), strict=True)
+        self.placed = Placed(*(torch.cat(pair) for pair in parts))  # the last one is that of the sweep
         self.generator = torch.Generator().manual_seed(options.seed)
         net = copy.deepcopy(stands.net)
         for parameter in net.parameters():
@@ -183,18 +190,22 @@ class _Recipe:
         grids = list(self.grids.values())
         jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
         seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
-        rgb = self.around.at(batch.frame, batch.pixel).compose(seen.rgb, seen.left)
-        parts = {
-            "mse": rendering_loss(rgb, batch.rgb),
-            "entropy": entropy_loss(seen.left),
-            "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
-        }
+        around = self.around.at(batch.frame, batch.pixel)
+        parts = _losses(around, seen, batch)
         assert self.movers.shading is not None
         loss = parts["mse"] + ENTROPY * parts["entropy"] + PER_POINT * parts["per_point"]
+        if SWEEP:
+            batch = self.sweep.draw(round(SWEEP * self.options.together_rays), self.generator)
+            batch = replace(batch, frame=torch.full_like(batch.frame, len(self.rays)))
+            jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
+            seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
+            still = _losses(self.at_rest.around(batch.rays_o, batch.rays_d), seen, batch)
+            loss = loss + SWEEP * (still["mse"] + ENTROPY * still["entropy"] + PER_POINT * still["per_point"])
         (loss + self.movers.shading.penalty()).backward()
         decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.options.together)
         for name, grid in self.grids.items():
-            grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
+            of = OF_MOVERS if name.startswith("movers") else 1.0
+            grid.update(of * decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
         for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING)):
             for group in optimiser.param_groups:
                 group["lr"] = decay * rate
@@ -281,6 +292,14 @@ class _Recipe:
             sums[0] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()
         values = (sums / (3 * len(batch.rgb))).clamp_min(1e-12).tolist()
         return values[0], values[1], values[2]
+
+
+def _losses(around: Around, seen: Layered, batch: RayBatch) -> dict[str, Tensor]:
+    return {
+        "mse": rendering_loss(around.compose(seen.rgb, seen.left), batch.rgb),
+        "entropy": entropy_loss(seen.left),
+        "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
+    }
 
 
 def _own(canonical: Canonical, net: torch.nn.Module) -> Canonical:

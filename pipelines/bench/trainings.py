@@ -18,6 +18,7 @@ from devrf.capture.errors import InputError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.progress import Progress
 from devrf.capture.scene import Scene
+from devrf.flow.estimator import create_estimator
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row, publish
@@ -134,7 +135,16 @@ class Bench:
             watch = looks.of_motion(rest) if looks is not None else None
             reference = reference_camera(self.run.run_dir)
             trained, facts = train_deformation(
-                scene, rest, self.flows, options, device, progress, checkpoint, watch, reference
+                scene,
+                rest,
+                self.flows,
+                options,
+                device,
+                progress,
+                checkpoint,
+                watch,
+                reference,
+                create_estimator("dis"),
             )
             files = save_deformation(folder, trained)
             model = load_deformation(folder, rest, device)

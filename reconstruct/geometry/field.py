@@ -61,7 +61,7 @@ class Field:
 
     def at_rest(self) -> "Field":
         """The same scene before it moved."""
-        movers = self.movers and (self.movers[0], self.movers[0].at_rest())
+        movers = self.movers and (self.movers[0], self.movers[0].at_rest(torch.zeros(1)))
         return replace(self, motion=None, tau=None, movers=movers)
 
     def to_rest(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -180,7 +180,8 @@ def moved(
         movers = model.movers
 
         def placed(moment: float | None) -> Placed:
-            return movers.at_rest() if moment is None else movers.placed(torch.tensor([moment]))
+            time = torch.tensor([moment or 0.0])
+            return movers.at_rest(time) if moment is None else movers.placed(time)
 
         x_rest, part = Field(model.in_motion.canonical, movers=(movers, placed(time))).layer(x)
         return movers.carried(x_rest, part, placed(then)).cpu().numpy().astype(np.float64)

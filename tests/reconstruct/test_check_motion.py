@@ -3,6 +3,7 @@
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -15,8 +16,9 @@ from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.check_motion import SHIFTS, MotionFit, _seen_by_others, better_shift, check_motion
+from devrf.reconstruct.clocks import error_curves
 from devrf.reconstruct.late_camera import FEWEST_PICTURES, moved_by
-from devrf.reconstruct.model import DynamicModel, render_moved
+from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.rays import RaySet
@@ -153,11 +155,14 @@ def test_a_camera_that_moves_is_not_asked_but_sees(ball, true: DynamicModel, mon
 
     rendered: list[int] = []
 
-    def counted(rest: RestModel, window: Any, live: Any, rays_o: torch.Tensor, *others: Any) -> Any:
-        rendered.append(len(rays_o))
-        return render_moved(rest, window, live, rays_o, *others)
+    def counted(model: DynamicModel, *others: Any) -> Any:
+        def box_at(rays_o: torch.Tensor, *more: torch.Tensor) -> Any:
+            rendered.append(len(rays_o))
+            return model.box_at(rays_o, *more)
 
-    monkeypatch.setattr("devrf.reconstruct.clocks.render_moved", counted)
+        return error_curves(SimpleNamespace(motion=model.motion, box_at=box_at), *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("devrf.reconstruct.check_motion.error_curves", counted)
     fits = check_motion(replace(ball.scene, dynamic=tuple(walks(f) for f in ball.scene.dynamic)), true)
     assert list(fits) == ["cam0", "cam1"] and len(rendered) == 2 * 5
     assert fits["cam1"].alone is not None and fits["cam1"].alone < 0.15

@@ -98,8 +98,16 @@ def test_parts_come_before_a_lower_resolution() -> None:
     assert 1.1 * footprint(ROOM, chosen).main_bytes <= 0.5 * need.main_bytes
 
 
-def test_motion_takes_fewer_rays_then_no_fine_tuning_then_coarser_levels() -> None:
+def test_motion_takes_fewer_rays_then_no_movers_then_coarser_levels() -> None:
     options, seen = preset("fast").motion, []
+    need = footprint(ROOM, options).main_bytes
+    found = fitted(ROOM, options, Limits(int(0.8 * need)))
+    assert found.options.together == 0 and found.options.levels == options.levels
+    assert [decision.what for decision in found.decisions] == ["rays of an iteration", "movers"]
+
+
+def test_motion_takes_fewer_rays_then_no_fine_tuning_then_coarser_levels() -> None:
+    options, seen = replace(preset("fast").motion, together=0), []
     need = footprint(ROOM, options).main_bytes
     for share in (1.05, 0.95, 0.8, 0.7):
         found = fitted(ROOM, options, Limits(int(share * need)))
@@ -148,7 +156,7 @@ def test_on_a_gpu_what_is_trained_lies_there() -> None:
 def test_a_scene_at_rest_is_read_twice_over() -> None:
     """The motion of a scene with large grids and small pictures takes most while it reads them."""
     size = SceneSize(still_pixels=10**6, moving_pixels=10**6, times=2, plain=False)
-    options = replace(preset("tiny").motion, resolution=400)
+    options = replace(preset("tiny").motion, resolution=400, together=0)
     at_rest = footprint(size, options).main["models"] / 2
     assert at_rest > 53 * 400**3
     limit = int(1.05 * (footprint(size, options).main_bytes - at_rest))  # enough for the rest of the training
@@ -183,7 +191,7 @@ def test_what_a_process_holds_already_counts() -> None:
 
 
 def test_where_a_late_camera_may_be_found_there_is_one_field_more() -> None:
-    options = preset("tiny").motion
+    options = replace(preset("tiny").motion, together=0)
     three, two = (footprint(replace(ROOM, cameras=n), options) for n in (3, 2))
     keys = min(options.most_keys, ROOM.times)
     assert three.main["models"] - two.main["models"] == FIELD_VERTEX * keys * options.levels[-1] ** 3

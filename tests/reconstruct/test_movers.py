@@ -154,7 +154,9 @@ def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
     for time in (0.0, 0.7):
         assert np.abs(render_view(model, camera, time) - render_view(again, camera, time)).max() < 0.02
     save_rest(tmp_path / "rest.safetensors", rest)
-    assert path.stat().st_size < 1.5 * (tmp_path / "rest.safetensors").stat().st_size  # half moves, half is filled
+    assert (
+        path.stat().st_size < 1.5 * (tmp_path / "rest.safetensors").stat().st_size
+    )  # half moves, half is filled
 
 
 def test_points_are_carried_and_brought_back(rest: RestModel) -> None:

@@ -24,7 +24,8 @@ NOT_PARTS = {  # sizes, effort, and machinery without which there is no training
         "occupancy_every", "seed",
     },
     MotionOptions: {
-        "rays", "rays_given", "resolution", "most_keys", "learning_rate", "fine_tuning_given", "seed",
+        "rays", "rays_given", "resolution", "most_keys", "learning_rate", "fine_tuning_given", "together_rays",
+        "seed",
     },
 }  # fmt: skip
 
