@@ -70,7 +70,8 @@ def train_deformation(
         if found is not None:
             return found
     model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch, reference)
-    metrics["decisions"] += [] if reason is None else [str(reason)]
+    if reason is not None:
+        metrics["decisions"].append(str(reason))
     return model, metrics
 
 
