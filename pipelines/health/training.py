@@ -9,6 +9,7 @@ from devrf.pipelines.health.rows import HealthRow, listed, row
 RESTARTED = "times that training ran away and went back"
 CONTRADICTED = "share of what moves whose flow the pictures contradict"
 LATE = "clock that the motion of the other cameras contradicts"
+MOSTLY_SHADED = 0.5  # of what movers gain; rolling things and cast shadows take a quarter
 MENDED = (RESTARTED, CONTRADICTED, LATE)
 """First words of the rows which say that training mended something: the cause is real, the loss may not be."""
 
@@ -50,6 +51,22 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
             "its flow look at the direction, the order and the size of its vectors.",
         )
     ]
+
+
+@listed
+def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
+    """Whether tracked parts explain what changes; none where motion is a field."""
+    if "movers_gain_db" not in metrics:
+        return
+    gain, unshaded = metrics["movers_gain_db"], metrics["movers_unshaded_gain_db"]
+    yield row(
+        "share of the gain of movers that is shading",
+        100 * (1 - unshaded / gain) if gain > 0 else 100.0,
+        "%",
+        warn_above=100 * MOSTLY_SHADED,
+        remedy="Brightness that changes explains what motion should: keep lights still and people's shadows out of "
+        "the pictures; look at the film whether things move as in the clips, and give what moves more texture.",
+    )
 
 
 def late_rows(found: Mapping[str, Any] | None) -> list[HealthRow]:

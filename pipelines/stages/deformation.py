@@ -9,7 +9,7 @@ from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
-from devrf.pipelines.health.training import flow_rows, late_rows, restart_rows
+from devrf.pipelines.health.training import flow_rows, late_rows, mover_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -61,6 +61,7 @@ def run(context: StageContext) -> None:
         context.health.append(_left_box(metrics["left_box_share"]))
     context.health.extend(in_motion_rows(cameras))
     context.health.extend(restart_rows(metrics))
+    context.health.extend(mover_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
     context.health.extend(late_rows(metrics.get("late_camera")))
 
