@@ -6,7 +6,8 @@ high-pass pictures itself. Points are always compared with real pictures, mostly
 Pictures count at their exact times: a point of a picture at time t lies on the way between the two moments around it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
+from devrf.capture.cores import usable_cores
 from devrf.reconstruct.tracking.film import Film, blurred, sampled
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.sight import Sight
@@ -88,6 +90,19 @@ def _follow(
     times: Float[np.ndarray, " t"],
     tell: Callable[[float], object],
 ) -> Float[np.ndarray, "t p 3"]:
+    side_by_side = all(film.estimator.parallel for film in films)
+    with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
+        return _followed(surface, graph, films, times, tell, pool)
+
+
+def _followed(
+    surface: Surface,
+    graph: Graph,
+    films: Sequence[Film],
+    times: Float[np.ndarray, " t"],
+    tell: Callable[[float], object],
+    pool: ThreadPoolExecutor,
+) -> Float[np.ndarray, "t p 3"]:
     pose = before = Pose.rest(len(graph.nodes))
     now = was = surface.xyz
     out = [now]
@@ -104,17 +119,21 @@ def _follow(
             if n is not None:
                 shots.append(_Shot(known, n, 1 + (float(known.film.times[n]) - time) / gap))
         normals = graph.turned(pose, surface.normals)
-        for shot in shots:
-            if shot.n > 0:
-                share = 1 + (float(shot.film.times[shot.n - 1]) - times[moment - 1]) / gap
-                shot.come(was + share * (now - was), normals, surface.spacing)
+        flown = [shot for shot in shots if shot.n > 0]
+        shares = [1 + (float(s.film.times[s.n - 1]) - float(times[moment - 1])) / gap for s in flown]
+        _each(
+            pool.submit(shot.come, was + share * (now - was), normals, surface.spacing)
+            for shot, share in zip(flown, shares, strict=True)
+        )
         expected = _ahead(before, pose)
         found = expected
         for sigmas in SIGMAS:
             xyz = graph.points(found)
             normals = graph.turned(found, surface.normals)
-            for shot in shots:
-                shot.look(now + shot.share * (xyz - now), normals, surface, sigmas)
+            _each(
+                pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas)
+                for shot in shots
+            )
             for _ in range(STEPS):
                 xyz = graph.points(found)
                 pulls = _Sum(len(surface))
@@ -131,6 +150,12 @@ def _follow(
                 shot.templates.learn(shot.n, Sight(shot.film, xyz, normals, surface.spacing))
         tell(time)
     return np.stack(out)
+
+
+def _each(begun: Iterable[Future[None]]) -> None:
+    """Wait for pictures of different cameras, which are looked at side by side."""
+    for done in list(begun):
+        done.result()
 
 
 class _Sum:
