@@ -12,12 +12,11 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.pipelines.bench.rows import Row, publish
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, is_made, run_case
-from devrf.pipelines.bench.stability.chart import axis_chart, overview_chart
+from devrf.pipelines.bench.stability.chart import axes_chart
 from devrf.pipelines.bench.stability.damage.intact import DoesNotApply
 from devrf.pipelines.bench.stability.heard import SUFFERED_DB, Heard, heard
-from devrf.pipelines.bench.stability.page import build_page
 from devrf.pipelines.bench.stability.points import Points, bar_db, points
-from devrf.pipelines.bench.trainings import Bench, about, device_name, spread
+from devrf.pipelines.bench.trainings import Bench, about, spread
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.runner.run import Run
@@ -51,7 +50,7 @@ def run_stability(
         names: Axes.
         severities: How many of each axis, the worst among them; None: all.
         seeds: Of the trainings and of what is drawn at random.
-        json_path: Where the rows go; charts and the page are written beside it.
+        json_path: Where the rows go; the chart is drawn beside it.
         minutes: No case begins later; what there is by then, of earlier runs too, is written.
     Raises:
         DevrfError: The undisturbed scene has no result.
@@ -109,28 +108,13 @@ def run_stability(
     for name, why in left_out.items():
         talk.say(f"{name}: {why}")
     json_path.parent.mkdir(parents=True, exist_ok=True)
-    charts = {
-        name: axis_chart(
-            json_path.with_name(f"{json_path.stem}-{name}.png"),
-            name,
-            AXES[name],
-            cases,
-            undisturbed,
-            found[name],
-        )
-        for name, cases in results.items()
-    }
-    overview = overview_chart(json_path.with_suffix(".png"), results, undisturbed, found)
-    page = json_path.with_suffix(".html")
-    title = f"{base.config.name}, {base.config.preset}, {device_name(base.device)}"
-    page.write_text(
-        build_page(title, undisturbed, results, found, known, overview, charts, left_out), encoding="utf-8"
-    )
-    publish(
+    chart = axes_chart(json_path.with_suffix(".png"), results, undisturbed, found)
+    return publish(
         talk,
         f"Stability, {base.config.name}",
         rows,
         json_path,
+        chart,
         benchmark="stability",
         **about(Bench(base, out, scenes[seeds[0]], {}), seeds),
         bar_db=bar,
@@ -141,8 +125,6 @@ def run_stability(
         | {name: getattr(known, name) for name in ("recall", "precision", "precision_or_early")},
         cases=[asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
     )
-    talk.say(f"  page: {page}")
-    return rows
 
 
 def _forecast(
