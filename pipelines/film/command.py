@@ -18,7 +18,7 @@ from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.disk_told import disk_told
-from devrf.pipelines.film.about import FILM, READS, film_json, finished_film, made_from_of
+from devrf.pipelines.film.about import FILM, READS, film_json, made_from_of, read_made_from
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.plan import Film, planned
 from devrf.pipelines.run_command import said_of_stale, stale
@@ -72,7 +72,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     for line in notes:
         talk.say(f"  note: {line}", style="yellow")
     made_from = made_from_of(job.run_dir, plan)
-    if finished_film(folder) == made_from:
+    if read_made_from(folder / FILM) == made_from:
         talk.say(f"  film: {folder} is made of the same model with the same options; nothing to do")
         return folder
     with stopped_by_signals(), _told(folder):
@@ -131,7 +131,7 @@ def _folder(job: Run, asked: Asked) -> Path:
     else:
         folder = asked.out.expanduser().resolve()
     check_folder(folder, "--out")
-    if folder.is_dir() and any(folder.iterdir()) and finished_film(folder) is None:
+    if folder.is_dir() and any(folder.iterdir()) and read_made_from(folder / FILM) is None:
         text = f"--out {folder}: holds files that are no film; name another folder, or empty it"
         raise InputError("folder-exists", text)
     check_folder(folder.parent, "--out")
