@@ -116,9 +116,10 @@ def odd_scene(tmp_path: Path) -> "Scene":
     pictures that are not square, cameras of different sizes, clocks that are not triggered together."""
     import cv2
     import numpy as np
+    from tests.scenes import scene_of
 
     from devrf.capture.camera import Camera
-    from devrf.capture.scene import PosedFrame, Scene, SparsePoints
+    from devrf.capture.scene import PosedFrame, SparsePoints
 
     rng = np.random.default_rng(5)
     lenses = {
@@ -151,22 +152,9 @@ def odd_scene(tmp_path: Path) -> "Scene":
     ]
     xyz = rng.uniform(-0.5, 0.5, (40, 3))
     observed = [(p, f) for p in range(40) for f in range(6)]
-    return Scene(
-        static=tuple(static),
-        dynamic=tuple(dynamic),
-        box_from_world=np.diag([1.25, 1.25, 1.25, 1.0]),
-        aabb=np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]]),
-        near=2.0,
-        far=7.5,
-        kind="inward",
-        background="shell",
-        t0_s=2.0,
-        t1_s=5.0,
-        rest_time=0.0,
-        image_scale=1.0,
-        metric=True,
-        points=SparsePoints(xyz, np.array([p for p, _ in observed]), np.array([f for _, f in observed])),
-    )
+    points = SparsePoints(xyz, np.array([p for p, _ in observed]), np.array([f for _, f in observed]))
+    box = {"aabb": np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]]), "near": 2.0, "far": 7.5}
+    return scene_of(static, dynamic, 1.25, **box, t0_s=2.0, t1_s=5.0, metric=True, points=points)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
@@ -117,20 +118,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Ball:
         for c, eye in enumerate(around(4, 0.5, 0.5))
         for n in range(5)
     ]
-    scene = Scene(
-        static=tuple(static),
-        dynamic=tuple(dynamic),
-        box_from_world=np.eye(4),
-        aabb=np.array([[-1.0] * 3, [1.0] * 3]),
-        near=0.5,
-        far=6.0,
-        kind="inward",
-        background="white",
-        t0_s=0.0,
-        t1_s=1.0,
-        rest_time=0.0,
-        image_scale=1.0,
-    )
+    scene = scene_of(static, dynamic, near=0.5, far=6.0, background="white")
     return Ball(scene, TRAVEL, RADIUS)
 
 
