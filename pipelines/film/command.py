@@ -36,9 +36,8 @@ if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.model import DynamicModel
 
 BASE_BYTES = 900_000_000  # the process while it unpacks a model: the example's
-PIXEL_BYTES = (
-    230  # that a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more
-)
+# That a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more.
+PIXEL_BYTES = 230
 LAYER_BYTES = 100  # and for each other layer; measured: 61 for depth and flow together
 GOES_ON = "what was made is kept, and the same command goes on from there"
 

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 
 RIG = "rig/rig.json"
 MAX_POINTS = 5000  # more makes pages and the viewer heavy
-POINTS_WITHIN = (
-    1.5  # times the extent of cameras; farther points (a window's view) would shrink the rest to a dot
-)
+# Times the extent of cameras; farther points (a window's view) would shrink the rest to a dot.
+POINTS_WITHIN = 1.5
 MAX_NAMES = 12  # of more cameras than this names cover the drawing
 LOOK = 0.1  # of the extent: how long the line is that shows where a camera looks
 
