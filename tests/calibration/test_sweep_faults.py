@@ -13,8 +13,8 @@ import pytest
 from tests.refused import refused
 
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.sweep.agreement import disagreement_deg
 from devrf.calibration.sweep.checks import picture_fits, two_zooms
+from devrf.calibration.sweep.sfm_mapping import disagreement_deg
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model
 from devrf.capture.camera import Camera

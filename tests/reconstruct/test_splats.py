@@ -13,7 +13,7 @@ from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
 from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.splat_ply import write_splat_ply
+from devrf.capture.formats.ply import write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
 from devrf.reconstruct.model import DynamicModel, render_view
