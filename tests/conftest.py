@@ -120,6 +120,7 @@ def odd_scene(tmp_path: Path) -> "Scene":
 
     from devrf.capture.camera import Camera
     from devrf.capture.scene import PosedFrame, SparsePoints
+    from devrf.capture.view_axes import look_at
 
     rng = np.random.default_rng(5)
     lenses = {
@@ -132,15 +133,12 @@ def odd_scene(tmp_path: Path) -> "Scene":
     def frame(name: str, n: int, angle: float, time: float | None, split: "Split") -> PosedFrame:
         width, height, (fx, fy, cx, cy), lens = lenses[name]
         centre = 4.0 * np.array([np.sin(angle), 0.1 * np.cos(7 * angle), -np.cos(angle)])
-        z = -centre / np.linalg.norm(centre)
-        x = np.cross([0.05, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.05, 1.0, 0.0], z))
-        R = np.stack([x, np.cross(z, x), z])
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         path = tmp_path / "pictures" / f"{name}_{n}.png"
         path.parent.mkdir(exist_ok=True)
         picture = cv2.resize(rng.integers(0, 255, (6, 9, 3)).astype(np.uint8), (width, height))
         cv2.imwrite(str(path), picture)
-        camera = Camera(width, height, K, np.column_stack([R, -R @ centre]), np.array(lens))
+        camera = Camera(width, height, K, look_at(centre, np.zeros(3), (-0.05, -1.0, 0.0)), np.array(lens))
         time_s = None if time is None else 2.0 + 3.0 * time
         return PosedFrame(path, camera, name, n, time_s, time, split)
 

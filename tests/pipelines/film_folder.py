@@ -12,6 +12,7 @@ from tests.scenes import scene_of
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame, Scene, Split
+from devrf.capture.view_axes import look_at
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
@@ -48,11 +49,8 @@ def ball_model() -> DynamicModel:
 def ring_camera(angle: float, height: float = 0.6, distance: float = 3.0) -> Camera:
     """A camera that looks at the origin; +z is up, lengths are box units."""
     eye = distance * np.array([np.cos(angle), np.sin(angle), height]) / np.hypot(1, height)
-    z = -eye / np.linalg.norm(eye)
-    x = np.cross(z, [0, 0, 1.0]) / np.linalg.norm(np.cross(z, [0, 0, 1.0]))
-    R = np.stack([x, np.cross(z, x), z])
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-    return Camera(WIDTH, HEIGHT, K, np.column_stack([R, -R @ eye]))
+    return Camera(WIDTH, HEIGHT, K, look_at(eye, np.zeros(3)))
 
 
 def ball_scene(folder: Path) -> Scene:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from tests.scenes import scene_of
 
+from devrf.capture import view_axes
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.motion import MotionField
@@ -76,12 +77,8 @@ def look_at(
     eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT, target: tuple[float, ...] = (0.0, 0.0, 0.0)
 ) -> Camera:
     """A camera that looks at a place; +z is up."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
     K = np.array([[FOCAL, 0, width / 2 + 0.7], [0, FOCAL * 1.02, height / 2 - 0.4], [0, 0, 1]])
-    return Camera(width, height, K, np.column_stack([R, -R @ eye]))
+    return Camera(width, height, K, view_axes.look_at(eye, np.array(target)))
 
 
 def held_rays(cameras: list[Camera], pictures: list[np.ndarray], times: list[float] | None = None) -> RaySet:
