@@ -1,12 +1,11 @@
 """How heavy the program is to work with: lines, start-up, a run in which nothing is stale, trainings beside others.
 
-    python benchmarks/lean.py RUN_SCENE --json benchmarks/results/lean-cpu.json [--skip beside]
+    python benchmarks/lean.py RUN_SCENE --json benchmarks/results/lean-cpu.json [--skip lines,starts,beside]
 
 RUN_SCENE is the scene.yaml of a run that is finished, the example's (`make demo`); it is copied, not changed. Nothing
 else should run meanwhile. Quarter of an hour; the trainings beside a busy program are most of it.
 """
 
-import argparse
 import shutil
 import statistics
 import subprocess
@@ -18,9 +17,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from lines import PRODUCT, of_folder
+from script import arguments, finish
 
-from devrf.pipelines.bench.rows import Row, write_rows
-from devrf.pipelines.stages.evaluate import versions
+from devrf.pipelines.bench.rows import Row
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = [sys.executable, "-m", "devrf.pipelines.cli"]
@@ -30,24 +29,13 @@ BUSY = "while True: pass"
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--skip", nargs="*", default=[], choices=("lines", "starts", "beside"))
-    asked = parser.parse_args()
+    asked = arguments(__doc__, "scene", skip="")
     rows = [
         *(() if "lines" in asked.skip else _lines()),
         *(() if "starts" in asked.skip else _starts(asked.scene)),
         *(() if "beside" in asked.skip else _beside(asked.scene)),
     ]
-    for row in rows:
-        print(
-            f"{row.name:<32}{row.value:>12.2f} {row.unit:<8} goal {row.goal}  {'met' if row.met else 'missed'}"
-        )
-    if asked.json:
-        write_rows(asked.json, rows, versions=versions())
+    finish("lean", rows, asked.json)
 
 
 def _lines() -> list[Row]:

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from benchmarks.script import finish
 from tests.reconstruct import conftest as ball
+from tests.scenes import UNIT_BOX, scene_of
 
 from devrf.capture.processes import memory_of
 from devrf.capture.scene import PosedFrame, Scene
@@ -128,10 +129,8 @@ def _scene(folder: Path, case: dict[str, Any]) -> Scene:
         for n in range(times)
     ]
     side = 1.0 if plain else 0.7
-    return Scene(
-        tuple(still), tuple(moving), np.eye(4), np.array([[-side] * 3, [side] * 3]), 0.5, 6.0, "inward",
-        "white" if plain else "shell", 0.0, 1.0, 0.0, 1.0,
-    )  # fmt: skip
+    behind = "white" if plain else "shell"
+    return scene_of(still, moving, aabb=side * UNIT_BOX, near=0.5, far=6.0, background=behind)
 
 
 def _flows(scene: Scene) -> dict[str, CameraFlow]:

@@ -99,18 +99,10 @@ def find(tree: Path, fault: Fault) -> dict:
     """
     file = tree / fault.path
     whole = file.read_text()
-    if whole.count(fault.right) != 1:
-        raise SystemExit(
-            f"{fault.path}: {fault.right!r} stands {whole.count(fault.right)} times; expected once"
-        )
+    if (count := whole.count(fault.right)) != 1:
+        raise SystemExit(f"{fault.path}: {fault.right!r} stands {count} times; expected once")
     tests = touching(tree, fault)
-    result: dict = {
-        "path": fault.path,
-        "kind": fault.kind,
-        "touched_by": len(tests),
-        "test": None,
-        "full": None,
-    }
+    result: dict = {"path": fault.path, "kind": fault.kind, "touched_by": len(tests), "test": None}
     for tier in ("test", "full"):
         result[tier] = result["test"] or _first_that_fails(tree, fault, whole, tests, tier)
     return result
@@ -123,12 +115,12 @@ def _first_that_fails(tree: Path, fault: Fault, whole: str, tests: list[str], ti
     while left and time.monotonic() < until:
         file.write_text(whole.replace(fault.right, fault.wrong))
         try:
-            failed = _pytest(tree, ["-n", "0", "-x", *marked, *left], {}, until - time.monotonic())
+            failed = _pytest(tree, ["-n", "0", "-x", *marked, *left], until - time.monotonic())
         finally:
             file.write_text(whole)
         if failed is None:
             return None
-        if _pytest(tree, ["-n", "0", failed], {}, LIMIT_S) is None:
+        if _pytest(tree, ["-n", "0", failed], LIMIT_S) is None:
             return failed
         left = left[left.index(failed) + 1 :] if failed in left else []
     return None
@@ -138,19 +130,11 @@ def _command(tree: Path) -> list[str]:
     return [str(tree / ".venv/bin/python"), "-m", "pytest", "-p", "no:cacheprovider", "-q", "-rfE"]
 
 
-def _pytest(
-    tree: Path, arguments: list[str], environment: dict[str, str], limit_s: float | None
-) -> str | None:
+def _pytest(tree: Path, arguments: list[str], limit_s: float) -> str | None:
     """Run tests; the first that failed, None where all passed or the time is over."""
+    command = [*_command(tree), *arguments]
     try:
-        output = subprocess.run(
-            [*_command(tree), *arguments],
-            cwd=tree,
-            env={**os.environ, **environment},
-            text=True,
-            timeout=limit_s,
-            stdout=subprocess.PIPE,
-        ).stdout
+        output = subprocess.run(command, cwd=tree, text=True, timeout=limit_s, stdout=subprocess.PIPE).stdout
     except subprocess.TimeoutExpired:
         return None
     lines = [line for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))]

@@ -21,9 +21,8 @@ LAMPS_HZ = (100.0, 120.0)
 MAINS_TOLERANCE = 0.002  # mains and camera clocks are this far off at most, share: 0.2 Hz of 100
 FEWEST_WAVES = 3.0  # in the clip; less cannot be told from a drift
 FEWEST_FRAMES = 12  # a sinusoid with its offset and drift has five unknowns
-EXPLAINED = (
-    0.5  # of the variance of the course (after its drift) by the sinusoid: cameras hunting do not repeat
-)
+# Of the variance of the course (after its drift) by the sinusoid: cameras hunting do not repeat.
+EXPLAINED = 0.5
 FEWEST_KNOWN = 0.5  # of the frames: else the subject fills the picture and nothing can be told
 SMOOTH_FRAMES = 9  # a change lasts longer; a flash or a passer-by does not
 SETTLED = 0.1  # a change goes on while it is between this share and one minus this share of its step

@@ -18,9 +18,8 @@ PYRAMID_LEVELS = 2  # backgrounds move by a few pixels; coarser windows would fo
 ROUND_TRIP_PX = 0.5  # a corner that does not come back was lost
 AGREE_PX = 0.5  # of the small picture; followed corners are good to about 0.1
 FEWEST_CORNERS = 20
-AGREEING_SHARE = (
-    0.5  # of those that come back; fewer: the subject fills the picture, or everything moves in its own way
-)
+# Of those that come back; fewer: the subject fills the picture, or everything moves in its own way.
+AGREEING_SHARE = 0.5
 
 
 @dataclass(frozen=True)

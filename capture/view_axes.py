@@ -1,4 +1,4 @@
-"""Where cameras look: the point that view axes meet in, and whether what they see lies before them."""
+"""Where cameras look: at a target, at the point that view axes meet in, and whether what they see lies before them."""
 
 from collections.abc import Sequence
 
@@ -7,6 +7,21 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import SparsePoints
+
+
+def look_at(
+    position: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+    up: Sequence[float] | Float[np.ndarray, "3"] = (0.0, 0.0, 1.0),
+    roll_deg: float = 0.0,
+) -> Float[np.ndarray, "3 4"]:
+    """cam_from_world of a camera at `position` that looks at `target`, `up` in its picture, but for a roll."""
+    z = (target - position) / np.linalg.norm(target - position)
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    c, s = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
+    R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ np.stack([x, np.cross(z, x), z])
+    return np.column_stack([R, -R @ position])
 
 
 def closest_point(

@@ -116,9 +116,11 @@ def odd_scene(tmp_path: Path) -> "Scene":
     pictures that are not square, cameras of different sizes, clocks that are not triggered together."""
     import cv2
     import numpy as np
+    from tests.scenes import scene_of
 
     from devrf.capture.camera import Camera
-    from devrf.capture.scene import PosedFrame, Scene, SparsePoints
+    from devrf.capture.scene import PosedFrame, SparsePoints
+    from devrf.capture.view_axes import look_at
 
     rng = np.random.default_rng(5)
     lenses = {
@@ -131,15 +133,12 @@ def odd_scene(tmp_path: Path) -> "Scene":
     def frame(name: str, n: int, angle: float, time: float | None, split: "Split") -> PosedFrame:
         width, height, (fx, fy, cx, cy), lens = lenses[name]
         centre = 4.0 * np.array([np.sin(angle), 0.1 * np.cos(7 * angle), -np.cos(angle)])
-        z = -centre / np.linalg.norm(centre)
-        x = np.cross([0.05, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.05, 1.0, 0.0], z))
-        R = np.stack([x, np.cross(z, x), z])
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         path = tmp_path / "pictures" / f"{name}_{n}.png"
         path.parent.mkdir(exist_ok=True)
         picture = cv2.resize(rng.integers(0, 255, (6, 9, 3)).astype(np.uint8), (width, height))
         cv2.imwrite(str(path), picture)
-        camera = Camera(width, height, K, np.column_stack([R, -R @ centre]), np.array(lens))
+        camera = Camera(width, height, K, look_at(centre, np.zeros(3), (-0.05, -1.0, 0.0)), np.array(lens))
         time_s = None if time is None else 2.0 + 3.0 * time
         return PosedFrame(path, camera, name, n, time_s, time, split)
 
@@ -151,22 +150,9 @@ def odd_scene(tmp_path: Path) -> "Scene":
     ]
     xyz = rng.uniform(-0.5, 0.5, (40, 3))
     observed = [(p, f) for p in range(40) for f in range(6)]
-    return Scene(
-        static=tuple(static),
-        dynamic=tuple(dynamic),
-        box_from_world=np.diag([1.25, 1.25, 1.25, 1.0]),
-        aabb=np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]]),
-        near=2.0,
-        far=7.5,
-        kind="inward",
-        background="shell",
-        t0_s=2.0,
-        t1_s=5.0,
-        rest_time=0.0,
-        image_scale=1.0,
-        metric=True,
-        points=SparsePoints(xyz, np.array([p for p, _ in observed]), np.array([f for _, f in observed])),
-    )
+    points = SparsePoints(xyz, np.array([p for p, _ in observed]), np.array([f for _, f in observed]))
+    box = {"aabb": np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]]), "near": 2.0, "far": 7.5}
+    return scene_of(static, dynamic, 1.25, **box, t0_s=2.0, t1_s=5.0, metric=True, points=points)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from tests.waiting import wait_for
 from devrf.capture.errors import InputError
 from devrf.capture.video import probe_video
 from devrf.capture.video_writer import write_video
+from devrf.capture.view_axes import look_at
 
 SIZE = (320, 240)
 K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
@@ -46,10 +47,7 @@ def texture(rng: np.random.Generator, side: int = 700) -> np.ndarray:
 
 def draw(textures: list[np.ndarray], centre: np.ndarray, target: np.ndarray) -> np.ndarray:
     """The corner of three walls (planes x = 0, y = 0, z = 0, sides of 2 m) seen from a place, z up."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    rotation = look_at(centre, target)[:, :3]
     picture = np.full((SIZE[1], SIZE[0], 3), 127, np.uint8)
     axes = np.eye(3) * 2.0
     for n, image in enumerate(textures):

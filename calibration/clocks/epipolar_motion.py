@@ -24,9 +24,8 @@ MIN_MOVING_PX = 200  # over the whole clip: fewer are noise
 PLANES = 48  # over what moves: a limb fills several
 PLANE_BLUR = 0.7  # standard deviation, planes
 SPAN_QUANTILES = (0.01, 0.99)
-FOLD_RAD = (
-    0.2  # the angle of a plane changes by more than this per pixel only at the epipole and where it wraps
-)
+# The angle of a plane changes by more than this per pixel only at the epipole and where it wraps.
+FOLD_RAD = 0.2
 ACCEPT_CORRELATION = 0.4  # views from opposite sides of a person: 0.45 to 0.8 at the right delay
 ACCEPT_MARGIN = 0.1  # as for motion energies
 

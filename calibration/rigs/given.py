@@ -19,12 +19,10 @@ from devrf.capture.picture_files import natural_key
 
 KEY = "calibration.rig.given"
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-LARGEST_RIG_M = (
-    50.0  # cameras farther apart are in millimetres where a format does not say its unit, else a warning
-)
-CENTRE_SHARE = (
-    0.25  # a principal point farther off the middle belongs to another picture size (of a size unsaid)
-)
+# Cameras farther apart are in millimetres where a format does not say its unit, else a warning.
+LARGEST_RIG_M = 50.0
+# A principal point farther off the middle belongs to another picture size (of a size unsaid).
+CENTRE_SHARE = 0.25
 
 
 @dataclass(frozen=True)

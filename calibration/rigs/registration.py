@@ -25,9 +25,8 @@ RANSAC_SHARE = 0.006  # of the longer side: threshold of the first round, 8 px a
 GUIDED_SHARE = 0.006  # search radius of the second round
 FOCALS = np.geomspace(0.5, 3.0, 19)  # of the longer side, tried where the focal length is unknown
 MIN_POINTS = 6
-FIRST_ROUND_INLIERS = (
-    12  # pictures of another place reach 7 by chance, and the second round would add to these
-)
+# Pictures of another place reach 7 by chance, and the second round would add to these.
+FIRST_ROUND_INLIERS = 12
 RICH_MATCHES = 150  # from here on a picture can say something about its principal point
 PRINCIPAL_POINT_STD = 0.012  # of the longer side; phones and webcams are off by about 1 %
 FEATURE_STD_PX = 0.5  # of a SIFT feature's place

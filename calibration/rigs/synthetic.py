@@ -13,6 +13,7 @@ from devrf.calibration.boards.find import BoardSpec, BoardView
 from devrf.calibration.intrinsics import Intrinsics, from_vector
 from devrf.calibration.rigs.board_views import TimedView
 from devrf.capture.camera import Camera
+from devrf.capture.view_axes import look_at
 
 SPEC = BoardSpec("charuco", (8, 6), 0.06, 0.045, inverted=False, legacy=False)
 MIN_CORNERS = 6
@@ -47,14 +48,10 @@ def synthetic_cameras(rig: SyntheticRig, rng: np.random.Generator) -> dict[str, 
         centre = DISTANCE_M * np.array(
             [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), -np.cos(azimuth) * np.cos(elevation)]
         )
-        z = -centre / DISTANCE_M
-        x = np.cross([0.0, 1.0, 0.0], z)
-        x /= np.linalg.norm(x)
-        R = np.stack([x, np.cross(z, x), z])
         focal = FOCAL_PX * (1 + 0.02 * rng.standard_normal())
         middle = np.array(SIZE) / 2 + 0.005 * SIZE[0] * rng.standard_normal(2)
         k = from_vector(*SIZE, np.array([focal, focal, *middle, *DISTORTION]))
-        out[f"cam{n}"] = k.at(np.column_stack([R, -R @ centre]))
+        out[f"cam{n}"] = k.at(look_at(centre, np.zeros(3), (0.0, -1.0, 0.0)))
     first = np.linalg.inv(next(iter(out.values())).world_from_cam)
     return {name: camera.moved(first) for name, camera in out.items()}
 

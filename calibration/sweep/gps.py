@@ -16,9 +16,8 @@ from jaxtyping import Bool, Float
 from devrf.calibration.truth import similarity
 from devrf.capture.exif import Place
 
-USUAL_STD_M = (
-    4.0  # of a phone under open sky, horizontally (GPS.gov: 4.9 m within 95 % at best); where unsaid
-)
+# Of a phone under open sky, horizontally (GPS.gov: 4.9 m within 95 % at best); where unsaid.
+USUAL_STD_M = 4.0
 UP_STD = 2.0  # heights are that much worse than places
 SPREAD = 3.0  # the camera must have moved this many standard deviations for GPS to say anything
 FEWEST = 6  # places; a similarity has 7 unknowns, and outliers must be told from them

@@ -4,17 +4,20 @@ Part of the worker's process; models are pycolmap's, which only `sfm_worker` imp
 """
 
 import time
+from collections import abc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from devrf.calibration.sweep.agreement import disagreement_deg
 from devrf.calibration.sweep.sfm_budget import Clock
+from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.progress import Progress
 
 MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
+ROUNDS = 10  # of reweighting; the common turn is found when most pictures agree
 GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
 
 Reconstruction = Any  # pycolmap's
@@ -102,6 +105,23 @@ class Mapping:
             self.compared.append({"name": name, "against": self.name, "apart_deg": apart})
         if self.best is None or _worth(models[0]) > _worth(self.best):
             self.best, self.models, self.name = models[0], models, name
+
+
+def disagreement_deg(
+    first: abc.Mapping[str, Float[np.ndarray, "3 4"]], second: abc.Mapping[str, Float[np.ndarray, "3 4"]]
+) -> dict[str, float]:
+    """Angle between both `cam_from_world` of each picture after the one turn that suits most of them, degrees."""
+    names = sorted(set(first) & set(second))
+    if not names:
+        return {}
+    between = np.array([first[n][:, :3].T @ second[n][:, :3] for n in names])  # first world from second world
+    weights, turn = np.ones(len(names)), np.eye(3)
+    for _ in range(ROUNDS):
+        U, _, Vt = np.linalg.svd((weights[:, None, None] * between).sum(0))
+        turn = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        off = np.linalg.norm(between - turn, axis=(1, 2))
+        weights = 1 / np.maximum(off, 1e-6)  # least absolute chords: single pictures do not turn all others
+    return {n: rotation_angle_deg(b, turn) for n, b in zip(names, between, strict=True)}
 
 
 def _worth(model: Reconstruction) -> tuple[int, float]:

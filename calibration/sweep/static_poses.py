@@ -32,9 +32,8 @@ Mapper = Literal["incremental", "global", "both"]
 
 MAX_IMAGE_SIZE = 1280  # SIFT on larger pictures costs seconds each and gains little
 MAX_FEATURES = 1600  # per picture; orientation copies come on top; matching time grows with the square
-FINE_OCTAVE_BELOW = (
-    720  # pictures up to this size are doubled first (SIFT octave -1), larger ones need not be
-)
+# Pictures up to this size are doubled first (SIFT octave -1), larger ones need not be.
+FINE_OCTAVE_BELOW = 720
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
 COMPARE_UP_TO = 30  # pictures; the other mapper then takes seconds
 HOMOGRAPHY_SHARE = 0.8  # of verified pairs; in a sweep with depth and sideways motion most have a parallax

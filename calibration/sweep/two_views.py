@@ -18,9 +18,8 @@ from devrf.capture.camera import Camera, undistort
 
 FITS_PX = 4.0  # from the epipolar line: COLMAP's own bound for an inlier of a pair
 STRONG_PAIR = 100  # inliers; COLMAP begins a model with such a pair, so it can decide where things are
-CONTRADICTS = (
-    0.5  # of a pair's inliers do not fit the model: the pair agrees with itself, not with the others
-)
+# Of a pair's inliers do not fit the model: the pair agrees with itself, not with the others.
+CONTRADICTS = 0.5
 TRUE_PAIR, TRUE_MATCHES = 0.7, 30  # of a pair's matches fit the model: its others are not wrong by chance
 TILES = 8  # per side of a picture, for what moves in it
 TILE_MATCHES = 8  # a tile with fewer says nothing

@@ -108,8 +108,13 @@ def read_model(folder: Path) -> Model:
     Raises:
         CaptureError: A file is missing or damaged, or a lens model is not one of `MODELS`.
     """
-    points = _part(folder, "points3D") if _file(folder, "points3D").is_file() else {}
+    points = read_points(folder) if _file(folder, "points3D").is_file() else {}
     return Model(_part(folder, "cameras"), _part(folder, "images"), points)
+
+
+def read_points(folder: Path) -> dict[int, ModelPoint]:
+    """The points of a model alone; errors as of `read_model`."""
+    return _part(folder, "points3D")
 
 
 def is_model(folder: Path) -> bool:
@@ -243,9 +248,9 @@ def _binary_images(data: _Bytes) -> dict[int, ModelImage]:
 
 def _binary_points(data: _Bytes) -> dict[int, ModelPoint]:
     def point() -> tuple[int, ModelPoint]:
-        number, x, y, z, _, _, _, error, length = data.take("Q3d3BdQ")
+        number, x, y, z, red, green, blue, error, length = data.take("Q3d3BdQ")
         images = data.array(SEEN, length)["image"].astype(np.int64)
-        return number, ModelPoint(np.array([x, y, z]), error, images)
+        return number, ModelPoint(np.array([x, y, z]), error, images, (red, green, blue))
 
     return data.each(point)
 
@@ -305,9 +310,9 @@ def _shown(line: str) -> str:
 def _text_points(text: str) -> dict[int, ModelPoint]:
     out = {}
     for line in filter(None, _lines(text)):
-        number, x, y, z, _, _, _, error, *track = line.split()
-        images = np.array(track[::2], dtype=np.int64)
-        out[int(number)] = ModelPoint(np.array([float(x), float(y), float(z)]), float(error), images)
+        number, x, y, z, red, green, blue, error, *track = line.split()
+        xyz, images = np.array([x, y, z], dtype=np.float64), np.array(track[::2], dtype=np.int64)
+        out[int(number)] = ModelPoint(xyz, float(error), images, (int(red), int(green), int(blue)))
     return out
 
 

@@ -1,6 +1,9 @@
-"""PLY files (Turk 1994, "The PLY Polygon File Format"): points or triangle meshes, binary, little endian.
+"""PLY files (Turk 1994, "The PLY Polygon File Format"), binary, little endian: points, triangle meshes, 3D Gaussians.
 
-Vertices carry x, y, z, then normals nx, ny, nz where there are some, and 8-bit sRGB red, green, blue.
+Vertices of points and meshes carry x, y, z, then normals nx, ny, nz where there are some, and 8-bit sRGB red, green,
+blue. Gaussians have the published program's layout, which viewers of 3D Gaussian splatting open, all 32-bit floats:
+x y z, nx ny nz (zero), f_dc_0..2 (colour: RGB = 0.5 + SH0 f_dc), opacity (before the sigmoid), scale_0..2 (logarithms
+of the standard deviations), rot_0..3 (unit quaternion w x y z).
 """
 
 from collections.abc import Sequence
@@ -10,6 +13,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 TYPES = {"f4": "float", "u1": "uchar"}
+SH0 = 0.28209479177387814  # the spherical harmonic of degree 0: 1 / (2 sqrt(pi))
+OF_SPLATS = (
+    "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+)
 FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
@@ -29,13 +36,33 @@ def write_ply(
     codes = np.round(255 * rgb.clip(0, 1))
     for name, values in zip(layout.names or (), [*lengths, *codes.T], strict=True):
         vertices[name] = values
-    head = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
-    head += [f"element vertex {len(xyz)}"]
-    head += [f"property {TYPES[layout[name].str[1:]]} {name}" for name in layout.names or ()]
+    head = [f"property {TYPES[layout[name].str[1:]]} {name}" for name in layout.names or ()]
     body = vertices.tobytes()
     if faces is not None:
         head += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         rows = np.empty(len(faces), FACE)
         rows["count"], rows["vertices"] = 3, faces
         body += rows.tobytes()
-    path.write_bytes("\n".join([*head, "end_header", ""]).encode("ascii", "replace") + body)
+    _write(path, len(xyz), head, body, comments)
+
+
+def write_splat_ply(
+    path: Path,
+    xyz: Float[np.ndarray, "n 3"],
+    rgb: Float[np.ndarray, "n 3"],
+    logits: Float[np.ndarray, " n"],
+    log_scales: Float[np.ndarray, "n 3"],
+    quats: Float[np.ndarray, "n 4"],
+    comments: Sequence[str] = (),
+) -> None:
+    """Write Gaussians; colours in [0, 1], quaternions w x y z of any length but 0."""
+    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    values = [xyz, np.zeros_like(xyz), (rgb - 0.5) / SH0, logits[:, None], log_scales, unit]
+    body = np.concatenate(values, axis=1).astype("<f4").tobytes()
+    _write(path, len(xyz), [f"property float {name}" for name in OF_SPLATS], body, comments)
+
+
+def _write(path: Path, count: int, properties: list[str], body: bytes, comments: Sequence[str]) -> None:
+    head = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    head += [f"element vertex {count}", *properties, "end_header", ""]
+    path.write_bytes("\n".join(head).encode("ascii", "replace") + body)

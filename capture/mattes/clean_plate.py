@@ -24,9 +24,8 @@ LEAST_NOISE = 1.5  # grey levels; compression and rounding leave no less
 SURE, MAYBE = 8.0, 3.5  # multiples of the noise: subject; and where the cut decides
 DARKEST_SHADOW = 0.4  # of the light; what is darker is taken for the subject
 SHADOW_COLOUR = 3.0  # multiples of the noise a shadow's colour may be off
-SHADOW_ROUGH = (
-    0.06  # standard deviation of the logarithm of a shadow's factor within a few pixels, beyond noise
-)
+# Standard deviation of the logarithm of a shadow's factor within a few pixels, beyond noise.
+SHADOW_ROUGH = 0.06
 ITERATIONS = 2
 UNSTEADY = 3.0  # multiples of the noise between the quartiles: no one colour lasts half of the clip
 SAME = 3.0  # multiples of the noise: the same colour

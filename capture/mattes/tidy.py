@@ -5,9 +5,8 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 SPECK = 0.02  # of the largest piece: smaller pieces are noise, leaves, reflections
-PINHOLE = (
-    0.01  # of the subject: smaller holes are noise (larger ones, such as below an arm, are seen through)
-)
+# Of the subject: smaller holes are noise (larger ones, such as below an arm, are seen through).
+PINHOLE = 0.01
 RIM_PX = 1  # the outermost pixels mix subject and background
 
 

@@ -27,8 +27,8 @@ from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.capture.simulate.film import Film
 from devrf.capture.simulate.folder import OutputFolder
 from devrf.capture.simulate.models import MODELS
-from devrf.capture.simulate.rig import look_at
 from devrf.capture.simulate.studio import Studio
+from devrf.capture.view_axes import look_at
 
 RADIUS = 4.0  # of the cameras' hemisphere; the models stay within 1.35 of its centre
 ANGLE = 0.6911112  # of view over the picture's shorter side, radians; Blender's for the NeRF data sets

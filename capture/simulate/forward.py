@@ -27,10 +27,10 @@ from devrf.capture.simulate.dataset_options import ForwardOptions
 from devrf.capture.simulate.film import Film
 from devrf.capture.simulate.folder import OutputFolder
 from devrf.capture.simulate.models import MODELS
-from devrf.capture.simulate.rig import look_at
 from devrf.capture.simulate.scenes import Paint, picture_on_quad, texture
 from devrf.capture.simulate.shapes import Model, Part, rigid, turn
 from devrf.capture.simulate.studio import Studio
+from devrf.capture.view_axes import look_at
 
 DISTANCE = 4.9  # of the cameras' plane from the model's middle: all of it is seen from everywhere
 WALL_Y = 1.6  # behind everything that moves

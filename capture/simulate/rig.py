@@ -12,6 +12,7 @@ from jaxtyping import Float
 from devrf.capture.camera import Camera
 from devrf.capture.simulate.scenes import CENTRE
 from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.view_axes import look_at
 
 CLAPPER = np.array([0.05, 0.0, 1.25])
 BOARD_AZIMUTH_DEG = 180.0  # behind the object, seen from the fixed cameras
@@ -111,19 +112,6 @@ def board_pose(options: SessionOptions) -> Float[np.ndarray, "4 4"]:
     middle = 0.72 * outward + [0, 0, 0.66]
     pose[:3, 3] = middle - half[0] * x - half[1] * y
     return pose
-
-
-def look_at(
-    position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], roll_deg: float = 0.0
-) -> Float[np.ndarray, "3 4"]:
-    """cam_from_world of a camera at `position` that looks at `target`, the world's z up in its picture."""
-    z = (target - position) / np.linalg.norm(target - position)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    y = np.cross(z, x)
-    c, s = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
-    R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ np.stack([x, y, z])
-    return np.column_stack([R, -R @ position])
 
 
 def _lens(rng: np.random.Generator, size: tuple[int, int], fov_deg: float, k1: float) -> Camera:

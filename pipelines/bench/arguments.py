@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -142,14 +142,9 @@ def of_a_scene(
 
         command.__doc__ = measure.__doc__
         command.__annotations__ = {name: annotation for name, (annotation, _) in options.items()}
-        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [
-                inspect.Parameter(
-                    name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
-                )
-                for name, (annotation, default) in options.items()
-            ]
-        )
+        parameter = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+        parameters = [parameter(name, annotation=of, default=value) for name, (of, value) in options.items()]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         group.command(measure.__name__)(command)
 
     return add

@@ -9,6 +9,8 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.watch import Watch
 
+VIEWS = 6  # of the test views, spread over time
+
 
 class Looks:
     """PSNR of a few test views while a model is trained, off the clock.
@@ -16,13 +18,12 @@ class Looks:
     Args:
         scene: Its moving test views are looked at.
         every_s: Seconds of training to the second look; later ones come less often.
-        views: How many test views, spread over time.
     """
 
-    def __init__(self, scene: Scene, every_s: float, views: int = 6) -> None:
+    def __init__(self, scene: Scene, every_s: float) -> None:
         scene = scene.in_box_frame()
         test = sorted((f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.time or 0.0, f.index))
-        chosen = sorted({round(n) for n in np.linspace(0, len(test) - 1, min(views, len(test)))})
+        chosen = sorted({round(n) for n in np.linspace(0, len(test) - 1, min(VIEWS, len(test)))})
         self._cameras = [(test[n].camera.scaled(scene.image_scale), test[n].time) for n in chosen]
         self._true = [
             load_image(test[n], scene.image_scale, scene.background).astype(np.float32) / 255 for n in chosen

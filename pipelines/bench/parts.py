@@ -99,16 +99,8 @@ def run_parts(bench: Bench, names: Sequence[str], seeds: Sequence[int], json_pat
         for one in judged
     }
     chart = gains_chart(json_path.with_suffix(".png"), drawn, title) if judged else None
-    return bench.publish(
-        None,
-        rows,
-        json_path,
-        seeds,
-        chart,
-        benchmark="parts",
-        parts={one.part.name: one.as_dict() for one in judged},
-        not_in_use=unused,
-    )
+    about = {"parts": {one.part.name: one.as_dict() for one in judged}, "not_in_use": unused}
+    return bench.publish(None, rows, json_path, seeds, chart, benchmark="parts", **about)
 
 
 def gains_of(whole: Sequence[dict[str, Any]], without: Sequence[dict[str, Any]]) -> dict[str, Gain]:

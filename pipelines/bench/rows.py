@@ -96,7 +96,9 @@ def print_rows(talk: Talk, title: str, rows: Sequence[Row]) -> None:
         talk.say(why)
 
 
-def print_table(talk: Talk, title: str, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> None:
+def print_table(
+    talk: Talk, title: str | None, headings: Sequence[str], lines: Iterable[Sequence[str]]
+) -> None:
     """Lines under headings; the first column stands left, and so does one whose heading ends with a star."""
     if talk.loudness == "quiet":
         return

@@ -91,18 +91,14 @@ def run_speed(
     }
     title = f"{bench.run.config.name}, {device_name(bench.run.device)}"
     chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
-    return bench.publish(
-        f"Speed and accuracy, {bench.run.config.name}",
-        rows,
-        json_path,
-        [bench.run.config.reconstruct.seed],
-        chart,
-        benchmark="speed",
-        front=front,
-        set={name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
-        curves={one.case.name: one.looks for one in found},
-        published=[vars(row) for row in PUBLISHED],
-    )
+    about = {
+        "front": front,
+        "set": {name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
+        "curves": {one.case.name: one.looks for one in found},
+        "published": [vars(row) for row in PUBLISHED],
+    }
+    title, seeds = f"Speed and accuracy, {bench.run.config.name}", [bench.run.config.reconstruct.seed]
+    return bench.publish(title, rows, json_path, seeds, chart, benchmark="speed", **about)
 
 
 def pareto(found: Sequence[Measured], axis: str) -> list[Measured]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from devrf.calibration.field.matching import Features
 from devrf.calibration.rigs.rig import ARBITRARY
+from devrf.capture.amounts import GB, size_text
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import DevrfError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
@@ -16,15 +17,16 @@ from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at
 from devrf.pipelines.board_spec import board_spec
+from devrf.pipelines.budget.disk import room_of
+from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.check.boards import board_rows
 from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
 from devrf.pipelines.check.clocks import clock_rows
-from devrf.pipelines.check.resources import resource_rows
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
 from devrf.pipelines.health.rig import scale_rows
-from devrf.pipelines.health.rows import HealthRow, Verdict, note, worst
+from devrf.pipelines.health.rows import HealthRow, Verdict, note, row, worst
 from devrf.pipelines.stages import ingest
 
 Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
@@ -46,7 +48,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     begin = time.monotonic()
     if config.kind == "dataset":
         sections = {FILES: [note("data set", "can be read; there are no raw files to look at")]}
-        sections[RESOURCES] = resource_rows(config, scene_dir, run_dir)
+        sections[RESOURCES] = _resources(config, scene_dir, run_dir)
     else:
         with talk.progress("checking") as progress:
             sections = look_at_capture(config, scene_dir, run_dir, progress)
@@ -105,7 +107,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
     sections["scale"] = _scale(config)
     sections[FILES] = left_out(config, session, scene_dir)
-    sections[RESOURCES] = resource_rows(config, scene_dir, run_dir)
+    sections[RESOURCES] = _resources(config, scene_dir, run_dir)
     return {title: rows for title, rows in sections.items() if rows}
 
 
@@ -124,6 +126,21 @@ def left_out(config: SceneConfig, session: CaptureSession, scene_dir: Path) -> l
     clips = [clip for clip in find_material(scene_dir).clips if clip.resolve() not in used]
     names = ", ".join(str(clip.relative_to(scene_dir)) for clip in clips)
     return [note("clips in this folder that scene.yaml does not use", names)] if clips else []
+
+
+def _resources(config: SceneConfig, scene_dir: Path, run_dir: Path) -> list[HealthRow]:
+    """What a run may use. How much it will need is not known before."""
+    room = room_of(config, scene_dir, run_dir)
+    return [
+        row(
+            "room for the run folder",
+            room.count / GB,
+            f"GB, because {room.bound}",
+            fail=0.0,
+            remedy=f"{room.remedy[0].upper()}{room.remedy[1:]}.",
+        ),
+        note("main memory that a run may use", size_text(allowed_bytes(config))),
+    ]
 
 
 def _number(count: int, what: str) -> str:

@@ -6,17 +6,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
 from devrf.capture.durable import write_json
 from devrf.capture.errors import InputError
 from devrf.capture.writable import check_file, check_folder
-from devrf.pipelines.bench.rows import PIPE_WIDTH
+from devrf.pipelines.bench.rows import print_table
 from devrf.pipelines.compare.differing import differing_code, differing_config, differing_versions
 from devrf.pipelines.compare.measures import MEASURES, Difference, differences, seed_differences, value_of
 from devrf.pipelines.compare.runs import ComparedRun, common_views, find_runs, limits_of
-from devrf.pipelines.console import Talk, console_on
+from devrf.pipelines.console import Talk
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.report.pictures import picture_uri
 from devrf.pipelines.report.run import METRICS, at, evenly
@@ -146,16 +143,8 @@ def build_page(runs: Sequence[ComparedRun], found: dict[str, Any], table: Sequen
 
 def _print(talk: Talk, runs: Sequence[ComparedRun], found: dict[str, Any], rows: Sequence[Any]) -> None:
     """The measures as a table, a line for each limit, and what differs in the configuration."""
-    if talk.loudness == "quiet":
-        return
-    table = Table(box=SIMPLE_HEAD)
-    table.add_column("")
-    for run in runs:
-        table.add_column(run.name, justify="right", overflow="fold")
-    for name, cells in rows:
-        table.add_row(name, *(f"{value}\n{gain} {words}".strip() for value, gain, words in cells))
-    width = None if talk.out.is_terminal else PIPE_WIDTH
-    console_on(talk.out.file, width=width).print(table)
+    lines = [(name, *(f"{v}\n{gain} {words}".strip() for v, gain, words in cells)) for name, cells in rows]
+    print_table(talk, None, ["", *(run.name for run in runs)], lines)
     for name, why in found["not_compared"].items():
         talk.say(f"not compared: {name}: {why}", style="yellow")
     for note in found["notes"]:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from devrf.capture.formats.splat_ply import write_splat_ply
+from devrf.capture.formats.ply import write_splat_ply
 from devrf.pipelines.export import splats as shared
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import AXES, Trained, bounds_of

@@ -36,10 +36,10 @@ def made_from_of(run_dir: Path, plan: Film) -> str:
     return hashlib.blake2b(json.dumps(value).encode(), digest_size=16).hexdigest()
 
 
-def finished_film(folder: Path) -> str | None:
-    """What a finished film was made from; None where there is none."""
+def read_made_from(file: Path) -> str | None:
+    """What a film was made from, by its `film.json` or that of its kept pictures; None where there is none."""
     try:
-        return str(read_json(folder / FILM)["made_from"])
+        return str(read_json(file)["made_from"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

@@ -18,7 +18,7 @@ from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.disk_told import disk_told
-from devrf.pipelines.film.about import FILM, READS, film_json, finished_film, made_from_of
+from devrf.pipelines.film.about import FILM, READS, film_json, made_from_of, read_made_from
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.plan import Film, planned
 from devrf.pipelines.run_command import said_of_stale, stale
@@ -36,9 +36,8 @@ if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.model import DynamicModel
 
 BASE_BYTES = 900_000_000  # the process while it unpacks a model: the example's
-PIXEL_BYTES = (
-    230  # that a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more
-)
+# That a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more.
+PIXEL_BYTES = 230
 LAYER_BYTES = 100  # and for each other layer; measured: 61 for depth and flow together
 GOES_ON = "what was made is kept, and the same command goes on from there"
 
@@ -72,7 +71,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     for line in notes:
         talk.say(f"  note: {line}", style="yellow")
     made_from = made_from_of(job.run_dir, plan)
-    if finished_film(folder) == made_from:
+    if read_made_from(folder / FILM) == made_from:
         talk.say(f"  film: {folder} is made of the same model with the same options; nothing to do")
         return folder
     with stopped_by_signals(), _told(folder):
@@ -131,7 +130,7 @@ def _folder(job: Run, asked: Asked) -> Path:
     else:
         folder = asked.out.expanduser().resolve()
     check_folder(folder, "--out")
-    if folder.is_dir() and any(folder.iterdir()) and finished_film(folder) is None:
+    if folder.is_dir() and any(folder.iterdir()) and read_made_from(folder / FILM) is None:
         text = f"--out {folder}: holds files that are no film; name another folder, or empty it"
         raise InputError("folder-exists", text)
     check_folder(folder.parent, "--out")

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.capture.durable import read_json, write_json
+from devrf.capture.durable import write_json
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.flow_files import Flow, read_flow_file, write_flow_file
 from devrf.capture.picture_files import read_pixels, write_png
+from devrf.pipelines.film.about import read_made_from
 from devrf.pipelines.film.draw import Picture
 from devrf.pipelines.runner.lock import LOCK
 
@@ -41,7 +42,7 @@ class Kept:
 
     def begin(self, made_from: str) -> bool:
         """Make the folder, or go on in it; True where pictures of another film were there and are gone."""
-        same = _made_from(self.folder) == made_from
+        same = read_made_from(self.folder / MADE_FROM) == made_from
         other = (self.folder / MADE_FROM).is_file() and not same
         self.folder.mkdir(parents=True, exist_ok=True)
         for path in self.folder.iterdir() if not same else ():
@@ -112,10 +113,3 @@ def _write(path: Path, value: np.ndarray | Flow) -> None:
 
 def _read(path: Path) -> np.ndarray | Flow:
     return read_flow_file(path) if path.suffix == ".npz" else read_pixels(path)
-
-
-def _made_from(folder: Path) -> str | None:
-    try:
-        return read_json(folder / MADE_FROM)["made_from"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None

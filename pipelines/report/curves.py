@@ -70,12 +70,12 @@ def speed(run: RunFolder) -> dict[str, Any] | None:
 
 
 def stability(run: RunFolder) -> dict[str, Any] | None:
-    """Where this scene's result breaks under damage: the suite beside the run folder, whose page has its charts."""
+    """Where this scene's result breaks under damage: the suite beside the run folder, with its chart."""
     file = f"../{run.path.name}-bench/stability.json"
     if not run.object(file, "axes") or not run.object(file, "points"):
         return None
-    page = f"{file.removesuffix('.json')}.html"
-    return {"file": file, "page": page if (run.path / page).is_file() else file}
+    chart = f"{file.removesuffix('.json')}.png"
+    return {"file": file, "chart": chart if (run.path / chart).is_file() else None}
 
 
 def _training(run: RunFolder, stage: str) -> list[Chart]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from devrf.capture.colmap_points import read_colmap_points
 from devrf.capture.errors import DevrfError
+from devrf.capture.formats.colmap_model import read_points
 from devrf.pipelines.report.charts import LINES, MUTED, Chart, draw
 from devrf.pipelines.report.run import RunFolder, is_number
 
@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 
 RIG = "rig/rig.json"
 MAX_POINTS = 5000  # more makes pages and the viewer heavy
-POINTS_WITHIN = (
-    1.5  # times the extent of cameras; farther points (a window's view) would shrink the rest to a dot
-)
+# Times the extent of cameras; farther points (a window's view) would shrink the rest to a dot.
+POINTS_WITHIN = 1.5
 MAX_NAMES = 12  # of more cameras than this names cover the drawing
 LOOK = 0.1  # of the extent: how long the line is that shows where a camera looks
 
@@ -32,9 +31,10 @@ def sweep_points(run: RunFolder) -> tuple[Float[np.ndarray, "n 3"], Float[np.nda
     if not folder.is_dir():
         return none, none, ""
     try:
-        xyz, rgb = read_colmap_points(folder)
+        points = read_points(folder).values()
     except DevrfError as error:
-        return none, none, f"Points left out: {error}."
+        return none, none, f"Points left out: {error}; run with --force static_poses."
+    xyz, rgb = (np.array([getattr(p, key) for p in points]).reshape(-1, 3) for key in ("xyz", "rgb"))
     factor = run.at(RIG, "scale.factor")  # from the sweep's unit to the rig's, in which the scene is
     xyz = xyz * (float(factor) if is_number(factor) else 1.0)
     keep = np.random.default_rng(0).permutation(len(xyz))[:MAX_POINTS]

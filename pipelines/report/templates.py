@@ -10,6 +10,7 @@ from typing import Any
 
 from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 
+from devrf.pipelines.console import duration
 from devrf.pipelines.report.run import is_number
 
 FOLDER = Path(__file__).parent
@@ -26,16 +27,6 @@ def readable(value: int | float, digits: int = 2, sign: bool = False) -> str:
     small = value != 0 and abs(value) < 0.5 * 10**-digits
     shown = f"{value:.2g}" if small else f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "\u2212")
     return f"+{shown}" if sign and value > 0 else shown
-
-
-def duration(seconds: int | float) -> str:
-    """Seconds as people say them."""
-    if seconds < 1:
-        return "under 1 s"
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = seconds / 60
-    return f"{minutes:.1f} min" if minutes < 60 else f"{minutes / 60:.1f} h"
 
 
 @cache

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from devrf.capture.durable import read_json
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
@@ -103,12 +102,13 @@ def load(run_dir: Path, found: Found, device: str, before: Loaded) -> Loaded:
         scene = read_scene(run_dir / "scene")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DevrfError("scene-unreadable", f"{run_dir / 'scene'}: cannot be read ({error})") from None
-    points = _points(run_dir, scene)
+    run = RunFolder(run_dir, stage_names(), {})
+    points = _points(run, scene)
     if found.rest is None and found.rest_training is None:
         return Loaded(found, scene.in_box_frame(), None, *points)
     from devrf.reconstruct.as_trained import as_trained
 
-    metrics = _json(run_dir / "deformation" / "metrics.json") if found.finished and found.motion else {}
+    metrics = run.object("deformation/metrics.json") if found.finished and found.motion else {}
     trained = as_trained(scene, metrics).in_box_frame()
     return Loaded(found, trained, _model(run_dir, found, device), *points)
 
@@ -146,9 +146,9 @@ def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
     return model if found.motion is not None else replace(model, motion=None, in_motion=None, movers=None)
 
 
-def _points(run_dir: Path, scene: Scene) -> tuple[Float32[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+def _points(run: RunFolder, scene: Scene) -> tuple[Float32[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     """The sweep's points with their colours; those of a data set are grey."""
-    xyz, colours, _ = sweep_points(RunFolder(run_dir, stage_names(), {}))
+    xyz, colours, _ = sweep_points(run)
     if not len(xyz) and scene.points is not None:
         xyz = scene.points.xyz
         colours = np.full(xyz.shape, GREY)
@@ -168,11 +168,3 @@ def _written(path: Path) -> int | None:
         return path.stat().st_mtime_ns
     except OSError:
         return None
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        value = read_json(path)
-    except (OSError, ValueError):
-        return {}
-    return value if isinstance(value, dict) else {}

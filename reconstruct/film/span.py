@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
+from devrf.capture.view_axes import look_at
 
 FULL_TURN_GAP = np.radians(100)  # cameras that leave no larger gap than this are all around
 SMOOTHING = 0.15  # of the span in azimuth: how far a camera's distance and elevation reach along the path
@@ -76,10 +77,7 @@ class Span:
 
     def looking(self, lens: Camera, position: Float[np.ndarray, "3"]) -> Camera:
         """A camera that looks at the target, up being up in its picture."""
-        z = unit(self.target - position)
-        x = unit(np.cross(z, self.up))
-        R = np.stack([x, np.cross(z, x), z])
-        return replace(lens, cam_from_world=np.column_stack([R, -R @ position]))
+        return replace(lens, cam_from_world=look_at(position, self.target, self.up))
 
 
 def film_cameras(scene: Scene) -> tuple[Camera, ...]:

@@ -4,12 +4,13 @@ from functools import cache
 
 import cv2
 import numpy as np
-from tests.calibration.conftest import DOWN, look_at
+from tests.calibration.conftest import DOWN
 
 from devrf.calibration.colour.surface import View
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
 from devrf.capture.srgb import LEVEL_OF_LINEAR, LINEAR_OF_LEVEL
+from devrf.capture.view_axes import look_at
 
 SIZE = (480, 360)
 FOCAL = 420.0

@@ -17,6 +17,7 @@ from devrf.calibration.sweep.static_poses import (
     recover_static_poses,
 )
 from devrf.capture.exif import Exif, Place
+from devrf.capture.view_axes import look_at
 
 SIZE = (320, 240)
 FOCAL = 300.0
@@ -25,17 +26,6 @@ DOWN = (0.0, 0.0, -1.0)  # what is up where z points down
 
 Path3 = Callable[[float], tuple[np.ndarray, np.ndarray]]
 Draw = Callable[[np.ndarray, int], np.ndarray]
-
-
-def look_at(
-    centre: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-) -> np.ndarray:
-    """cam_from_world [3, 4] of a level camera."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
-    return np.column_stack([R, -R @ centre])
 
 
 def around(angle: float) -> tuple[np.ndarray, np.ndarray]:

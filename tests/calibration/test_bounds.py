@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import look_at
 
 from devrf.calibration.bounds import MotionMask, focus_point, motion_mask, scene_bounds, visual_hull
 from devrf.calibration.intrinsics import guess
 from devrf.capture.camera import Camera
+from devrf.capture.view_axes import look_at
 
 BALL = np.array([0.4, -0.3, 0.2])
 RADIUS = 0.3

@@ -5,12 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.calibration.conftest import look_at
 
 from devrf.calibration.bundle.adjust import adjust
 from devrf.calibration.bundle.model import jacobians, reprojection
 from devrf.calibration.bundle.problem import Problem, Timing, bodies_of_points
 from devrf.capture.camera import Camera
+from devrf.capture.view_axes import look_at
 
 TRUE_K = np.array([500.0, 505.0, 321.0, 239.0, -0.1, 0.02, 0.001, -0.002, 0.003])
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.calibration.conftest import look_at
 from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
@@ -30,6 +29,7 @@ from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, HealthError
+from devrf.capture.view_axes import look_at
 from devrf.pipelines.joint_clips import JointViews
 from devrf.pipelines.stages import rig as rig_stage
 

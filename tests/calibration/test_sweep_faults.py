@@ -13,13 +13,14 @@ import pytest
 from tests.refused import refused
 
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.sweep.agreement import disagreement_deg
 from devrf.calibration.sweep.checks import picture_fits, two_zooms
+from devrf.calibration.sweep.sfm_mapping import disagreement_deg
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
+from devrf.capture.view_axes import look_at
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, loop_rows, mask_rows, sweep_rows
 
@@ -357,11 +358,8 @@ def test_an_open_loop_is_named():
     cameras = []
     for angle in np.linspace(0, 2 * np.pi, n, endpoint=False):
         centre = 4 * np.array([np.cos(angle), 0, np.sin(angle)])
-        z = -centre / 4
-        x = np.cross([0, 1.0, 0], z)
-        R = np.stack([x, np.cross(z, x), z])
         K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
-        cameras.append(Camera(*SIZE, K, np.column_stack([R, -R @ centre])))
+        cameras.append(Camera(*SIZE, K, look_at(centre, np.zeros(3), (0.0, -1.0, 0.0))))
 
     def sweep(closed: bool) -> SweepModel:
         image, point = [], []

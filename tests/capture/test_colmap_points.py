@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.colmap_points import read_colmap_points
 from devrf.capture.errors import CaptureError
+from devrf.capture.formats.colmap_model import read_points
 
 POINTS = [((0.5, -1.25, 3.0), (10, 20, 30), 2), ((1e-3, 2e3, -7.0), (255, 0, 128), 5)]
 
@@ -22,9 +22,14 @@ def _bytes() -> bytes:
     return out
 
 
+def _read(folder):
+    points = read_points(folder).values()
+    return np.array([point.xyz for point in points]), np.array([point.rgb for point in points])
+
+
 def test_reads_what_was_written(tmp_path):
     (tmp_path / "points3D.bin").write_bytes(_bytes())
-    xyz, rgb = read_colmap_points(tmp_path)
+    xyz, rgb = _read(tmp_path)
     np.testing.assert_array_equal(xyz, [p[0] for p in POINTS])
     np.testing.assert_array_equal(rgb, [p[1] for p in POINTS])
 
@@ -33,18 +38,18 @@ def test_reads_what_was_written(tmp_path):
 def test_cut_off_file_is_named(tmp_path, keep):
     (tmp_path / "points3D.bin").write_bytes(_bytes()[:keep])
     with refused("file-damaged", "points3D.bin", kind=CaptureError):
-        read_colmap_points(tmp_path)
+        read_points(tmp_path)
 
 
 def test_damaged_count_does_not_allocate(tmp_path):
     (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", 2**60) + b"\0" * 100)
     with refused("file-damaged", kind=CaptureError):
-        read_colmap_points(tmp_path)
+        read_points(tmp_path)
 
 
 def test_missing_file_is_named(tmp_path):
-    with refused("file-unreadable", "static_poses", kind=CaptureError):
-        read_colmap_points(tmp_path)
+    with refused("file-missing", "points3D.bin", kind=CaptureError):
+        read_points(tmp_path)
 
 
 def test_agrees_with_colmap(tmp_path):
@@ -60,7 +65,7 @@ def test_agrees_with_colmap(tmp_path):
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, timeout=60)
     assert done.returncode == 0, done.stderr.decode()
     truth = np.load(tmp_path / "truth.npz")
-    xyz, rgb = read_colmap_points(tmp_path)
+    xyz, rgb = _read(tmp_path)
     order, order_truth = np.lexsort(xyz.T), np.lexsort(truth["xyz"].T)
     np.testing.assert_array_equal(xyz[order], truth["xyz"][order_truth])
     np.testing.assert_array_equal(rgb[order], truth["rgb"][order_truth])

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.refused import refused
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -23,21 +24,9 @@ def scene(tmp_path) -> Scene:
     camera = Camera(40, 30, K, np.column_stack([R, [0.1, 0.2, 3.0]]), lens)
     still = PosedFrame(tmp_path / "a.png", camera, "static", 0, None, None, "test")
     moving = replace(still, camera_name="cam0", index=7, time_s=1.23456789, time=0.1, split="train")
-    return Scene(
-        static=(still,),
-        dynamic=(moving,),
-        box_from_world=np.diag([2.0, 2, 2, 1]),
-        aabb=np.array([[-1, -0.5, -1], [1, 0.5, 1.0]]),
-        near=0.1,
-        far=4.0,
-        kind="inward",
-        background="shell",
-        t0_s=1.0,
-        t1_s=3.0,
-        rest_time=0.0,
-        image_scale=0.5,
-        metric=True,
-    )
+    box = np.array([[-1, -0.5, -1], [1, 0.5, 1.0]])
+    times = {"t0_s": 1.0, "t1_s": 3.0}
+    return scene_of((still,), (moving,), 2.0, aabb=box, **times, image_scale=0.5, metric=True)
 
 
 def test_a_scene_comes_back_as_it_was(scene, tmp_path):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.refused import refused
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -13,7 +14,7 @@ from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.formats.transforms import read_transforms, write_transforms
 from devrf.capture.look import Look, as_matrix
 from devrf.capture.picture_files import read_pixels, write_png
-from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.capture.scene import PosedFrame, load_image
 from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
 
 MIXED = as_matrix(np.array([[0.9, 0.06, -0.02], [0.03, 0.8, 0.05], [0.0, -0.04, 1.1]]))
@@ -104,10 +105,7 @@ def test_exports_hold_corrected_pictures(tmp_path, dataset_format):
     look = Look(MIXED)
     still = replace(frame(tmp_path / "a.png", look), camera_name="static", time=None, time_s=None)
     second = replace(still, index=1, look=None)
-    scene = Scene(
-        (still, second), (), np.eye(4), np.array([[-1.0] * 3, [1.0] * 3]), 0.1, 2.0, "inward", "shell", 0.0, 1.0, None,
-        1.0,
-    )  # fmt: skip
+    scene = scene_of((still, second), far=2.0, rest_time=None)
     write_dataset(dataset_format, scene, tmp_path / "out")
     files = sorted(p for p in (tmp_path / "out").rglob("*.png") if "images_" not in str(p.parent))
     assert len(files) == 2

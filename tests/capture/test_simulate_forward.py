@@ -11,7 +11,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.simulate.dataset_options import ForwardOptions
 from devrf.capture.simulate.forward import llff_poses, normalised, simulate_forward
-from devrf.capture.simulate.rig import look_at
+from devrf.capture.view_axes import look_at
 
 SIZE = (64, 40)
 TINY = ForwardOptions(static_views=4, times=3, spp=4)

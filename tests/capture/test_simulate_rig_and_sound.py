@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devrf.capture.simulate.rig import board_pose, fixed_cameras, look_at, sweep_cameras
+from devrf.capture.simulate.rig import board_pose, fixed_cameras, sweep_cameras
 from devrf.capture.simulate.scenes import CENTRE, ROOM_HALF_M
 from devrf.capture.simulate.session import clapper_distance_m
 from devrf.capture.simulate.session_options import SessionOptions
@@ -15,6 +15,7 @@ from devrf.capture.simulate.sound import (
     make_burst,
     record,
 )
+from devrf.capture.view_axes import look_at
 
 OPTIONS = SessionOptions()
 

@@ -10,7 +10,7 @@ import pytest
 from devrf.capture.camera import Camera
 from devrf.capture.simulate.mitsuba import linear_to_srgb, srgb_to_linear
 from devrf.capture.simulate.renderer import Renderer
-from devrf.capture.simulate.rig import board_pose, look_at
+from devrf.capture.simulate.rig import board_pose
 from devrf.capture.simulate.scenes import picture_on_quad
 from devrf.capture.simulate.sensor import (
     BoardCamera,
@@ -22,6 +22,7 @@ from devrf.capture.simulate.sensor import (
     expose,
 )
 from devrf.capture.simulate.session_options import SessionOptions
+from devrf.capture.view_axes import look_at
 
 SQUARES, SQUARE_M = (8, 6), 0.06
 

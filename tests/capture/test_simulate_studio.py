@@ -5,9 +5,9 @@ import pytest
 
 from devrf.capture.camera import Camera
 from devrf.capture.simulate.mitsuba import linear_to_srgb
-from devrf.capture.simulate.rig import look_at
 from devrf.capture.simulate.scenes import Mesh
 from devrf.capture.simulate.studio import Studio, straight_srgb
+from devrf.capture.view_axes import look_at
 
 SIZE = 32
 K = np.array([[40.0, 0, SIZE / 2], [0, 40.0, SIZE / 2], [0, 0, 1.0]])

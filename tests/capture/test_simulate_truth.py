@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate.rig import look_at
 from devrf.capture.simulate.scenes import WOOD, Mesh, texture
 from devrf.capture.simulate.shapes import turn, turned
 from devrf.capture.simulate.studio import Studio
 from devrf.capture.simulate.truth import Surface, corners_of, flow_bwd
+from devrf.capture.view_axes import look_at
 
 pytest.importorskip("mitsuba")
 SIZE, FOCAL = 48, 60.0

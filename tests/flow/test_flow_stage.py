@@ -7,12 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene, write_scene
 from devrf.capture.formats.flow_files import write_flow_file
 from devrf.capture.progress import no_progress
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame
 from devrf.flow.dis import DisFlow
 from devrf.flow.store import read_flows
 from devrf.pipelines.config.scene import SceneConfig
@@ -37,20 +38,8 @@ def context(tmp_path) -> StageContext:
             cv2.imwrite(str(path), wide[:, 60 - STEP * n : 188 - STEP * n])
             split = "test" if name == "witness" else "train"
             frames.append(PosedFrame(path, camera, name, 10 + n, 0.1 * n, n / 4, split))
-    scene = Scene(
-        static=(),
-        dynamic=tuple(reversed(frames)),  # the order in the file is not the order in time
-        box_from_world=np.eye(4),
-        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
-        near=0.1,
-        far=3.0,
-        kind="inward",
-        background="shell",
-        t0_s=0.0,
-        t1_s=0.4,
-        rest_time=None,
-        image_scale=0.5,
-    )
+    # The order in the file is not the order in time.
+    scene = scene_of((), frames[::-1], far=3.0, t1_s=0.4, rest_time=None, image_scale=0.5)
     for folder in ("scene", "flow"):
         (tmp_path / folder).mkdir()
     write_scene(tmp_path / "scene", scene)

@@ -7,10 +7,12 @@ import numpy as np
 import torch
 import yaml
 from PIL import Image
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame, Scene, Split
+from devrf.capture.view_axes import look_at
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
@@ -47,11 +49,8 @@ def ball_model() -> DynamicModel:
 def ring_camera(angle: float, height: float = 0.6, distance: float = 3.0) -> Camera:
     """A camera that looks at the origin; +z is up, lengths are box units."""
     eye = distance * np.array([np.cos(angle), np.sin(angle), height]) / np.hypot(1, height)
-    z = -eye / np.linalg.norm(eye)
-    x = np.cross(z, [0, 0, 1.0]) / np.linalg.norm(np.cross(z, [0, 0, 1.0]))
-    R = np.stack([x, np.cross(z, x), z])
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-    return Camera(WIDTH, HEIGHT, K, np.column_stack([R, -R @ eye]))
+    return Camera(WIDTH, HEIGHT, K, look_at(eye, np.zeros(3)))
 
 
 def ball_scene(folder: Path) -> Scene:
@@ -67,25 +66,14 @@ def ball_scene(folder: Path) -> Scene:
         return PosedFrame(path, camera, name, n, None if time is None else 1 + 2 * time, time, split)
 
     angles = {"cam0": -0.6, "cam1": 0.0, "cam2": 0.6, "witness": 0.3}
-    return Scene(
-        static=tuple(frame("static", n, -1 + 0.2 * n, None, "train") for n in range(10)),
-        dynamic=tuple(
-            frame(name, n, angle, n / 4, "test" if name == "witness" else "train")
-            for name, angle in angles.items()
-            for n in range(5)
-        ),
-        box_from_world=np.diag([1 / WORLD_PER_BOX] * 3 + [1.0]),
-        aabb=AABB,
-        near=0.3,
-        far=9.0,
-        kind="inward",
-        background="white",
-        t0_s=1.0,
-        t1_s=3.0,
-        rest_time=0.0,
-        image_scale=1.0,
-        metric=True,
-    )
+    sweep = [frame("static", n, -1 + 0.2 * n, None, "train") for n in range(10)]
+    fixed = [
+        frame(name, n, angle, n / 4, "test" if name == "witness" else "train")
+        for name, angle in angles.items()
+        for n in range(5)
+    ]
+    box = {"aabb": AABB, "near": 0.3, "far": 9.0, "background": "white", "metric": True}
+    return scene_of(sweep, fixed, 1 / WORLD_PER_BOX, **box, t0_s=1.0, t1_s=3.0)
 
 
 def write_ball_run(folder: Path) -> Path:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
@@ -157,26 +158,14 @@ def _scene(frames: dict[str, list[Path]]) -> Scene:
         look = Look(gains=(1.25, 1.25, 1.25)) if name == "cam0" else None
         return PosedFrame(frames[name][n], camera, name, n, time, time, split, look=look)  # type: ignore[arg-type]
 
-    return Scene(
-        static=tuple(posed("static", n, "test" if n == 0 else "train", None) for n in range(6)),
-        dynamic=tuple(
-            posed(name, n, "train" if name == "cam0" else "test", n / 3)
-            for name in frames
-            if name != "static"
-            for n in range(4)
-        ),
-        box_from_world=np.diag([2.0, 2.0, 2.0, 1.0]),
-        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
-        near=0.5,
-        far=6.0,
-        kind="inward",
-        background="shell",
-        t0_s=0.0,
-        t1_s=1.0,
-        rest_time=0.0,
-        image_scale=1.0,
-        metric=True,
-    )
+    sweep = [posed("static", n, "test" if n == 0 else "train", None) for n in range(6)]
+    fixed = [
+        posed(name, n, "train" if name == "cam0" else "test", n / 3)
+        for name in frames
+        if name != "static"
+        for n in range(4)
+    ]
+    return scene_of(sweep, fixed, 2.0, near=0.5, far=6.0, metric=True)
 
 
 def _write_evaluate(run: Path, rng: np.random.Generator) -> None:

@@ -45,10 +45,15 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return f"file://{tmp_path}/store"
 
 
-def run(folder: Path, names: list[str], url: str, until: str = "scene") -> tuple[int, dict[str, Any]]:
+def store_in(folder: Path) -> str:
+    return f"file://{folder}/store"
+
+
+def run(folder: Path, names: str, until: str = "scene", url: str | None = None) -> tuple[int, dict[str, Any]]:
     paths = [folder / name for name in names]
     machines = command.Machines(jobs=1, device="cpu")
-    code = command.batch(Talk("quiet"), paths, Options(until=until), machines, folder / "out", url)
+    store = url or store_in(folder)
+    code = command.batch(Talk("quiet"), paths, Options(until=until), machines, folder / "out", store)
     rows = json.loads((folder / "out/batch.json").read_text())["scenes"]
     return code, {row["name"]: row for row in rows}
 
@@ -69,13 +74,13 @@ def pull(store: Store, stage: str, run_dir: Path) -> None:
         store.pull("a", stage, store.stamps("a", [stage])[stage], workspace)
 
 
-def stored_task(folder: Path, url: str, name: str, stages: tuple[str, ...] = ("scene",)) -> Task:
+def stored_task(folder: Path, name: str = "a") -> tuple[Task, Stored]:
     """A task on a scene whose raw files are in the store."""
-    path = tiny_scene(folder, name)
+    path, url = tiny_scene(folder, name), store_in(folder)
     inputs = inputs_of(load_scene(path), path, Digests(folder / name / "run"))
     Store(url).put_inputs(inputs.here)
     stored = Stored(url, name, path.name, inputs.files)
-    return Task(path, folder / name / "run", stages, ("--device", "cpu"), 1, False, stored=stored)
+    return Task(path, folder / name / "run", ("scene",), ("--device", "cpu"), 1, False, stored=stored), stored
 
 
 def test_a_full_disk_where_stages_are_looked_at_is_an_error_of_the_scene(
@@ -93,35 +98,32 @@ def test_a_full_disk_where_stages_are_looked_at_is_an_error_of_the_scene(
 def test_scenes_come_and_results_go(tmp_path: Path, scratch: Path, url: str) -> None:
     for name in ("a", "b"):
         tiny_scene(tmp_path, name)
-    code, rows = run(tmp_path, ["a", "b"], url)
+    code, rows = run(tmp_path, "ab", url=url)
     assert code == DONE, rows
     assert rows["a"]["made"] == rows["b"]["made"] == ["scene"]
     assert not (tmp_path / "a/run").exists()  # it worked on a copy
     assert not list(scratch_dir(url).glob("scenes/*")) and not list(scratch_dir(url).glob("inputs/*"))
     assert list(Store(url).stamps("a", ["ingest", "scene"])) == ["scene"]
-    code, rows = run(tmp_path, ["a", "b"], url)  # what is stored is fresh
+    code, rows = run(tmp_path, "ab", url=url)  # what is stored is fresh
     assert code == DONE and rows["a"]["made"] == [] and rows["a"]["nodes"] == []
     picture = tmp_path / "b/data/train/r_0.png"
     picture.write_bytes((tmp_path / "b/data/train/r_1.png").read_bytes())
-    code, rows = run(tmp_path, ["a", "b"], url)
+    code, rows = run(tmp_path, "ab", url=url)
     assert code == DONE
     assert rows["a"]["made"] == [] and rows["b"]["made"] == ["scene"]
 
 
 def test_a_machine_that_has_done_its_part_keeps_nothing(tmp_path: Path, scratch: Path) -> None:
-    url = f"file://{tmp_path}/store"
-    assert run_task(stored_task(tmp_path, url, "a")).code == DONE  # others train it
-    assert list(Store(url).stamps("a", ["scene"])) == ["scene"]
-    assert not list(scratch_dir(url).glob("*/*"))
+    assert run_task(stored_task(tmp_path)[0]).code == DONE  # others train it
+    assert list(Store(store_in(tmp_path)).stamps("a", ["scene"])) == ["scene"]
+    assert not list(scratch_dir(store_in(tmp_path)).glob("*/*"))
 
 
 def test_scenes_side_by_side_do_not_disturb_each_other(
     tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    url = f"file://{tmp_path}/store"
-    (a, b, c), get = (stored_task(tmp_path, url, name) for name in "abc"), Store.get_inputs
-    assert a.stored is not None and b.stored is not None and c.stored is not None
-    first, second = Scratch(a.stored), Scratch(b.stored)
+    ((a, in_a), (b, in_b), (c, in_c)), get = (stored_task(tmp_path, n) for n in "abc"), Store.get_inputs
+    first, second = Scratch(in_a), Scratch(in_b)
     first.fetch(a.stages)
 
     def first_ends_meanwhile(store: Store, files: dict[Any, Path]) -> None:
@@ -131,23 +133,21 @@ def test_scenes_side_by_side_do_not_disturb_each_other(
     monkeypatch.setattr(Store, "get_inputs", first_ends_meanwhile)
     second.fetch(b.stages)  # its pictures are those of the first, but its scene.yaml is its own
     assert {path.name for path in second.scene.parent.rglob("*.png")} == {f"r_{n}.png" for n in range(9)}
-    there = scratch_dir(url) / "inputs"
-    assert {path.name for path in there.iterdir()} == {digest for _, digest in b.stored.files.values()}
+    there = scratch_dir(store_in(tmp_path)) / "inputs"
+    assert {path.name for path in there.iterdir()} == {digest for _, digest in in_b.files.values()}
     fetched = []
     monkeypatch.setattr(Store, "get_inputs", lambda store, files: (fetched.extend(files), get(store, files)))
-    Scratch(c.stored).fetch(c.stages)
-    assert fetched == [c.stored.files["scene.yaml"]]  # the pictures are here
+    Scratch(in_c).fetch(c.stages)
+    assert fetched == [in_c.files["scene.yaml"]]  # the pictures are here
 
 
 def test_what_lies_in_the_scratch_is_compared_before_it_is_used(tmp_path: Path, scratch: Path) -> None:
-    url = f"file://{tmp_path}/store"
-    task = stored_task(tmp_path, url, "a")
-    assert task.stored is not None
-    here = Scratch(task.stored)
-    (scratch_dir(url) / "inputs").mkdir()
+    task, stored = stored_task(tmp_path)
+    here = Scratch(stored)
+    (scratch_dir(store_in(tmp_path)) / "inputs").mkdir()
     for name in ("scene.yaml", "data/train/r_0.png"):
-        size, digest = task.stored.files[name]
-        (scratch_dir(url) / "inputs" / digest).write_bytes(b"x" * size)
+        size, digest = stored.files[name]
+        (scratch_dir(store_in(tmp_path)) / "inputs" / digest).write_bytes(b"x" * size)
     for _ in range(2):  # the true ones are shared from then on
         here.fetch(task.stages)
         for name in ("scene.yaml", "data/train/r_0.png"):
@@ -159,11 +159,9 @@ def test_what_lies_in_the_scratch_is_compared_before_it_is_used(tmp_path: Path, 
 def test_a_scratch_that_others_could_write_is_refused(
     tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
-    url = f"file://{tmp_path}/store"
-    task = stored_task(tmp_path, url, "a")
-    assert task.stored is not None
-    Scratch(task.stored)
-    folder = scratch_dir(url)
+    task, stored = stored_task(tmp_path)
+    Scratch(stored)
+    folder = scratch_dir(store_in(tmp_path))
     assert folder.stat().st_mode & 0o777 == 0o700
     if how == "open":
         folder.chmod(0o770)
@@ -174,16 +172,14 @@ def test_a_scratch_that_others_could_write_is_refused(
         monkeypatch.setattr(scratch_module, "scratch_dir", lambda url: folder)
         monkeypatch.setattr(os, "getuid", lambda: folder.stat().st_uid + 1)
     with refused("scratch-not-own", folder, SCRATCH, "0700", kind=InputError):
-        Scratch(task.stored)
+        Scratch(stored)
     assert run_task(task).code == BAD_INPUT and not list(folder.iterdir())
 
 
 def test_one_content_under_two_names_comes_twice(tmp_path: Path, scratch: Path) -> None:
-    url = f"file://{tmp_path}/store"
-    task = stored_task(tmp_path, url, "a")
-    assert task.stored is not None
-    files = task.stored.files
-    twins = Scratch(replace(task.stored, files={**files, "again/r_0.png": files["data/train/r_0.png"]}))
+    task, stored = stored_task(tmp_path)
+    files = stored.files
+    twins = Scratch(replace(stored, files={**files, "again/r_0.png": files["data/train/r_0.png"]}))
     for _ in range(2):  # from the store, and from here
         twins.fetch(task.stages)
         found = (twins.scene.parent / "again/r_0.png", twins.scene.parent / "data/train/r_0.png")
@@ -191,10 +187,8 @@ def test_one_content_under_two_names_comes_twice(tmp_path: Path, scratch: Path) 
 
 
 def test_nothing_is_laid_out_where_a_run_works(tmp_path: Path, scratch: Path) -> None:
-    url = f"file://{tmp_path}/store"
-    task = stored_task(tmp_path, url, "a")
-    assert task.stored is not None
-    here = Scratch(task.stored)
+    task, stored = stored_task(tmp_path)
+    here = Scratch(stored)
     here.scene.parent.mkdir(parents=True)
     (here.scene.parent / "in use").touch()
     with Workspace(here.run_dir):
@@ -210,26 +204,24 @@ def test_a_stage_that_is_damaged_in_the_store_is_made_anew(
 ) -> None:
     for name in ("a", "b"):
         tiny_scene(tmp_path, name)
-    url = f"file://{tmp_path}/store"
-    assert run(tmp_path, ["a", "b"], url)[0] == DONE
+    assert run(tmp_path, "ab")[0] == DONE
     (health,) = tmp_path.glob("store/runs/a/scene/*/health.json")
     health.unlink() if missing else health.write_bytes(b"x" * health.stat().st_size)
     shutil.rmtree(tmp_path / "out")
-    code, rows = run(tmp_path, ["a", "b"], url)
+    code, rows = run(tmp_path, "ab")
     assert code == DONE and rows["a"]["made"] == ["scene"] and rows["b"]["made"] == []
     assert "scene" in rows["a"]["message"] and ("digest" in rows["a"]["message"]) != missing
-    code, rows = run(tmp_path, ["a", "b"], url)
+    code, rows = run(tmp_path, "ab")
     assert code == DONE and rows["a"]["made"] == [] == rows["a"]["nodes"]
 
 
 @pytest.mark.full
 def test_damage_that_only_the_next_stage_meets_is_mended_too(tmp_path: Path, scratch: Path) -> None:
     tiny_scene(tmp_path, "a")
-    url = f"file://{tmp_path}/store"
-    assert run(tmp_path, ["a"], url)[0] == DONE
+    assert run(tmp_path, "a")[0] == DONE
     (stored,) = tmp_path.glob("store/runs/a/scene/*/scene.json")
     stored.unlink()
-    code, rows = run(tmp_path, ["a"], url, "canonical")  # the batch takes the stage for fresh
+    code, rows = run(tmp_path, "a", "canonical")  # the batch takes the stage for fresh
     assert code == DONE and rows["a"]["made"] == ["scene", "canonical"], rows
 
 
@@ -280,19 +272,19 @@ def test_a_store_that_does_not_answer_is_an_error(
 def test_raw_files_are_read_once(tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny_scene(tmp_path, "a")
     tiny_scene(tmp_path, "b")
-    url, read, listed = f"file://{tmp_path}/store", [], []
+    read, listed = [], []
     entry, there = digests._entry, Store._list
     monkeypatch.setattr(digests, "RACY_S", 0.0)  # the files were only just written
     monkeypatch.setattr(digests, "_entry", lambda path: (read.append(path), entry(path))[1])
     monkeypatch.setattr(
         Store, "_list", lambda store, folder: (listed.append(folder), there(store, folder))[1]
     )
-    assert run(tmp_path, ["a", "b"], url)[0] == DONE
+    assert run(tmp_path, "ab")[0] == DONE
     raw = sorted(path for name in "ab" for path in (tmp_path / name).rglob("*") if path.is_file())
     assert sorted(path for path in read if tmp_path / "scratch" not in path.parents) == raw
     assert listed.count("inputs") == 1  # by the batch; what it has put there it knows
     read.clear()
-    assert run(tmp_path, ["a", "b"], url)[0] == DONE
+    assert run(tmp_path, "ab")[0] == DONE
     assert not read
 
 
@@ -301,15 +293,14 @@ def test_another_machine_goes_on_from_the_store(
     tmp_path: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tiny_scene(tmp_path, "a")
-    url = f"file://{tmp_path}/store"
-    assert run(tmp_path, ["a"], url, "scene")[0] == DONE
+    assert run(tmp_path, "a", "scene")[0] == DONE
     monkeypatch.setenv(SCRATCH, str(tmp_path / "another"))
-    code, rows = run(tmp_path, ["a"], url, "report")
+    code, rows = run(tmp_path, "a", "report")
     assert code == DONE, rows
     assert rows["a"]["made"] == ["canonical", "evaluate", "render", "report"]
     assert rows["a"]["numbers"]["psnr"] > 0
     assert Path(rows["a"]["report"]).is_file()
-    assert run(tmp_path, ["a"], url, "report")[1]["a"]["made"] == []
+    assert run(tmp_path, "a", "report")[1]["a"]["made"] == []
 
 
 @pytest.mark.parametrize("uploading", [False, True])
@@ -328,23 +319,21 @@ def test_a_raw_file_that_vanishes_ends_its_scene_alone(
         return real(*arguments) if uploading else found
 
     monkeypatch.setattr(owner, name, vanishes)
-    code, rows = run(tmp_path, ["a", "b"], f"file://{tmp_path}/store")
+    code, rows = run(tmp_path, "ab")
     assert code == FAILED and "r_3.png" in rows["a"]["message"]
     assert rows["b"]["code"] == DONE
 
 
 def test_an_odd_stamp_in_the_scratch_is_not_stored(tmp_path: Path, scratch: Path) -> None:
-    url = f"file://{tmp_path}/store"
-    task = stored_task(tmp_path, url, "a")
-    assert task.stored is not None
-    here = Scratch(task.stored)
+    task, stored = stored_task(tmp_path)
+    here = Scratch(stored)
     _, stamp = finished(here.run_dir / "scene", "x", "1")
     for odd in ({"files": 5}, {"files": {"sub/result.txt": 5}}, {"id": 5}):
         (here.run_dir / "scene/stamp.json").write_text(json.dumps(stamp | odd))
         here.push(task.stages)
         assert not (tmp_path / "store/runs").exists()
     assert run_task(task).code == DONE  # it was made anew
-    assert list(Store(url).stamps("a", task.stages)) == ["scene"]
+    assert list(Store(store_in(tmp_path)).stamps("a", task.stages)) == ["scene"]
 
 
 def test_half_a_push_is_none(tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -395,13 +384,14 @@ def test_a_stamp_cannot_lead_out_of_the_stage(tmp_path: Path, url: str) -> None:
 
 def test_an_input_is_fetched_once_and_checked(tmp_path: Path, scratch: Path) -> None:
     tiny_scene(tmp_path, "a")
-    url = f"file://{tmp_path}/store"
-    assert run(tmp_path, ["a"], url)[0] == DONE
+    assert run(tmp_path, "a")[0] == DONE
     for file in (tmp_path / "store/inputs").iterdir():
         file.write_bytes(file.read_bytes()[:-1] + b"?")
     shutil.rmtree(tmp_path / "store/runs")
-    code, rows = run(tmp_path, ["a"], url)
-    assert code == FAILED and all(w in rows["a"]["message"] for w in (f"{url}/inputs/", "digest"))
+    code, rows = run(tmp_path, "a")
+    assert code == FAILED and all(
+        w in rows["a"]["message"] for w in (f"{store_in(tmp_path)}/inputs/", "digest")
+    )
 
 
 def test_files_outside_of_the_scenes_folder_come_too(tmp_path: Path) -> None:
@@ -422,9 +412,9 @@ def test_a_data_set_beside_its_scene_file_comes(tmp_path: Path, scratch: Path) -
     scene.write_text(scene.read_text().replace("path: data", "path: ."))  # as `simulate` writes it
     found = inputs_of(load_scene(scene), scene, Digests(tmp_path / "run"))
     assert len(found.files) == 1 + 1 + 9 and not found.overrides
-    code, rows = run(tmp_path, ["a"], f"file://{tmp_path}/store")
+    code, rows = run(tmp_path, "a")
     assert code == DONE, rows
-    assert run(tmp_path, ["a"], f"file://{tmp_path}/store")[1]["a"]["nodes"] == []
+    assert run(tmp_path, "a")[1]["a"]["nodes"] == []
 
 
 def test_what_is_reached_through_a_link_comes_too(tmp_path: Path) -> None:
@@ -455,11 +445,11 @@ def test_a_store_that_cannot_be_used_is_a_mistake_of_the_command(
     (tmp_path / "file").touch()
     monkeypatch.setattr(command, "look", lambda *arguments, **options: pytest.fail("looked"))
     with refused(refusal, f"--store {wrong.format(tmp_path)}: ", kind=InputError):
-        run(tmp_path, ["a"], wrong.format(tmp_path))
+        run(tmp_path, "a", url=wrong.format(tmp_path))
 
 
 def test_the_store_is_left_as_it_was_by_the_look_at_it(tmp_path: Path) -> None:
-    Store(f"file://{tmp_path}/store").check()
+    Store(store_in(tmp_path)).check()
     assert not list((tmp_path / "store").iterdir())
 
 

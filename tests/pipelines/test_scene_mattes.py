@@ -17,6 +17,7 @@ from devrf.calibration.colour.match import Apart
 from devrf.calibration.colour.result import Colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.capture import view_axes
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.scene_files import read_scene
@@ -38,12 +39,8 @@ GREEN = np.array([40, 170, 80], np.uint8)
 def look_at(angle: float, height: float = 0.5, distance: float = 2.5) -> Camera:
     """A camera around the origin; z is up."""
     eye = distance * np.array([np.cos(angle), np.sin(angle), height])
-    forward = -eye / np.linalg.norm(eye)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-    return Camera(WIDTH, HEIGHT, K, np.column_stack([R, -R @ eye]))
+    return Camera(WIDTH, HEIGHT, K, view_axes.look_at(eye, np.zeros(3)))
 
 
 def ball(camera: Camera, centre: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ def suite(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, l
     return out, arguments, done.said
 
 
-def test_the_suite_writes_rows_charts_and_a_page(suite: tuple[Path, list[str], str]) -> None:
+def test_the_suite_writes_rows_and_a_chart(suite: tuple[Path, list[str], str]) -> None:
     out, _, said_on_the_way = suite
     content = json.loads((out / "stability.json").read_text())
     rows = {row["name"]: row for row in content["rows"]}
@@ -62,21 +62,16 @@ def test_the_suite_writes_rows_charts_and_a_page(suite: tuple[Path, list[str], s
         assert rows[f"stability/{case}/stopped"]["value"] == 0
     for axis in ("flow_wrong", "pose_noise"):
         assert f"stability/{axis}/failure point" in rows and f"stability/{axis}/notice point" in rows
-        assert (out / f"stability-{axis}.png").stat().st_size > 10_000
     assert {(c["axis"], c["seed"]) for c in content["cases"]} == {
         (n, 0) for n in ("undisturbed", *content["axes"])
     }
     kinds = {c["check"]: c["kind"] for case in content["cases"] for c in case["complaints"]}
     assert kinds and not [kind for kind in kinds.values() if "cam0" in kind or "cam1" in kind]
-    page = (out / "stability.html").read_text()
-    assert page.count("<img") == 3 and "turned" in page
     assert (out / "stability.png").stat().st_size > 10_000
     assert {"stability/recall", "stability/precision", "stability/undisturbed/complaints"} <= set(rows)
     known = content["heard"]
-    assert rows["stability/precision"]["value"] == known["precision"] and "Recall: of" in page
-    assert (
-        "pose_noise 16, seed 0" in known["spoken"]
-    )  # nothing of its pictures is found again where it should be
+    assert rows["stability/precision"]["value"] == known["precision"]
+    assert "pose_noise 16, seed 0" in known["spoken"]  # nothing is found again where it should be
     assert "pose_noise 16, seed 0" in said_on_the_way
 
 
@@ -217,7 +212,7 @@ def test_no_case_begins_after_the_time_that_was_given(
     assert "from 30 on nothing was begun after 0 minutes" in content["left_out"]["flow_wrong"]
     made = {(case["axis"], case["severity"]) for case in content["cases"]}
     assert made == {("undisturbed", 0.0), ("flow_wrong", 100.0), ("pose_noise", 16.0)}  # of the earlier run
-    assert late.with_suffix(".html").is_file()
+    assert late.with_suffix(".png").is_file()
 
 
 def _file(path: Path) -> int:

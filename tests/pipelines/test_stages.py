@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_dataset
@@ -77,7 +78,7 @@ def at_rest(forward: bool = False) -> Scene:
     """A scene of one picture; seen from one side it is modelled in normalised device coordinates."""
     frame = PosedFrame(Path("p.png"), Camera(8, 8, np.eye(3), np.eye(3, 4)), "static", 0, None, None, "train")
     box, ndc = np.array([[-1.0, -1, -1], [1, 1, 1]]), (1.0, 1.0) if forward else None
-    return Scene((frame,), (), np.eye(4), box, 0.0, 1.0, "inward", "white", 0.0, 1.0, None, 1.0, ndc=ndc)
+    return scene_of((frame,), aabb=box, near=0.0, far=1.0, background="white", rest_time=None, ndc=ndc)
 
 
 @pytest.mark.parametrize("forward", [False, True])

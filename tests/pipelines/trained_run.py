@@ -7,9 +7,10 @@ import numpy as np
 import yaml
 from tests.reconstruct.conftest import around, look_at
 from tests.reconstruct.moving_ball import AABB, moving_ball
+from tests.scenes import scene_of
 
 from devrf.capture.formats import write_scene
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, save_motion, save_rest
@@ -36,10 +37,8 @@ def write_trained(folder: Path, *, moves: bool = True) -> Path:
 
     sweep = [frame("static", n, eye, None) for n, eye in enumerate(around(8, 0.0, 0.4))]
     fixed = [frame(f"cam{c}", n, eye, n / 2) for c, eye in enumerate(around(3, 0.5, 0.3)) for n in range(3)]
-    scene = Scene(
-        tuple(sweep), tuple(fixed) if moves else (), np.diag([SCALE] * 3 + [1.0]), AABB.double().numpy(), 0.3, 9.0,
-        "inward", "white", 0.0, 1.0, 0.0, 1.0, metric=True,
-    )  # fmt: skip
+    box = {"aabb": AABB.double().numpy(), "near": 0.3, "far": 9.0, "background": "white", "metric": True}
+    scene = scene_of(sweep, fixed if moves else (), SCALE, **box)
     write_scene(run / "scene", scene)
     (run / "canonical").mkdir()
     save_rest(run / "canonical" / FILE, model.rest)

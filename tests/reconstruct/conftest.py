@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.scenes import scene_of
 
+from devrf.capture import view_axes
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.motion import MotionField
@@ -75,12 +77,8 @@ def look_at(
     eye: np.ndarray, width: int = WIDTH, height: int = HEIGHT, target: tuple[float, ...] = (0.0, 0.0, 0.0)
 ) -> Camera:
     """A camera that looks at a place; +z is up."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
     K = np.array([[FOCAL, 0, width / 2 + 0.7], [0, FOCAL * 1.02, height / 2 - 0.4], [0, 0, 1]])
-    return Camera(width, height, K, np.column_stack([R, -R @ eye]))
+    return Camera(width, height, K, view_axes.look_at(eye, np.array(target)))
 
 
 def held_rays(cameras: list[Camera], pictures: list[np.ndarray], times: list[float] | None = None) -> RaySet:
@@ -117,20 +115,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Ball:
         for c, eye in enumerate(around(4, 0.5, 0.5))
         for n in range(5)
     ]
-    scene = Scene(
-        static=tuple(static),
-        dynamic=tuple(dynamic),
-        box_from_world=np.eye(4),
-        aabb=np.array([[-1.0] * 3, [1.0] * 3]),
-        near=0.5,
-        far=6.0,
-        kind="inward",
-        background="white",
-        t0_s=0.0,
-        t1_s=1.0,
-        rest_time=0.0,
-        image_scale=1.0,
-    )
+    scene = scene_of(static, dynamic, near=0.5, far=6.0, background="white")
     return Ball(scene, TRAVEL, RADIUS)
 
 

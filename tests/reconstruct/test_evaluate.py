@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
@@ -43,24 +44,10 @@ def scene(tmp_path) -> Scene:
         cv2.imwrite(str(path), at(time)[..., ::-1])
         return PosedFrame(path, camera, name, index, None if time is None else 2 * time, time, split)
 
-    return Scene(
-        static=(frame("static", 0, None, "test"), frame("static", 1, None, "train")),
-        dynamic=tuple(
-            frame(name, 3 * n, t, split)
-            for name, split in (("witness", "test"), ("cam0", "train"))
-            for n, t in enumerate(TIMES)
-        ),
-        box_from_world=np.diag([0.5, 0.5, 0.5, 1.0]),
-        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
-        near=0.1,
-        far=4.0,
-        kind="inward",
-        background="shell",
-        t0_s=0.0,
-        t1_s=2.0,
-        rest_time=0.0,
-        image_scale=SCALE,
-    )
+    sweep = frame("static", 0, None, "test"), frame("static", 1, None, "train")
+    splits = {"witness": "test", "cam0": "train"}
+    fixed = [frame(name, 3 * n, t, splits[name]) for name in splits for n, t in enumerate(TIMES)]
+    return scene_of(sweep, fixed, 0.5, t1_s=2.0, image_scale=SCALE)
 
 
 def model(error: float, moves: bool = True) -> tuple[Callable, list]:

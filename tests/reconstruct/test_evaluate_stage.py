@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.reconstruct.conftest import look_at
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
@@ -51,26 +52,13 @@ def context(tmp_path: Path) -> StageContext:
             path, camera.moved(MOVE), name, index, None if time is None else 2 * time, time, split
         )
 
-    scene = Scene(
-        static=tuple(
-            frame("static", c, n, None, "test" if n % 4 == 0 else "train") for n, c in enumerate(sweep)
-        ),
-        dynamic=tuple(
-            frame(name, c, n, t, "test" if name == "witness" else "train")
-            for name, c in fixed.items()
-            for n, t in enumerate(TIMES)
-        ),
-        box_from_world=np.diag([0.5, 0.5, 0.5, 1.0]),
-        aabb=np.array([[-1.0, -1, -1], [1, 1, 1]]),
-        near=0.1,
-        far=4.0,
-        kind="inward",
-        background="shell",
-        t0_s=0.0,
-        t1_s=2.0,
-        rest_time=0.0,
-        image_scale=1.0,
-    )
+    still = [frame("static", c, n, None, "test" if n % 4 == 0 else "train") for n, c in enumerate(sweep)]
+    moving = [
+        frame(name, c, n, t, "test" if name == "witness" else "train")
+        for name, c in fixed.items()
+        for n, t in enumerate(TIMES)
+    ]
+    scene = scene_of(still, moving, 0.5, t1_s=2.0)
     for name in ("scene", "canonical", "deformation", "sync", "ingest", "evaluate", "render"):
         (run / name).mkdir(parents=True)
     write_scene(run / "scene", scene)

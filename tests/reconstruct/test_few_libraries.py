@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import write_png, to_8_bits
+from devrf.capture.view_axes import look_at
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
 from devrf.reconstruct.film.paths import orbit
@@ -36,10 +37,7 @@ MOTION = MotionOptions(levels=(2, 4), iterations=(2, 2), rays=64, importance=0.7
 
 def frame(name, index, angle, time, split):
     eye = 3 * np.array([np.cos(angle), np.sin(angle), 0.3])
-    z = -eye / np.linalg.norm(eye)
-    x = np.cross(z, [0, 0, 1.0]) / np.linalg.norm(np.cross(z, [0, 0, 1.0]))
-    R = np.stack([x, np.cross(z, x), z])
-    camera = Camera(32, 24, np.array([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]]), np.column_stack([R, -R @ eye]))
+    camera = Camera(32, 24, np.array([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]]), look_at(eye, np.zeros(3)))
     picture = np.full((24, 32, 4), (200, 90, 30, 0), np.uint8)
     left = 8 + int(4 * (time or 0))
     picture[6:18, left : left + 14, 3] = 255

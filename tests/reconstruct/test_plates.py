@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
@@ -37,10 +38,7 @@ def _scene(folder: Path, **changes: object) -> Scene:
         cv2.imwrite(str(path), picture[..., ::-1])
         frames.append(PosedFrame(path, CAMERA, "cam0", n, n / 10, n / 20, "train"))
     still = replace(frames[0], camera_name="static", time=None, time_s=None)
-    scene = Scene(
-        (still,), tuple(frames), np.eye(4), np.array([[-1.0] * 3, [1.0] * 3]), 0.1, 9.0, "inward", "shell",
-        0.0, 2.0, 0.0, 1.0,
-    )  # fmt: skip
+    scene = scene_of((still,), frames, far=9.0, t1_s=2.0)
     return replace(scene, **changes)
 
 

@@ -10,9 +10,10 @@ import pytest
 import torch
 from tests.reconstruct.conftest import around, look_at
 from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
+from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.splat_ply import write_splat_ply
+from devrf.capture.formats.ply import write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
 from devrf.reconstruct.model import DynamicModel, render_view
@@ -155,10 +156,8 @@ def ball_scene(folder: Path, moves: bool = True) -> Scene:
              for n, eye in enumerate(around(8, 0.0, 0.4))]  # fmt: skip
     moving = [PosedFrame(folder / "x.png", look_at(eye), f"cam{c}", n, float(n), float(n), "train")
               for c, eye in enumerate(around(3, 0.5, 0.3)) for n in range(2)]  # fmt: skip
-    return Scene(
-        tuple(sweep), tuple(moving) if moves else (), np.eye(4), np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]]),
-        0.3, 9.0, "inward", "white", 0.0, 1.0, 0.0, 1.0,
-    )  # fmt: skip
+    box = np.array([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]])
+    return scene_of(sweep, moving if moves else (), aabb=box, near=0.3, far=9.0, background="white")
 
 
 @pytest.fixture(scope="module")

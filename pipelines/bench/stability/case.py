@@ -247,6 +247,4 @@ def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: floa
         stage.run(context)
         done.behind(context)
 
-    return replace(
-        stage, run=run, inputs=lambda config, scene_dir: {**stage.inputs(config, scene_dir), "damage": file}
-    )
+    return replace(stage, run=run, inputs=lambda *of: {**stage.inputs(*of), "damage": file})

@@ -9,15 +9,14 @@ from statistics import fmean
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.bench.rows import Row, publish
+from devrf.pipelines.bench.rows import Row
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import UNDISTURBED, Result, is_made, run_case
-from devrf.pipelines.bench.stability.chart import axis_chart, overview_chart
+from devrf.pipelines.bench.stability.chart import axes_chart
 from devrf.pipelines.bench.stability.damage.intact import DoesNotApply
 from devrf.pipelines.bench.stability.heard import SUFFERED_DB, Heard, heard
-from devrf.pipelines.bench.stability.page import build_page
 from devrf.pipelines.bench.stability.points import Points, bar_db, points
-from devrf.pipelines.bench.trainings import Bench, about, device_name, spread
+from devrf.pipelines.bench.trainings import Bench, spread
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.runner.run import Run
@@ -51,7 +50,7 @@ def run_stability(
         names: Axes.
         severities: How many of each axis, the worst among them; None: all.
         seeds: Of the trainings and of what is drawn at random.
-        json_path: Where the rows go; charts and the page are written beside it.
+        json_path: Where the rows go; the chart is drawn beside it.
         minutes: No case begins later; what there is by then, of earlier runs too, is written.
     Raises:
         DevrfError: The undisturbed scene has no result.
@@ -78,23 +77,19 @@ def run_stability(
             f"the undisturbed result gains less than {LEAST_GAIN_DB:g} dB over the scene at rest: "
             "only what stops the pipeline counts as a failure"
         )
-    _forecast(talk, out, names, severities, seeds, fmean(r.seconds for r in undisturbed))
     results: dict[str, list[Result]] = {}
     left_out: dict[str, str] = {}
     for name in names:
         for severity in AXES[name].some(severities):
             for seed in seeds:
                 if time.monotonic() >= until and not is_made(out, name, severity, seed):
-                    left_out.setdefault(
-                        name, f"from {severity:g} on nothing was begun after {minutes:g} minutes"
-                    )
+                    late = f"from {severity:g} on nothing was begun after {minutes:g} minutes"
+                    left_out.setdefault(name, late)
                     continue
                 try:
                     result, _ = run_case(base, out, name, severity, seed, scenes[seed])
-                except DoesNotApply as reason:
-                    left_out[name] = (
-                        f"does not apply: {reason}"  # of its worst severity, if only from there on
-                    )
+                except DoesNotApply as reason:  # of its worst severity, if only from there on
+                    left_out[name] = f"does not apply: {reason}"
                     break
                 _tell(talk, result)
                 results.setdefault(name, []).append(result)
@@ -109,56 +104,18 @@ def run_stability(
     for name, why in left_out.items():
         talk.say(f"{name}: {why}")
     json_path.parent.mkdir(parents=True, exist_ok=True)
-    charts = {
-        name: axis_chart(
-            json_path.with_name(f"{json_path.stem}-{name}.png"),
-            name,
-            AXES[name],
-            cases,
-            undisturbed,
-            found[name],
-        )
-        for name, cases in results.items()
+    chart = axes_chart(json_path.with_suffix(".png"), results, undisturbed, found)
+    shares = {name: getattr(known, name) for name in ("recall", "precision", "precision_or_early")}
+    more = {
+        "bar_db": bar,
+        "left_out": left_out,
+        "axes": {name: {"what": a.what, "unit": a.unit} for name, a in AXES.items() if name in results},
+        "points": {name: asdict(p) for name, p in found.items()},
+        "heard": asdict(known) | shares,
+        "cases": [asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
     }
-    overview = overview_chart(json_path.with_suffix(".png"), results, undisturbed, found)
-    page = json_path.with_suffix(".html")
-    title = f"{base.config.name}, {base.config.preset}, {device_name(base.device)}"
-    page.write_text(
-        build_page(title, undisturbed, results, found, known, overview, charts, left_out), encoding="utf-8"
-    )
-    publish(
-        talk,
-        f"Stability, {base.config.name}",
-        rows,
-        json_path,
-        benchmark="stability",
-        **about(Bench(base, out, scenes[seeds[0]], {}), seeds),
-        bar_db=bar,
-        left_out=left_out,
-        axes={name: {"what": a.what, "unit": a.unit} for name, a in AXES.items() if name in results},
-        points={name: asdict(p) for name, p in found.items()},
-        heard=asdict(known)
-        | {name: getattr(known, name) for name in ("recall", "precision", "precision_or_early")},
-        cases=[asdict(r) for r in (*undisturbed, *(r for cases in results.values() for r in cases))],
-    )
-    talk.say(f"  page: {page}")
-    return rows
-
-
-def _forecast(
-    talk: Talk, out: Path, names: Sequence[str], severities: int | None, seeds: Sequence[int], case_s: float
-) -> None:
-    """Say how long the suite will take: every case that is not there yet as long as the undisturbed one.
-
-    Less is needed where damage is done behind a late stage, more where a session is simulated again.
-    """
-    cases = [
-        (name, severity, seed) for name in names for severity in AXES[name].some(severities) for seed in seeds
-    ]
-    to_do = sum(not is_made(out, *case) for case in cases)
-    talk.say(
-        f"{len(cases)} cases, {to_do} of them to do; as long as the undisturbed one each: {duration(to_do * case_s)}"
-    )
+    title, bench = f"Stability, {base.config.name}", Bench(base, out, scenes[seeds[0]], {})
+    return bench.publish(title, rows, json_path, seeds, chart, benchmark="stability", **more)
 
 
 def _tell(talk: Talk, result: Result) -> None:
@@ -173,9 +130,8 @@ def _tell(talk: Talk, result: Result) -> None:
 def _rows(name: str, cases: Sequence[Result]) -> list[Row]:
     """Means and spreads over seeds; how many were stopped."""
     stopped = [r.stopped for r in cases if r.stopped is not None]
-    rows = [
-        Row(f"stability/{name}/stopped", float(len(stopped)), "seeds", why=stopped[0] if stopped else None)
-    ]
+    why = stopped[0] if stopped else None
+    rows = [Row(f"stability/{name}/stopped", float(len(stopped)), "seeds", why=why)]
     for measure, unit in MEASURES.items():
         values = [v for r in cases if (v := getattr(r, measure)) is not None]
         if values:
@@ -200,9 +156,8 @@ def _heard_rows(known: Heard) -> list[Row]:
     early = f"before the axis breaks: {'; '.join(known.early)}" if known.early else None
     said_anyway = f"said of the undisturbed scene: {'; '.join(known.alarms)}" if known.alarms else None
     recall = Row("stability/recall", known.recall, "", why=missed if known.broken else "nothing breaks")
-    precision = Row(
-        "stability/precision", known.precision, "", why=lost if known.spoken else "nothing is said"
-    )
+    why = lost if known.spoken else "nothing is said"
+    precision = Row("stability/precision", known.precision, "", why=why)
     return [
         recall.at_least(HEARD_GOAL),
         precision.at_least(HEARD_GOAL),
