@@ -10,14 +10,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 
-MOST = 24  # parts to begin with
-TURNS = 25  # of motions and labels
+MOST = 40  # parts to begin with
+TURNS = 25  # of motions and labels, at most
 EVEN = 2.0  # what agreeing with all neighbours is worth, in usual squared residuals
 MOTION = 3.0  # how much more motion counts than place in the choice of the first parts
 SAME = 0.75  # voxels: residual of two parts up to which they are one
+SURELY, WORSE = (
+    0.33,
+    1.4,
+)  # of it: two parts are one in any case; else only while the residual grows by less than this
 SMALL, SMALL_SAME = 50, 3.3  # points; so much more residual joins a part of fewer
 FEWEST = 8  # points that have a motion
-EVERY = 2  # moments that are looked at
+MOMENTS = 16  # that are looked at, spread over all
 
 Motions = tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3"]]
 """Rotation and translation at each moment: a point x at rest is at R x + t."""
@@ -57,7 +61,8 @@ def rigid_parts(
         voxel: Of the scene at rest, the unit of what counts as the same motion.
         seed: Of the choice of the first point.
     """
-    tracks = tracks[::EVERY].astype(np.float64)
+    looked_at = np.linspace(0, len(tracks) - 1, min(len(tracks), MOMENTS)).round().astype(int)
+    tracks = tracks[looked_at].astype(np.float64)
     labels = _first_parts(rest, tracks, np.random.default_rng(seed))
     beside = links.copy()
     beside.data = np.ones_like(beside.data)
@@ -68,7 +73,9 @@ def rigid_parts(
         cost = np.stack([residual(motion_of(rest[m], tracks[:, m]), rest, tracks) for m in mine])
         usual = max(float(np.median(cost.min(0))), 1e-7)
         agree = np.stack([np.asarray(beside @ m.astype(float)).ravel() / neighbours for m in mine])
-        labels = np.argmin(cost / usual - EVEN * agree, axis=0)
+        before, labels = labels, np.argmin(cost / usual - EVEN * agree, axis=0)
+        if np.array_equal(before, labels):
+            break
     return _merged(rest, tracks, beside, labels, SAME * voxel)
 
 
@@ -91,23 +98,32 @@ def _merged(
     rest: np.ndarray, tracks: np.ndarray, beside: csr_matrix, labels: np.ndarray, same: float
 ) -> Int[np.ndarray, " p"]:
     links = beside.tocoo()
+
+    def spread(points: np.ndarray) -> float:
+        """Root mean square distance of points from where one motion has them."""
+        motion = motion_of(rest[points], tracks[:, points])
+        return float(np.sqrt(residual(motion, rest[points], tracks[:, points]).mean()))
+
+    own = {int(a): spread(labels == a) for a in np.unique(labels)}
     known: dict[tuple[int, int], float] = {}
     while True:
         best: tuple[float, int, int] | None = None
         for a, b in _touching(labels[links.row], labels[links.col]):
             if (a, b) not in known:
-                both = (labels == a) | (labels == b)
-                motion = motion_of(rest[both], tracks[:, both])
-                rms = np.sqrt(residual(motion, rest[both], tracks[:, both]).mean())
-                few = min((labels == a).sum(), (labels == b).sum()) < SMALL
-                known[a, b] = rms / (SMALL_SAME * same if few else same)
+                together = spread((labels == a) | (labels == b))
+                sizes = (labels == a).sum(), (labels == b).sum()
+                apart = np.sqrt(np.average([own[a] ** 2, own[b] ** 2], weights=sizes))
+                few = min(sizes) < SMALL
+                limit = SMALL_SAME * same if few else min(same, max(WORSE * apart, SURELY * same))
+                known[a, b] = together / limit
             if known[a, b] < 1 and (best is None or known[a, b] < best[0]):
                 best = known[a, b], a, b
         if best is None:
             return np.unique(labels, return_inverse=True)[1]
         _, a, b = best
         labels = np.where(labels == b, a, labels)
-        known = {pair: rms for pair, rms in known.items() if not {a, b} & set(pair)}
+        own[a] = spread(labels == a)
+        known = {pair: value for pair, value in known.items() if not {a, b} & set(pair)}
 
 
 def _touching(one: np.ndarray, other: np.ndarray) -> Iterator[tuple[int, int]]:
