@@ -1,14 +1,30 @@
 """What masks of the subject say of a box and of sparse points, and what cameras see of the box."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
+from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import SparsePoints
 
 CELLS = 24  # along each side of the box, for what cameras see of it
+
+
+@dataclass(frozen=True)
+class CutOff:
+    """Something that moves beyond the box.
+
+    Attributes:
+        share: Of all that moves in the camera's picture.
+        place: Its middle, from the left and from the top, in the picture's sides.
+    """
+
+    share: float
+    place: tuple[float, float]
 
 
 def outside_box(
@@ -24,14 +40,24 @@ def outside_box(
         camera: In the world.
         box_from_world, aabb: The box.
     """
-    moved = camera.moved(box_from_world)
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays_d = moved.directions(np.stack([u, v], axis=-1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
-    enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
-    misses = ~(leave > np.maximum(enter, 0.0))
+    misses = _misses(camera, box_from_world, aabb)
     return (masks & misses).sum((1, 2)) / np.maximum(masks.sum((1, 2)), 1)
+
+
+def cut_off(
+    mask: MotionMask, box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> CutOff | None:
+    """The largest thing that moves beyond the box in a camera's picture; shadows and light are none."""
+    beyond = mask.moved & _misses(mask.camera, box_from_world, aabb)
+    pieces = np.empty(beyond.shape, dtype=np.int32)
+    if not ndimage.label(beyond, structure=np.ones((3, 3)), output=pieces):
+        return None
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    v, u = np.nonzero(pieces == sizes.argmax())
+    height, width = beyond.shape
+    share = float(sizes.max() / np.maximum(mask.moved.sum(), 1))
+    return CutOff(share, (float(u.mean() + 0.5) / width, float(v.mean() + 0.5) / height))
 
 
 def seen_by_fewer(
@@ -74,3 +100,16 @@ def points_of_subject(
     keep = 2 * np.bincount(points.obs_point, inside, len(points.xyz)) > sightings
     number, seen = np.cumsum(keep) - 1, keep[points.obs_point]
     return SparsePoints(points.xyz[keep], number[points.obs_point[seen]], points.obs_frame[seen])
+
+
+def _misses(
+    camera: Camera, box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> Bool[np.ndarray, "h w"]:
+    """Where rays of a camera in the world miss the box."""
+    moved = camera.moved(box_from_world)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays_d = moved.directions(np.stack([u, v], axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
+    enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
+    return ~(leave > np.maximum(enter, 0.0))

@@ -10,18 +10,11 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.bounds import (
-    MASK_SIDE_PX,
-    MAX_ERROR_PX,
-    MIN_TRACK,
-    Bounds,
-    MotionMask,
-    motion_mask,
-    scene_bounds,
-)
+from devrf.calibration.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, scene_bounds
 from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.colour.result import read_colours
+from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask, pattern_mask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
@@ -40,7 +33,6 @@ from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
 
 PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
-MASK_FRAMES = 24  # of a clip, for finding what moves
 TIME_SLACK_S = 1e-6
 
 
@@ -87,7 +79,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         masks,
         "what moves" if mattes is None else "the subject's mattes",
     )
-    context.health.extend(box_health(bounds, masks, mattes, dynamic))
+    context.health.extend(box_health(bounds, moves, mattes, dynamic))
     rest = None
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n and f.split == "train"] for n in moves}
@@ -229,7 +221,7 @@ def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask 
     for n in chosen:
         grey = cv2.resize(read_grey(files[n]), (small.width, small.height), interpolation=cv2.INTER_AREA)
         pictures.append(np.asarray(grey, dtype=np.uint8))
-    return MotionMask(small, motion_mask(pictures))
+    return MotionMask(small, motion_mask(pictures), pattern_mask(pictures))
 
 
 def _points(model: SweepModel, factor: float) -> SparsePoints:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.bounds import MotionMask
+from devrf.calibration.motion_masks import MotionMask
 from devrf.calibration.rest_moment import (
     RestSeen,
     middle_of,

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 from tests.calibration.conftest import look_at
 
-from devrf.calibration.bounds import MotionMask, focus_point, motion_mask, scene_bounds, visual_hull
+from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds, visual_hull
+from devrf.calibration.box_checks import cut_off
 from devrf.calibration.intrinsics import guess
+from devrf.calibration.motion_masks import MotionMask, motion_mask, pattern_mask
 from devrf.capture.camera import Camera
 
 BALL = np.array([0.4, -0.3, 0.2])
@@ -136,3 +139,111 @@ def test_a_subject_that_fills_most_of_the_picture_is_still_what_moves():
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
     mask = motion_mask(pictures)
     assert mask[:, 45:].mean() > 0.95 and mask[:, :35].mean() < 0.05
+
+
+def _clip(scene: np.ndarray, change, count: int = 24) -> list[np.ndarray]:
+    """Pictures of a scene with noise, changed at each n in [0, 1]."""
+    rng = np.random.default_rng(1)
+    pictures = []
+    for n in np.linspace(0, 1, count):
+        picture = scene + rng.normal(0, 1.5, scene.shape)
+        change(picture, float(n))
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+    return pictures
+
+
+def test_what_hardly_moves_counts_where_it_hangs_on_what_moves() -> None:
+    """An arm swings by much at its end and by 19 grey levels at its foot; as faint a change elsewhere is none."""
+    scene = np.random.default_rng(0).integers(80, 120, (90, 120)).astype(np.float64)
+
+    def swing(picture: np.ndarray, n: float) -> None:
+        picture[20:50, 30:50] += 90 * n
+        picture[50:75, 30:50] += 19 * n
+        picture[50:75, 90:110] += 19 * n
+
+    mask = motion_mask(_clip(scene, swing))
+    assert mask[22:73, 32:48].all() and not mask[:, 80:].any()
+
+
+def test_a_mover_that_is_seen_in_two_pictures_counts_and_in_one_does_not() -> None:
+    scene = np.random.default_rng(0).integers(80, 120, (90, 120)).astype(np.float64)
+
+    def flash(pictures: int):
+        def change(picture: np.ndarray, n: float) -> None:
+            if round(23 * n) in range(12, 12 + pictures):
+                picture[20:50, 30:50] = 230
+
+        return change
+
+    assert motion_mask(_clip(scene, flash(2)))[22:48, 32:48].all()
+    assert not motion_mask(_clip(scene, flash(1))).any()
+
+
+def test_a_shadow_changes_no_pattern_and_a_mover_does() -> None:
+    rng = np.random.default_rng(0)
+    scene = rng.integers(80, 200, (90, 120)).astype(np.float64)
+    mover = rng.integers(80, 200, (20, 20)).astype(np.float64)
+    soft = np.clip(1.2 - np.hypot(*(np.mgrid[:90, :120] - np.array([45, 90])[:, None, None])) / 25, 0, 1)
+
+    def change(picture: np.ndarray, n: float) -> None:
+        picture *= 1 - 0.5 * n * soft
+        x = 10 + round(20 * n)
+        picture[30:50, x : x + 20] = mover
+
+    pictures = _clip(scene, change)
+    shadow = np.hypot(*(np.mgrid[:90, :120] - np.array([45, 90])[:, None, None])) < 12
+    assert motion_mask(pictures)[shadow].all() and not pattern_mask(pictures)[shadow].any()
+    assert pattern_mask(pictures)[32:48, 15:45].mean() > 0.95
+
+
+def two_movers(fixed: list[Camera], second: np.ndarray, radius: float) -> list[MotionMask]:
+    return [
+        MotionMask(c, ball_mask(c, np.zeros(3), RADIUS).mask | ball_mask(c, second, radius).mask)
+        for c in fixed
+    ]
+
+
+def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
+    """A third as wide, a thirtieth of the volume."""
+    fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), two_movers(fixed, second, radius))
+    ends = second + radius * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert (np.abs(in_box(bounds, ends)) <= bounds.aabb[1]).all()
+
+
+def test_a_shadow_as_small_is_no_mover() -> None:
+    fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
+    masks = [
+        MotionMask(m.camera, m.mask, ball_mask(m.camera, np.zeros(3)).mask)
+        for m in two_movers(fixed, second, radius)
+    ]
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    assert np.abs(in_box(bounds, second[None])).max() > 1.0
+
+
+def test_a_flat_mover_has_a_voxel_of_margin() -> None:
+    fixed = ring(4, 2.2)
+    lying = np.random.default_rng(0).uniform(-1, 1, (4000, 3)) * [0.5, 0.5, 0.01]
+    masks = []
+    for camera in fixed:
+        mask = np.zeros((camera.height, camera.width), dtype=bool)
+        u, v = camera.project(lying).astype(int).T
+        mask[v, u] = True
+        masks.append(MotionMask(camera, binary_dilation(mask, np.ones((5, 5)))))
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    assert (np.abs(in_box(bounds, lying)).max(0) <= bounds.aabb[1] - 0.9 * VOXEL).all()
+
+
+def test_a_mover_beyond_the_box_is_found_with_its_place() -> None:
+    """Somebody walks past one camera, at its upper left; what only darkens there is nobody."""
+    fixed = ring(4, 2.2)
+    masks = [ball_mask(c) for c in fixed]
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    box = bounds.box_from_world, bounds.aabb
+    assert all(cut_off(m, *box) is None for m in masks)
+    passed = masks[1].mask.copy()
+    passed[10:40, 0:20] = True
+    found = cut_off(MotionMask(fixed[1], passed), *box)
+    assert found is not None and found.place == pytest.approx((0.05, 25 / 150), abs=0.01)
+    assert found.share == pytest.approx(600 / passed.sum())
+    assert cut_off(MotionMask(fixed[1], passed, masks[1].mask), *box) is None
