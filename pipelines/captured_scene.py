@@ -14,7 +14,7 @@ from devrf.calibration.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, scene_boun
 from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.colour.result import read_colours
-from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask, pattern_mask
+from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
@@ -221,7 +221,7 @@ def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask 
     for n in chosen:
         grey = cv2.resize(read_grey(files[n]), (small.width, small.height), interpolation=cv2.INTER_AREA)
         pictures.append(np.asarray(grey, dtype=np.uint8))
-    return MotionMask(small, motion_mask(pictures), pattern_mask(pictures))
+    return motion_mask(small, pictures)
 
 
 def _points(model: SweepModel, factor: float) -> SparsePoints:

@@ -92,7 +92,8 @@ def _seen(
 
     pictures = [picture(time) for time in moments]
     still = (_still(clip[:SUCCESSIVE]), _still(clip[-SUCCESSIVE:]))
-    return rest_seen(clip[0].camera, pictures, mask.mask, still, model, factor, read)
+    moves = mask.mask if mask.much is None else mask.much
+    return rest_seen(clip[0].camera, pictures, moves, still, model, factor, read)
 
 
 def _still(clip: Sequence[PosedFrame]) -> bool:

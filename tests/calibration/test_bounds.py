@@ -8,11 +8,12 @@ from tests.calibration.conftest import look_at
 from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds, visual_hull
 from devrf.calibration.box_checks import cut_off
 from devrf.calibration.intrinsics import guess
-from devrf.calibration.motion_masks import MotionMask, motion_mask, pattern_mask
+from devrf.calibration.motion_masks import MotionMask, motion_mask
 from devrf.capture.camera import Camera
 
 BALL = np.array([0.4, -0.3, 0.2])
 RADIUS = 0.3
+CAMERA = guess(120, 90).at(np.eye(3, 4))
 
 
 def camera_at(centre: np.ndarray, target: np.ndarray) -> Camera:
@@ -124,7 +125,7 @@ def test_motion_mask_sees_motion_but_neither_noise_nor_exposure():
         picture = scene * (1 + 0.1 * np.sin(n)) + rng.normal(0, 1.5, scene.shape)
         picture[30:50, 20 + 3 * n : 40 + 3 * n] = 230
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
-    mask = motion_mask(pictures)
+    mask = motion_mask(CAMERA, pictures).mask
     assert mask[32:48, 30:70].mean() > 0.9
     assert mask[:22].mean() < 0.05 and mask[60:].mean() < 0.05
 
@@ -137,7 +138,7 @@ def test_a_subject_that_fills_most_of_the_picture_is_still_what_moves():
         picture = scene + rng.normal(0, 1.5, scene.shape)
         picture[:, 40:] = rng.integers(40, 215, (90, 80))  # two thirds; the median pixel's range is over 100
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
-    mask = motion_mask(pictures)
+    mask = motion_mask(CAMERA, pictures).mask
     assert mask[:, 45:].mean() > 0.95 and mask[:, :35].mean() < 0.05
 
 
@@ -161,8 +162,10 @@ def test_what_hardly_moves_counts_where_it_hangs_on_what_moves() -> None:
         picture[50:75, 30:50] += 19 * n
         picture[50:75, 90:110] += 19 * n
 
-    mask = motion_mask(_clip(scene, swing))
+    found = motion_mask(CAMERA, _clip(scene, swing))
+    mask = found.mask
     assert mask[22:73, 32:48].all() and not mask[:, 80:].any()
+    assert found.much is not None and found.much[22:48, 32:48].all() and not found.much[56:].any()
 
 
 def test_a_mover_that_is_seen_in_two_pictures_counts_and_in_one_does_not() -> None:
@@ -175,8 +178,8 @@ def test_a_mover_that_is_seen_in_two_pictures_counts_and_in_one_does_not() -> No
 
         return change
 
-    assert motion_mask(_clip(scene, flash(2)))[22:48, 32:48].all()
-    assert not motion_mask(_clip(scene, flash(1))).any()
+    assert motion_mask(CAMERA, _clip(scene, flash(2))).mask[22:48, 32:48].all()
+    assert not motion_mask(CAMERA, _clip(scene, flash(1))).mask.any()
 
 
 def test_a_shadow_changes_no_pattern_and_a_mover_does() -> None:
@@ -192,8 +195,9 @@ def test_a_shadow_changes_no_pattern_and_a_mover_does() -> None:
 
     pictures = _clip(scene, change)
     shadow = np.hypot(*(np.mgrid[:90, :120] - np.array([45, 90])[:, None, None])) < 12
-    assert motion_mask(pictures)[shadow].all() and not pattern_mask(pictures)[shadow].any()
-    assert pattern_mask(pictures)[32:48, 15:45].mean() > 0.95
+    found = motion_mask(CAMERA, pictures)
+    assert found.mask[shadow].all() and not found.moved[shadow].any()
+    assert found.moved[32:48, 15:45].mean() > 0.95
 
 
 def two_movers(fixed: list[Camera], second: np.ndarray, radius: float) -> list[MotionMask]:
@@ -214,7 +218,7 @@ def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
 def test_a_shadow_as_small_is_no_mover() -> None:
     fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
     masks = [
-        MotionMask(m.camera, m.mask, ball_mask(m.camera, np.zeros(3)).mask)
+        MotionMask(m.camera, m.mask, pattern=ball_mask(m.camera, np.zeros(3)).mask)
         for m in two_movers(fixed, second, radius)
     ]
     bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
@@ -246,4 +250,4 @@ def test_a_mover_beyond_the_box_is_found_with_its_place() -> None:
     found = cut_off(MotionMask(fixed[1], passed), *box)
     assert found is not None and found.place == pytest.approx((0.05, 25 / 150), abs=0.01)
     assert found.share == pytest.approx(600 / passed.sum())
-    assert cut_off(MotionMask(fixed[1], passed, masks[1].mask), *box) is None
+    assert cut_off(MotionMask(fixed[1], passed, pattern=masks[1].mask), *box) is None
