@@ -12,6 +12,10 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import SparsePoints
 
 CELLS = 24  # along each side of the box, for what cameras see of it
+LEAST_SWEPT = 3  # pictures of the sweep: a surface is told from two, if they are the right ones
+FAR_PIXELS = (
+    3.0  # times what fixed cameras show: what moves is then made of what is too coarse for their pictures
+)
 
 
 @dataclass(frozen=True)
@@ -67,13 +71,28 @@ def seen_by_fewer(
     least: int,
 ) -> float:
     """Share of the box that lies in the pictures of fewer than `least` cameras."""
-    axes = [np.linspace(lo, hi, CELLS + 1)[:-1] + (hi - lo) / (2 * CELLS) for lo, hi in aabb.T]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = np.zeros(len(points), int)
-    for camera in cameras:
-        pixel = np.nan_to_num(camera.moved(box_from_world).project(points), nan=-1.0)
-        seen += ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(-1)
+    points = _cells(aabb)
+    seen = np.sum([_shows(c.moved(box_from_world), points) for c in cameras], axis=0)
     return float((seen < least).mean())
+
+
+def not_swept(
+    sweep: Sequence[Camera],
+    fixed: Sequence[Camera],
+    box_from_world: Float[np.ndarray, "4 4"],
+    aabb: Float[np.ndarray, "2 3"],
+) -> float:
+    """Share of the box that too few pictures of the sweep show, or only from far away.
+
+    Far away is where a pixel of the sweep covers several times what a pixel of the fixed cameras does, in the middle of
+    the box.
+    """
+    finest = np.median([np.linalg.norm(c.moved(box_from_world).centre) / c.K[0, 0] for c in fixed])
+    points, seen = _cells(aabb), 0
+    for camera in [c.moved(box_from_world) for c in sweep]:
+        covers = np.linalg.norm(points - camera.centre, axis=1) / camera.K[0, 0]
+        seen = seen + (_shows(camera, points) & (covers < FAR_PIXELS * finest))
+    return float((seen < LEAST_SWEPT).mean())
 
 
 def points_of_subject(
@@ -113,3 +132,15 @@ def _misses(
         a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
     enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
     return ~(leave > np.maximum(enter, 0.0))
+
+
+def _cells(aabb: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "n 3"]:
+    """Middles of the box's cells."""
+    axes = [np.linspace(lo, hi, CELLS + 1)[:-1] + (hi - lo) / (2 * CELLS) for lo, hi in aabb.T]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _shows(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points lie in a camera's picture."""
+    pixel = np.nan_to_num(camera.project(points), nan=-1.0)
+    return ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(-1)

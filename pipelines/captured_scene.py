@@ -28,6 +28,7 @@ from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
+from devrf.pipelines.health.rows import HealthRow, note
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
@@ -48,6 +49,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
+    context.health.extend(left_out(list(frames.moving), dynamic))
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if model is None else _points(model, factor)
@@ -79,7 +81,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         masks,
         "what moves" if mattes is None else "the subject's mattes",
     )
-    context.health.extend(box_health(bounds, moves, mattes, dynamic))
+    context.health.extend(box_health(bounds, moves, mattes, dynamic, static))
     rest = None
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n and f.split == "train"] for n in moves}
@@ -190,6 +192,18 @@ def _moving_frames(
                 split = "test" if frames.moving[name].role == "test" else "train"
                 out.append(PosedFrame(path, rig.cameras[name].camera, name, index, time_s, time, split))
     return tuple(out), t0_s, t1_s
+
+
+def left_out(cameras: Sequence[str], dynamic: Sequence[PosedFrame]) -> list[HealthRow]:
+    """A row on cameras none of whose pictures lies in the modelled time, if there are any."""
+    names = ", ".join(name for name in cameras if all(frame.camera_name != name for frame in dynamic))
+    if not names:
+        return []
+    remedy = (
+        f"Nothing of {names} is used: it films when no two cameras do. Start all clips before the action and stop them "
+        "after it, or check capture.range_s and the clocks."
+    )
+    return [note("cameras that film at no modelled time", names, remedy=remedy)]
 
 
 def span_of(filmed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from devrf.calibration.bounds import Bounds
-from devrf.calibration.box_checks import cut_off, outside_box, seen_by_fewer
+from devrf.calibration.box_checks import cut_off, not_swept, outside_box, seen_by_fewer
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame
@@ -18,11 +18,16 @@ MOST_OUTSIDE = 0.5  # of the pixels that ever change; shadows and people who pas
 MOST_CUT = 0.02  # of what moves in a camera, in one piece beyond the box; in six captures at most 0.00
 MOST_FAR = 3.0  # far over the distance of 95 % of the points
 MOST_SEEN_ONCE = 0.5  # of the box
+MOST_NOT_SWEPT = 0.2  # of the box; in six captures at most 0.003
 
 
 @listed
 def box_health(
-    bounds: Bounds, moves: Mapping[str, MotionMask], mattes: SceneMattes | None, dynamic: Sequence[PosedFrame]
+    bounds: Bounds,
+    moves: Mapping[str, MotionMask],
+    mattes: SceneMattes | None,
+    dynamic: Sequence[PosedFrame],
+    static: Sequence[PosedFrame] = (),
 ) -> Iterator[HealthRow]:
     """Rows about subject and box, stray far points, and what the moving cameras see.
 
@@ -83,4 +88,12 @@ def box_health(
             100 * seen_by_fewer(list(cameras.values()), *box, 2), "%", warn_above=100 * MOST_SEEN_ONCE,
             remedy="Motion there is seen from one side only and cannot be told: turn the cameras towards the "
             "subject so that each part is in two pictures.",
+        )  # fmt: skip
+    if cameras and static:
+        yield row(
+            "share of the box that the sweep did not come near",
+            100 * not_swept([f.camera for f in static], list(cameras.values()), *box),
+            "%", warn_above=100 * MOST_NOT_SWEPT,
+            remedy="What moves there is unknown at rest, or too coarse: let the sweep go all around the subject, as "
+            "near as the fixed cameras stand, with the subject in the picture.",
         )  # fmt: skip
