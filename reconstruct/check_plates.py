@@ -51,10 +51,10 @@ class PlateFit:
         psnr: dB; None where hardly anything is known.
         displaced: How far the plate lies beside the model's picture; None where it has too little texture.
         voxel: What a voxel in the middle of the box measures in the picture, in its widths.
-        by_place: Share of the squared error that one small affine map takes away: of the plate's, or of that of the
-            picture at rest where things move later, whichever is larger.
+        by_place: Share of the squared error that one small affine map takes away.
         by_light: Share of the squared error that one gain per colour takes away.
-        by_time: Share of the error of the picture at rest, where things move later, that another moment takes away.
+        rest_by_place: Share of the error of the picture at rest, where things move later, that such a map takes away.
+        rest_by_time: Share of it that another moment takes away; both are 0 of a clip that does not show the rest.
         odd: The largest piece that stands out: its share of the picture.
         odd_at: Its middle, from the left and from the top, in the picture's sides.
     """
@@ -66,7 +66,8 @@ class PlateFit:
     voxel: float
     by_place: float = 0.0
     by_light: float = 0.0
-    by_time: float = 0.0
+    rest_by_place: float = 0.0
+    rest_by_time: float = 0.0
     odd: float = 0.0
     odd_at: tuple[float, float] = (0.5, 0.5)
 
@@ -109,16 +110,17 @@ def _fit(scene: Scene, rest: RestModel, render: Render, clip: Sequence[PosedFram
     error = _error(picture[known], rendered[known])
     gains = (picture * rendered)[known].sum(0) / np.maximum((rendered[known] ** 2).sum(0), 1e-9)
     odd, odd_at = _standing_out(picture, rendered, known)
-    rest_by_place, by_time = _at_rest(scene, clip, rendered, ~known)
+    rest_by_place, rest_by_time = _at_rest(scene, clip, rendered, ~known)
     return PlateFit(
         share,
         textured,
         _psnr(error),
         displacement(picture @ LUMA, rendered @ LUMA, known),
         voxel,
-        max(_by_place(picture, rendered, known), rest_by_place),
+        _by_place(picture, rendered, known),
         _taken_away(error, _error(picture[known], (gains * rendered)[known])),
-        by_time,
+        rest_by_place,
+        rest_by_time,
         odd,
         odd_at,
     )

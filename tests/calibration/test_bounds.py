@@ -6,7 +6,7 @@ from scipy.ndimage import binary_dilation
 from tests.calibration.conftest import look_at
 
 from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds, visual_hull
-from devrf.calibration.box_checks import cut_off
+from devrf.calibration.box_checks import cut_off, not_swept
 from devrf.calibration.intrinsics import guess
 from devrf.calibration.motion_masks import MotionMask, motion_mask
 from devrf.capture.camera import Camera
@@ -251,3 +251,19 @@ def test_a_mover_beyond_the_box_is_found_with_its_place() -> None:
     assert found is not None and found.place == pytest.approx((0.05, 25 / 150), abs=0.01)
     assert found.share == pytest.approx(600 / passed.sum())
     assert cut_off(MotionMask(fixed[1], passed, pattern=masks[1].mask), *box) is None
+
+
+@pytest.mark.parametrize(
+    ("sweep", "near"),
+    [
+        (ring(12, 5.0, 2.8), True),  # as near as the fixed cameras
+        (ring(12, 5.0, 12.0), False),  # from the far end of the hall
+        ([camera_at(c.centre, 3 * c.centre) for c in ring(12, 5.0, 2.8)], False),  # of the walls
+        (ring(2, 1.0, 2.8), False),  # two pictures
+    ],
+)
+def test_a_sweep_comes_near_the_box_or_does_not(sweep: list[Camera], near: bool) -> None:
+    fixed = ring(4, 2.2)
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), [ball_mask(c) for c in fixed])
+    left = not_swept(sweep, fixed, bounds.box_from_world, bounds.aabb)
+    assert left < 0.1 if near else left > 0.9

@@ -12,7 +12,14 @@ from tests.reconstruct.moving_ball import moving_ball
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.health.at_rest import LEAST_TEXTURED, MOST_BY_CAMERAS, MOST_ODD, MOSTLY, plate_rows
+from devrf.pipelines.health.at_rest import (
+    LEAST_TEXTURED,
+    MOST_ODD,
+    MOST_OF_PLATE,
+    MOST_OF_REST,
+    MOSTLY,
+    plate_rows,
+)
 from devrf.pipelines.health.rows import HealthRow
 from devrf.reconstruct.aligned import aligned
 from devrf.reconstruct.check_plates import PlateFit, check_plates
@@ -92,9 +99,8 @@ def test_a_camera_that_is_right_is_well(tmp_path: Path) -> None:
     fit, rows = told(filmed(tmp_path / "clip", as_it_is))
     assert list(rows) == ["clean", "error"] and {row.verdict for row in rows.values()} == {"ok"}
     assert fit.psnr is not None and fit.psnr > 30 and 0.4 < fit.known < 0.9 and fit.textured > LEAST_TEXTURED
-    assert (
-        max(fit.by_place, fit.by_time) < MOST_BY_CAMERAS / 2 and fit.by_light < 0.1 and fit.odd < MOST_ODD / 2
-    )
+    assert fit.by_place < MOST_OF_PLATE / 2 and max(fit.rest_by_place, fit.rest_by_time) < MOST_OF_REST / 2
+    assert fit.by_light < 0.1 and fit.odd < MOST_ODD / 2
 
 
 def test_a_camera_that_was_touched_is_named(tmp_path: Path) -> None:
@@ -102,7 +108,10 @@ def test_a_camera_that_was_touched_is_named(tmp_path: Path) -> None:
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: shift(p, (1, 2, 0), order=1, mode="nearest")))
     assert rows["clean"].verdict == rows["error"].verdict == "warn" and "cam0" in rows["clean"].remedy
     assert fit.displaced is not None
-    assert fit.displaced.length == pytest.approx(np.hypot(1, 2) / WIDTH, abs=0.003) and fit.by_place > 0.7
+    assert (
+        fit.displaced.length == pytest.approx(np.hypot(1, 2) / WIDTH, abs=0.003)
+        and min(fit.by_place, fit.rest_by_place) > 0.7
+    )
 
 
 def test_a_clock_that_is_late_is_told_from_a_camera_that_was_touched(tmp_path: Path) -> None:
@@ -114,7 +123,7 @@ def test_a_clock_that_is_late_is_told_from_a_camera_that_was_touched(tmp_path: P
     ]
     early = replace(scene, dynamic=tuple(late), rest_time=2 / (COUNT - 1))
     fit, rows = told(early)
-    assert fit.by_time > MOST_BY_CAMERAS > fit.by_place
+    assert fit.rest_by_time > MOST_OF_REST and fit.by_place < MOST_OF_PLATE
     assert rows["error"].verdict == "warn" and rows["clean"].verdict == "ok" and "cam0" in rows["error"].check
 
 
@@ -123,7 +132,7 @@ def test_other_light_is_told_as_such(tmp_path: Path, gains: tuple[float, float, 
     """Two cameras that saw the rest in other light: each has a row of its own, so one is enough here."""
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: p * gains))
     assert rows["clean"].verdict == "warn" and "calibration.colour.chart" in rows["clean"].remedy
-    assert fit.by_light > MOSTLY and fit.by_place < MOST_BY_CAMERAS
+    assert fit.by_light > MOSTLY and fit.by_place < MOST_OF_PLATE
 
 
 def test_somebody_who_stands_there_nearly_always_is_named_with_a_place(tmp_path: Path) -> None:
