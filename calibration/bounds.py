@@ -23,12 +23,10 @@ GRID = 64  # cells per axis of the visual hull
 HULL_REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
 VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
-COMPONENT_SHARE = (
-    0.15  # of the largest piece of the hull; smaller ones are noise and shadows, or small movers:
-)
-MOVER_SHARE = 0.02  # of a camera's changing pixels, that no larger piece explains,
-MOVER_CAMERAS = 2  # in so many cameras
-MOST_PIECES = 20  # of the hull that are asked, the largest first
+# Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
+# of what changes in so many cameras: those are small movers.
+COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
+MOST_PIECES = 20  # that are asked, the largest first
 POINT_REACH = (
     0.9  # points farther from the focus than this share of the median camera distance are surroundings
 )

@@ -1,7 +1,8 @@
 """Clean plates against the scene at rest: quiet where cameras are right, and each fault named for what it is."""
 
+import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -101,6 +102,7 @@ def test_a_camera_that_is_right_is_well(tmp_path: Path) -> None:
     assert fit.psnr is not None and fit.psnr > 30 and 0.4 < fit.known < 0.9 and fit.textured > LEAST_TEXTURED
     assert fit.by_place < MOST_OF_PLATE / 2 and max(fit.rest_by_place, fit.rest_by_time) < MOST_OF_REST / 2
     assert fit.by_light < 0.1 and fit.odd < MOST_ODD / 2
+    assert json.loads(json.dumps(asdict(fit), allow_nan=False))["known"] == fit.known
 
 
 def test_a_camera_that_was_touched_is_named(tmp_path: Path) -> None:
