@@ -88,10 +88,11 @@ def not_swept(
     the box.
     """
     finest = np.median([np.linalg.norm(c.moved(box_from_world).centre) / c.K[0, 0] for c in fixed])
-    points, seen = _cells(aabb), 0
+    points = _cells(aabb)
+    seen = np.zeros(len(points), int)
     for camera in [c.moved(box_from_world) for c in sweep]:
         covers = np.linalg.norm(points - camera.centre, axis=1) / camera.K[0, 0]
-        seen = seen + (_shows(camera, points) & (covers < FAR_PIXELS * finest))
+        seen += _shows(camera, points) & (covers < FAR_PIXELS * finest)
     return float((seen < LEAST_SWEPT).mean())
 
 

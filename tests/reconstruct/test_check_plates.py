@@ -38,7 +38,7 @@ def room(seed: int = 0) -> np.ndarray:
     """A picture with texture of several sizes."""
     rng = np.random.default_rng(seed)
     sizes = [gaussian_filter(rng.standard_normal((HEIGHT, WIDTH, 3)), (s, s, 0)) * s for s in (1, 2, 5)]
-    return (0.5 + 0.3 * sum(sizes)).clip(0.1, 0.75)
+    return (0.5 + 0.3 * np.sum(sizes, axis=0)).clip(0.1, 0.75)
 
 
 ROOM = room()
