@@ -132,7 +132,7 @@ def _misses(
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
     enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
-    return np.logical_not(leave > np.maximum(enter, 0.0))
+    return np.asarray(~(leave > np.maximum(enter, 0.0)))
 
 
 def _cells(aabb: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "n 3"]:
