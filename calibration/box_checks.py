@@ -132,7 +132,7 @@ def _misses(
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
     enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
-    return np.asarray(~(leave > np.maximum(enter, 0.0)))
+    return ~(leave > np.maximum(enter, 0.0))
 
 
 def _cells(aabb: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "n 3"]:
@@ -144,4 +144,5 @@ def _cells(aabb: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "n 3"]:
 def _shows(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Which points lie in a camera's picture."""
     pixel = np.nan_to_num(camera.project(points), nan=-1.0)
-    return ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(-1)
+    inside = (pixel >= 0) & (pixel < [camera.width, camera.height])
+    return inside[:, 0] & inside[:, 1]

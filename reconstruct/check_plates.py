@@ -32,10 +32,9 @@ from devrf.reconstruct.still_picture import FEWEST_PICTURES, plate
 
 LEAST_KNOWN = 0.02  # of the picture, for an error that means something
 MOMENTS = 3  # pictures before and after the one at rest: clocks are seldom wrong by more
-DIFFERENCE, BLUR_PX = (
-    0.1,
-    1.5,
-)  # of what stands out: of the full range, after a blur; noise and soft edges are below
+# What stands out: of the full range, after a blur, noise and soft edges are below; and it has this share of the squared
+# error: in pictures that are blurred all over nothing does.
+DIFFERENCE, BLUR_PX, OF_ERROR = 0.1, 1.5, 0.5
 
 Picture = Float[np.ndarray, "height width 3"]
 Mask = Bool[np.ndarray, "height width"]
@@ -144,14 +143,18 @@ def _by_place(picture: Picture, rendered: Picture, where: Mask) -> float:
 
 
 def _standing_out(picture: Picture, rendered: Picture, known: Mask) -> tuple[float, tuple[float, float]]:
-    """Share of the picture, and the middle, of the largest piece that differs by much."""
-    apart = gaussian_filter(np.abs(picture - rendered).max(axis=-1) * known, BLUR_PX) > DIFFERENCE
+    """Share of the picture, and the middle, of the largest piece that differs by much, if it is what differs."""
+    left = (picture - rendered) * known[..., None]
+    apart = gaussian_filter(np.abs(left).max(axis=-1), BLUR_PX) > DIFFERENCE
     pieces, count = label(apart, structure=np.ones((3, 3)))  # type: ignore[misc]
     if not count:
         return 0.0, (0.5, 0.5)
     sizes = np.bincount(pieces.reshape(-1))
     sizes[0] = 0
-    v, u = np.nonzero(pieces == sizes.argmax())
+    piece = pieces == sizes.argmax()
+    if (left[piece] ** 2).sum() < OF_ERROR * (left**2).sum():
+        return 0.0, (0.5, 0.5)
+    v, u = np.nonzero(piece)
     height, width = known.shape
     return float(sizes.max() / known.size), (float(u.mean() + 0.5) / width, float(v.mean() + 0.5) / height)
 
