@@ -9,10 +9,10 @@ holds the points around the focus, the point closest to all view axes.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 
+from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
 from devrf.capture.view_axes import closest_point
@@ -22,7 +22,11 @@ FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras loo
 GRID = 64  # cells per axis of the visual hull
 HULL_REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
-COMPONENT_SHARE = 0.15  # pieces of the hull smaller than this share of the largest are noise and shadows
+VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
+# Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
+# of what changes in so many cameras: those are small movers.
+COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
+MOST_PIECES = 20  # that are asked, the largest first
 POINT_REACH = (
     0.9  # points farther from the focus than this share of the median camera distance are surroundings
 )
@@ -31,10 +35,6 @@ POINT_MARGIN = 1.1
 MAX_ERROR_PX, MIN_TRACK = 2.0, 3
 NEAR_SHARE, FAR_SHARE = 0.8, 1.2  # of the 1st and 99th percentile of the points' distances
 SMALLEST_NEAR = 0.02  # of the longest half side
-MASK_SIDE_PX = 200
-MASK_NOISE = 5.0  # a pixel moves if its range over time exceeds this multiple of the median pixel's
-MASK_FLOOR = 10.0  # grey levels
-MASK_CEILING = 40.0  # more is no noise: the subject fills half the picture, and the median pixel moves too
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 
 
@@ -64,14 +64,6 @@ class Bounds:
     mean_view: float
     far_over_most: float | None
     basis: str
-
-
-@dataclass(frozen=True)
-class MotionMask:
-    """Where a fixed camera saw something move: its camera at the mask's size, and the mask [h, w]."""
-
-    camera: Camera
-    mask: Bool[np.ndarray, "h w"]
 
 
 def scene_bounds(
@@ -107,7 +99,8 @@ def scene_bounds(
     else:
         lo, hi, basis = _point_box(points, focus_point(cameras), cameras, box_from_up)
         margin = POINT_MARGIN
-    centre, half = (lo + hi) / 2, margin * (hi - lo) / 2
+    centre, half = (lo + hi) / 2, (hi - lo) / 2
+    half = np.maximum(margin * half, half + VOXEL * half.max())
     unit = float(half.max())
     half = np.maximum(half, 0.1 * unit)
     box_from_world = np.eye(4)
@@ -150,23 +143,6 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     return focus
 
 
-def motion_mask(pictures: Sequence[UInt8[np.ndarray, "h w"]]) -> Bool[np.ndarray, "h w"]:
-    """Pixels that change over time, in grey pictures of one fixed camera.
-
-    Each picture is brought to the median brightness first, so that exposure changes do not count.
-    """
-    stack = np.stack(pictures).astype(np.float32)
-    level = np.median(stack, axis=(1, 2), keepdims=True)
-    stack *= np.median(level) / np.maximum(level, 1.0)
-    low, high = np.percentile(stack, [5, 95], axis=0)
-    spread = high - low
-    mask = spread > np.clip(MASK_NOISE * float(np.median(spread)), MASK_FLOOR, MASK_CEILING)
-    kernel = np.ones((3, 3), dtype=np.uint8)
-    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((7, 7), dtype=np.uint8))
-    return cv2.dilate(mask, np.ones((5, 5), dtype=np.uint8)).astype(bool)
-
-
 def visual_hull(
     masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
@@ -180,6 +156,7 @@ def visual_hull(
     axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
     cells = grid + box_from_up @ focus
+    cell = 2 * reach / GRID
     world = cells @ box_from_up
     seen, inside = np.zeros(len(world), dtype=int), np.zeros(len(world), dtype=int)
     for m in masks:
@@ -196,9 +173,41 @@ def visual_hull(
     ndimage.label(keep.reshape(GRID, GRID, GRID), structure=np.ones((3, 3, 3)), output=labels)
     sizes = np.bincount(labels.reshape(-1))
     sizes[0] = 0
-    large = np.isin(labels.reshape(-1), np.flatnonzero(sizes >= COMPONENT_SHARE * sizes.max()))
-    cell = 2 * reach / GRID
-    return cells[large].min(0) - cell / 2, cells[large].max(0) + cell / 2
+    pieces = [labels.reshape(-1) == n for n in np.argsort(-sizes)[:MOST_PIECES] if sizes[n]]
+    kept = cells[np.any(_movers(masks, pieces, world, cell), axis=0)]
+    return kept.min(0) - cell / 2, kept.max(0) + cell / 2
+
+
+def _movers(
+    masks: Sequence[MotionMask],
+    pieces: Sequence[Bool[np.ndarray, " cells"]],
+    world: Float[np.ndarray, "cells 3"],
+    cell: float,
+) -> list[Bool[np.ndarray, " cells"]]:
+    """The pieces of a hull, the largest first, that are large or that alone explain what moves in some cameras."""
+    explained = [np.zeros_like(m.mask) for m in masks]
+    kept = []
+    for piece in pieces:
+        shown = [_shown(m.camera, world[piece], cell) for m in masks]
+        alone = [
+            float((seen & m.moved & ~before).sum()) >= MOVER_SHARE * float(m.mask.sum())
+            for m, seen, before in zip(masks, shown, explained, strict=True)
+        ]
+        if piece.sum() >= COMPONENT_SHARE * pieces[0].sum() or sum(alone) >= MOVER_CAMERAS:
+            kept.append(piece)
+            explained = [before | seen for before, seen in zip(explained, shown, strict=True)]
+    return kept
+
+
+def _shown(camera: Camera, cells: Float[np.ndarray, "n 3"], cell: float) -> Bool[np.ndarray, "h w"]:
+    """Where a camera sees cells of this side."""
+    shown = np.zeros((camera.height, camera.width), dtype=bool)
+    depth = (cells - camera.centre) @ camera.cam_from_world[2, :3]
+    pixel = np.nan_to_num(camera.project(cells), nan=-1.0)
+    visible = (pixel >= 0).all(1) & (pixel < [camera.width, camera.height]).all(1)
+    for (u, v), reach in zip(pixel[visible], 0.5 * cell * camera.K[0, 0] / depth[visible], strict=True):
+        shown[max(0, int(v - reach)) : int(v + reach) + 1, max(0, int(u - reach)) : int(u + reach) + 1] = True
+    return shown
 
 
 def upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:

@@ -1,14 +1,34 @@
 """What masks of the subject say of a box and of sparse points, and what cameras see of the box."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
+from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import SparsePoints
 
 CELLS = 24  # along each side of the box, for what cameras see of it
+LEAST_SWEPT = 3  # pictures of the sweep: a surface is told from two, if they are the right ones
+FAR_PIXELS = (
+    3.0  # times what fixed cameras show: what moves is then made of what is too coarse for their pictures
+)
+
+
+@dataclass(frozen=True)
+class CutOff:
+    """Something that moves beyond the box.
+
+    Attributes:
+        share: Of all that moves in the camera's picture.
+        place: Its middle, from the left and from the top, in the picture's sides.
+    """
+
+    share: float
+    place: tuple[float, float]
 
 
 def outside_box(
@@ -24,14 +44,24 @@ def outside_box(
         camera: In the world.
         box_from_world, aabb: The box.
     """
-    moved = camera.moved(box_from_world)
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays_d = moved.directions(np.stack([u, v], axis=-1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
-    enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
-    misses = ~(leave > np.maximum(enter, 0.0))
+    misses = _misses(camera, box_from_world, aabb)
     return (masks & misses).sum((1, 2)) / np.maximum(masks.sum((1, 2)), 1)
+
+
+def cut_off(
+    mask: MotionMask, box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> CutOff | None:
+    """The largest thing that moves beyond the box in a camera's picture; shadows and light are none."""
+    beyond = mask.moved & _misses(mask.camera, box_from_world, aabb)
+    pieces = np.empty(beyond.shape, dtype=np.int32)
+    if not ndimage.label(beyond, structure=np.ones((3, 3)), output=pieces):
+        return None
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    v, u = np.nonzero(pieces == sizes.argmax())
+    height, width = beyond.shape
+    share = float(sizes.max() / np.maximum(mask.moved.sum(), 1))
+    return CutOff(share, (float(u.mean() + 0.5) / width, float(v.mean() + 0.5) / height))
 
 
 def seen_by_fewer(
@@ -41,13 +71,29 @@ def seen_by_fewer(
     least: int,
 ) -> float:
     """Share of the box that lies in the pictures of fewer than `least` cameras."""
-    axes = [np.linspace(lo, hi, CELLS + 1)[:-1] + (hi - lo) / (2 * CELLS) for lo, hi in aabb.T]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = np.zeros(len(points), int)
-    for camera in cameras:
-        pixel = np.nan_to_num(camera.moved(box_from_world).project(points), nan=-1.0)
-        seen += ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(-1)
+    points = _cells(aabb)
+    seen = np.sum([_shows(c.moved(box_from_world), points) for c in cameras], axis=0)
     return float((seen < least).mean())
+
+
+def not_swept(
+    sweep: Sequence[Camera],
+    fixed: Sequence[Camera],
+    box_from_world: Float[np.ndarray, "4 4"],
+    aabb: Float[np.ndarray, "2 3"],
+) -> float:
+    """Share of the box that too few pictures of the sweep show, or only from far away.
+
+    Far away is where a pixel of the sweep covers several times what a pixel of the fixed cameras does, in the middle of
+    the box.
+    """
+    finest = np.median([np.linalg.norm(c.moved(box_from_world).centre) / c.K[0, 0] for c in fixed])
+    points = _cells(aabb)
+    seen = np.zeros(len(points), int)
+    for camera in [c.moved(box_from_world) for c in sweep]:
+        covers = np.linalg.norm(points - camera.centre, axis=1) / camera.K[0, 0]
+        seen += _shows(camera, points) & (covers < FAR_PIXELS * finest)
+    return float((seen < LEAST_SWEPT).mean())
 
 
 def points_of_subject(
@@ -74,3 +120,29 @@ def points_of_subject(
     keep = 2 * np.bincount(points.obs_point, inside, len(points.xyz)) > sightings
     number, seen = np.cumsum(keep) - 1, keep[points.obs_point]
     return SparsePoints(points.xyz[keep], number[points.obs_point[seen]], points.obs_frame[seen])
+
+
+def _misses(
+    camera: Camera, box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> Bool[np.ndarray, "h w"]:
+    """Where rays of a camera in the world miss the box."""
+    moved = camera.moved(box_from_world)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays_d = moved.directions(np.stack([u, v], axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (aabb[0] - moved.centre) / rays_d, (aabb[1] - moved.centre) / rays_d
+    enter, leave = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
+    return ~(leave > np.maximum(enter, 0.0))
+
+
+def _cells(aabb: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "n 3"]:
+    """Middles of the box's cells."""
+    axes = [np.linspace(lo, hi, CELLS + 1)[:-1] + (hi - lo) / (2 * CELLS) for lo, hi in aabb.T]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _shows(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points lie in a camera's picture."""
+    pixel = np.nan_to_num(camera.project(points), nan=-1.0)
+    inside = (pixel >= 0) & (pixel < [camera.width, camera.height])
+    return inside[:, 0] & inside[:, 1]

@@ -10,18 +10,11 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.bounds import (
-    MASK_SIDE_PX,
-    MAX_ERROR_PX,
-    MIN_TRACK,
-    Bounds,
-    MotionMask,
-    motion_mask,
-    scene_bounds,
-)
+from devrf.calibration.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, scene_bounds
 from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.colour.result import read_colours
+from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.camera import Camera
@@ -35,12 +28,12 @@ from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
+from devrf.pipelines.health.rows import HealthRow, note
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
 
 PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
-MASK_FRAMES = 24  # of a clip, for finding what moves
 TIME_SLACK_S = 1e-6
 
 
@@ -56,6 +49,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
+    context.health.extend(left_out(list(frames.moving), dynamic))
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if model is None else _points(model, factor)
@@ -87,7 +81,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         masks,
         "what moves" if mattes is None else "the subject's mattes",
     )
-    context.health.extend(box_health(bounds, masks, mattes, dynamic))
+    context.health.extend(box_health(bounds, moves, mattes, dynamic, static))
     rest = None
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n and f.split == "train"] for n in moves}
@@ -200,6 +194,18 @@ def _moving_frames(
     return tuple(out), t0_s, t1_s
 
 
+def left_out(cameras: Sequence[str], dynamic: Sequence[PosedFrame]) -> list[HealthRow]:
+    """A row on cameras none of whose pictures lies in the modelled time, if there are any."""
+    names = ", ".join(name for name in cameras if all(frame.camera_name != name for frame in dynamic))
+    if not names:
+        return []
+    remedy = (
+        f"Nothing of {names} is used: it films when no two cameras do. Start all clips before the action and stop them "
+        "after it, or check capture.range_s and the clocks."
+    )
+    return [note("cameras that film at no modelled time", names, remedy=remedy)]
+
+
 def span_of(filmed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
     """From the first to the last moment at which two cameras film at once, or one where there is only one; seconds.
 
@@ -229,7 +235,7 @@ def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask 
     for n in chosen:
         grey = cv2.resize(read_grey(files[n]), (small.width, small.height), interpolation=cv2.INTER_AREA)
         pictures.append(np.asarray(grey, dtype=np.uint8))
-    return MotionMask(small, motion_mask(pictures))
+    return motion_mask(small, pictures)
 
 
 def _points(model: SweepModel, factor: float) -> SparsePoints:

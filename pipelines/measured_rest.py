@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.bounds import MotionMask
+from devrf.calibration.motion_masks import MotionMask
 from devrf.calibration.rest_moment import (
     RestSeen,
     middle_of,
@@ -92,7 +92,8 @@ def _seen(
 
     pictures = [picture(time) for time in moments]
     still = (_still(clip[:SUCCESSIVE]), _still(clip[-SUCCESSIVE:]))
-    return rest_seen(clip[0].camera, pictures, mask.mask, still, model, factor, read)
+    moves = mask.mask if mask.much is None else mask.much
+    return rest_seen(clip[0].camera, pictures, moves, still, model, factor, read)
 
 
 def _still(clip: Sequence[PosedFrame]) -> bool:

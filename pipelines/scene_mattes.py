@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.calibration.bounds import MASK_SIDE_PX, MotionMask
+from devrf.calibration.motion_masks import MASK_SIDE_PX, MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.chroma import parse_colour

@@ -7,7 +7,7 @@ the box is seen. At rest is a camera's picture nearest to the time of rest; of a
 rest (it never rests, or this camera began later), the median in pixels that do not change.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,43 +52,66 @@ class RestFit:
     voxel: float
 
 
-def check_rest(scene: Scene, rest: RestModel) -> tuple[dict[str, RestFit], list[RestFit]]:
+Render = Callable[[Camera], Float[np.ndarray, "height width 3"]]
+
+
+def renderer_at_rest(rest: RestModel) -> Render:
+    """How the scene at rest looks from cameras in the box frame; each picture is rendered once and kept."""
+    kept: dict[object, Float[np.ndarray, "height width 3"]] = {}
+    model = DynamicModel(rest)
+
+    def render(camera: Camera) -> Float[np.ndarray, "height width 3"]:
+        if camera.view not in kept:
+            kept[camera.view] = render_view(model, camera, None)
+        return kept[camera.view]
+
+    return render
+
+
+def check_rest(
+    scene: Scene, rest: RestModel, render: Render | None = None
+) -> tuple[dict[str, RestFit], list[RestFit]]:
     """Compare every training camera of the moving scene, and some held-out pictures of the sweep.
 
     Args:
         scene: Any frame.
         rest: The scene at rest.
+        render: Renders it; None: by one of its own.
     Returns:
         By camera; cameras that move while the scene never rests are left out. And the sweep's, if there is a camera.
     """
     scene = scene.in_box_frame()
-    model = DynamicModel(rest)
+    render = render or renderer_at_rest(rest)
     fits = {
-        name: fit for name, clip in clips(scene).items() if (fit := _of_clip(scene, model, clip)) is not None
+        name: fit
+        for name, clip in clips(scene).items()
+        if (fit := _of_clip(scene, rest, render, clip)) is not None
     }
     if not fits:  # the sweep is asked for their sake
         return {}, []
     held_out = spread([frame for frame in scene.static if frame.split == "test"], HELD_OUT)
-    return fits, [_fit(scene, model, frame.camera, _picture(scene, frame), None) for frame in held_out]
+    return fits, [
+        _fit(scene, rest, render, frame.camera, picture_of(scene, frame), None) for frame in held_out
+    ]
 
 
-def _of_clip(scene: Scene, model: DynamicModel, clip: Sequence[PosedFrame]) -> RestFit | None:
-    nearest = _at_rest(scene, clip)
+def _of_clip(scene: Scene, rest: RestModel, render: Render, clip: Sequence[PosedFrame]) -> RestFit | None:
+    nearest = at_rest(scene, clip)
     if nearest is not None:
-        return _fit(scene, model, nearest.camera, _picture(scene, nearest), None)
+        return _fit(scene, rest, render, nearest.camera, picture_of(scene, nearest), None)
     few = spread(clip, OF_CLIP)
     if len(few) < 3 or any((f.camera.cam_from_world != few[0].camera.cam_from_world).any() for f in few):
         return None
-    rays = RaySet(tuple(few), _scale(scene, few[0].camera), scene.background)
+    rays = RaySet(tuple(few), scale_of(scene, few[0].camera), scene.background)
     height, width = rays.cameras[0].height, rays.cameras[0].width
     still = np.ones(height * width, bool)
     still[changing_pixels(rays).of_frame[0].numpy()] = False
     pictures = rays.pixels.reshape(len(few), height, width, 3).numpy()
     median = np.median(pictures, axis=0).astype(np.float32) / 255
-    return _fit(scene, model, few[0].camera, median, still.reshape(height, width))
+    return _fit(scene, rest, render, few[0].camera, median, still.reshape(height, width))
 
 
-def _at_rest(scene: Scene, clip: Sequence[PosedFrame]) -> PosedFrame | None:
+def at_rest(scene: Scene, clip: Sequence[PosedFrame]) -> PosedFrame | None:
     """The camera's picture of the scene at rest, if it filmed then."""
     rest_time = scene.rest_time
     if rest_time is None:
@@ -104,14 +127,15 @@ def _at_rest(scene: Scene, clip: Sequence[PosedFrame]) -> PosedFrame | None:
 
 def _fit(
     scene: Scene,
-    model: DynamicModel,
+    rest: RestModel,
+    render: Render,
     camera: Camera,
     picture: Float[np.ndarray, "height width 3"],
     asked: Bool[np.ndarray, "height width"] | None,
 ) -> RestFit:
-    camera = camera.scaled(_scale(scene, camera))
-    rendered = render_view(model, camera, None)
-    where = _sees_box(model.rest, camera) if asked is None else asked & _sees_box(model.rest, camera)
+    camera = camera.scaled(scale_of(scene, camera))
+    rendered = render(camera)
+    where = _sees_box(rest, camera) if asked is None else asked & _sees_box(rest, camera)
     plain = plain_colour(scene.background)
     if plain is not None:
         where &= (
@@ -120,7 +144,7 @@ def _fit(
     psnr = None
     if where.sum() >= LEAST_PIXELS:
         psnr = float(-10 * np.log10(max(1e-10, ((picture - rendered)[where] ** 2).mean())))
-    return RestFit(psnr, displacement(picture @ LUMA, rendered @ LUMA, asked), _voxel(model.rest, camera))
+    return RestFit(psnr, displacement(picture @ LUMA, rendered @ LUMA, asked), voxel_width(rest, camera))
 
 
 def _sees_box(rest: RestModel, camera: Camera) -> Bool[np.ndarray, "height width"]:
@@ -130,7 +154,7 @@ def _sees_box(rest: RestModel, camera: Camera) -> Bool[np.ndarray, "height width
     return (segments.t_out > segments.t_in).reshape(camera.height, camera.width).numpy()
 
 
-def _voxel(rest: RestModel, camera: Camera) -> float:
+def voxel_width(rest: RestModel, camera: Camera) -> float:
     """What a voxel in the middle of the box measures in a picture, in its widths."""
     box = rest.canonical
     if box.ndc is not None:  # the reference camera's picture is as wide as the box
@@ -139,9 +163,11 @@ def _voxel(rest: RestModel, camera: Camera) -> float:
     return voxel_size(box.aabb, box.shape) * float(camera.K[0, 0]) / (max(away, rest.near) * camera.width)
 
 
-def _picture(scene: Scene, frame: PosedFrame) -> Float[np.ndarray, "height width 3"]:
-    return load_image(frame, _scale(scene, frame.camera), scene.background).astype(np.float32) / 255
+def picture_of(scene: Scene, frame: PosedFrame) -> Float[np.ndarray, "height width 3"]:
+    """A picture in [0, 1], at the size at which it is compared."""
+    return load_image(frame, scale_of(scene, frame.camera), scene.background).astype(np.float32) / 255
 
 
-def _scale(scene: Scene, camera: Camera) -> float:
+def scale_of(scene: Scene, camera: Camera) -> float:
+    """How much smaller a camera's pictures are compared than they are."""
     return min(scene.image_scale, SIDE_PX / max(camera.width, camera.height))

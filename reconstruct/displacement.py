@@ -56,27 +56,49 @@ def displacement(
         second: The other one.
         asked: Only blocks that lie in there for the most part are looked for; None: all.
     """
-    height, width = first.shape
-    longer = max(height, width)
-    side, reach = max(LEAST_BLOCK, longer // BLOCKS), max(LEAST_SEARCH, round(SEARCH * longer))
-    fine = first - gaussian_filter(first, side / 2)
-    at, found, textured = [], [], 0
+    longer, width = max(first.shape), first.shape[1]
+    side, reach = _side(first), max(LEAST_SEARCH, round(SEARCH * longer))
+    at, found = [], []
+    blocks = _textured_blocks(first, asked)
+    for x, y in blocks:
+        top, left = max(0, y - reach), max(0, x - reach)
+        area = second[top : y + side + reach, left : x + side + reach]
+        moved = _peak(first[y : y + side, x : x + side], area)
+        if moved is not None:
+            at.append((x + side / 2, y + side / 2))
+            found.append((moved[0] - (x - left), moved[1] - (y - top)))
+    if len(found) < LEAST_FOUND:
+        return Displacement(reach / width, 0.0, found=False) if len(blocks) >= MANY * LEAST_FOUND else None
+    length, std = _affine(np.array(at) / longer - 0.5, np.array(found))
+    return Displacement(length / width, std / width)
+
+
+def textured_blocks(
+    picture: Float[np.ndarray, "height width"], asked: Bool[np.ndarray, "height width"] | None = None
+) -> int:
+    """How many blocks of a grey picture have texture, of those that lie in `asked` for the most part."""
+    return len(_textured_blocks(picture, asked))
+
+
+def _textured_blocks(
+    picture: Float[np.ndarray, "height width"], asked: Bool[np.ndarray, "height width"] | None
+) -> list[tuple[int, int]]:
+    """Their first pixels (x, y)."""
+    height, width = picture.shape
+    side = _side(picture)
+    fine = picture - gaussian_filter(picture, side / 2)
+    out = []
     for y in range(0, height - side + 1, side // 2):
         for x in range(0, width - side + 1, side // 2):
             block = slice(y, y + side), slice(x, x + side)
-            if (asked is not None and asked[block].mean() <= 0.5) or not _textured(fine[block]):
-                continue
-            textured += 1
-            top, left = max(0, y - reach), max(0, x - reach)
-            area = second[top : y + side + reach, left : x + side + reach]
-            moved = _peak(first[block], area)
-            if moved is not None:
-                at.append((x + side / 2, y + side / 2))
-                found.append((moved[0] - (x - left), moved[1] - (y - top)))
-    if len(found) < LEAST_FOUND:
-        return Displacement(reach / width, 0.0, found=False) if textured >= MANY * LEAST_FOUND else None
-    length, std = _affine(np.array(at) / longer - 0.5, np.array(found))
-    return Displacement(length / width, std / width)
+            if (asked is None or asked[block].mean() > 0.5) and _textured(fine[block]):
+                out.append((x, y))
+    return out
+
+
+def _side(picture: Float[np.ndarray, "height width"]) -> int:
+    """Side of a block, pixels."""
+    return max(LEAST_BLOCK, max(picture.shape) // BLOCKS)
 
 
 def _textured(block: np.ndarray) -> bool:

@@ -1,11 +1,12 @@
 """Whether the scene box fits what was filmed, as rows."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from devrf.calibration.bounds import Bounds, MotionMask
-from devrf.calibration.box_checks import outside_box, seen_by_fewer
+from devrf.calibration.bounds import Bounds
+from devrf.calibration.box_checks import cut_off, not_swept, outside_box, seen_by_fewer
+from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.rows import HealthRow, listed, row
@@ -14,15 +15,25 @@ from devrf.pipelines.scene_mattes import SceneMattes
 LEAVES = 0.05  # of the subject's pixels outside the box: it leaves the box in this picture
 MOST_LEAVING = 0.1  # of a camera's pictures
 MOST_OUTSIDE = 0.5  # of the pixels that ever change; shadows and people who pass lie outside
+MOST_CUT = 0.02  # of what moves in a camera, in one piece beyond the box; in six captures at most 0.00
 MOST_FAR = 3.0  # far over the distance of 95 % of the points
 MOST_SEEN_ONCE = 0.5  # of the box
+MOST_NOT_SWEPT = 0.2  # of the box; in six captures at most 0.003
 
 
 @listed
 def box_health(
-    bounds: Bounds, masks: Sequence[MotionMask], mattes: SceneMattes | None, dynamic: Sequence[PosedFrame]
+    bounds: Bounds,
+    moves: Mapping[str, MotionMask],
+    mattes: SceneMattes | None,
+    dynamic: Sequence[PosedFrame],
+    static: Sequence[PosedFrame] = (),
 ) -> Iterator[HealthRow]:
-    """Rows about subject and box, stray far points, and what the moving cameras see."""
+    """Rows about subject and box, stray far points, and what the moving cameras see.
+
+    Args:
+        moves: What moves in each fixed camera; not asked where there are mattes.
+    """
     box = bounds.box_from_world, bounds.aabb
     if mattes is not None:
         leaving = {
@@ -44,12 +55,25 @@ def box_health(
             "things taken for the subject, or a part that only one camera sees; take them out, or move the cameras "
             "so that two see all of it.",
         )  # fmt: skip
-    elif masks and "hull" in bounds.basis:
-        outside = max(float(outside_box(m.mask[None], m.camera, *box)[0]) for m in masks)
+    elif moves:
+        if "hull" in bounds.basis:
+            outside = max(float(outside_box(m.mask[None], m.camera, *box)[0]) for m in moves.values())
+            yield row(
+                "changing pixels outside the box (worst camera)", 100 * outside, "%", warn_above=100 * MOST_OUTSIDE,
+                remedy="Much of what changes in a camera lies outside the box and is not modelled in motion: keep "
+                "people and shadows out of the picture, or see that two cameras see all that moves.",
+            )  # fmt: skip
+        cut = {name: found for name, m in moves.items() if (found := cut_off(m, *box)) is not None}
+        name = max(cut, key=lambda n: cut[n].share, default="none")
+        where = "; ".join(
+            f"{n} sees it {100 * x:.0f} % from the left and {100 * y:.0f} % from the top of its picture"
+            for n, (x, y) in ((n, c.place) for n, c in cut.items() if c.share > MOST_CUT)
+        )
         yield row(
-            "changing pixels outside the box (worst camera)", 100 * outside, "%", warn_above=100 * MOST_OUTSIDE,
-            remedy="Much of what changes in a camera lies outside the box and is not modelled in motion: keep "
-            "people and shadows out of the picture, or see that two cameras see all that moves.",
+            f"something that moves and is cut off by the box, worst camera ({name})",
+            100 * cut[name].share if cut else 0.0, "% of what moves", warn_above=100 * MOST_CUT,
+            remedy=f"Something moves beyond the box and is not modelled in motion: {where}. Keep it still or out of "
+            "the pictures; if it belongs to the scene, turn the cameras so that most of them see all of it.",
         )  # fmt: skip
     if bounds.far_over_most is not None:
         yield row(
@@ -64,4 +88,12 @@ def box_health(
             100 * seen_by_fewer(list(cameras.values()), *box, 2), "%", warn_above=100 * MOST_SEEN_ONCE,
             remedy="Motion there is seen from one side only and cannot be told: turn the cameras towards the "
             "subject so that each part is in two pictures.",
+        )  # fmt: skip
+    if cameras and static:
+        yield row(
+            "share of the box that the sweep did not come near",
+            100 * not_swept([f.camera for f in static], list(cameras.values()), *box),
+            "%", warn_above=100 * MOST_NOT_SWEPT,
+            remedy="What moves there is unknown at rest, or too coarse: let the sweep go all around the subject, as "
+            "near as the fixed cameras stand, with the subject in the picture.",
         )  # fmt: skip

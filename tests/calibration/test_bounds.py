@@ -2,14 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
-from devrf.calibration.bounds import MotionMask, focus_point, motion_mask, scene_bounds, visual_hull
+from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds, visual_hull
+from devrf.calibration.box_checks import cut_off, not_swept
 from devrf.calibration.intrinsics import guess
+from devrf.calibration.motion_masks import MotionMask, motion_mask
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 
 BALL = np.array([0.4, -0.3, 0.2])
 RADIUS = 0.3
+CAMERA = guess(120, 90).at(np.eye(3, 4))
 
 
 def camera_at(centre: np.ndarray, target: np.ndarray) -> Camera:
@@ -121,7 +125,7 @@ def test_motion_mask_sees_motion_but_neither_noise_nor_exposure():
         picture = scene * (1 + 0.1 * np.sin(n)) + rng.normal(0, 1.5, scene.shape)
         picture[30:50, 20 + 3 * n : 40 + 3 * n] = 230
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
-    mask = motion_mask(pictures)
+    mask = motion_mask(CAMERA, pictures).mask
     assert mask[32:48, 30:70].mean() > 0.9
     assert mask[:22].mean() < 0.05 and mask[60:].mean() < 0.05
 
@@ -134,5 +138,132 @@ def test_a_subject_that_fills_most_of_the_picture_is_still_what_moves():
         picture = scene + rng.normal(0, 1.5, scene.shape)
         picture[:, 40:] = rng.integers(40, 215, (90, 80))  # two thirds; the median pixel's range is over 100
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
-    mask = motion_mask(pictures)
+    mask = motion_mask(CAMERA, pictures).mask
     assert mask[:, 45:].mean() > 0.95 and mask[:, :35].mean() < 0.05
+
+
+def _clip(scene: np.ndarray, change, count: int = 24) -> list[np.ndarray]:
+    """Pictures of a scene with noise, changed at each n in [0, 1]."""
+    rng = np.random.default_rng(1)
+    pictures = []
+    for n in np.linspace(0, 1, count):
+        picture = scene + rng.normal(0, 1.5, scene.shape)
+        change(picture, float(n))
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+    return pictures
+
+
+def test_what_hardly_moves_counts_where_it_hangs_on_what_moves() -> None:
+    """An arm swings by much at its end and by 19 grey levels at its foot; as faint a change elsewhere is none."""
+    scene = np.random.default_rng(0).integers(80, 120, (90, 120)).astype(np.float64)
+
+    def swing(picture: np.ndarray, n: float) -> None:
+        picture[20:50, 30:50] += 90 * n
+        picture[50:75, 30:50] += 19 * n
+        picture[50:75, 90:110] += 19 * n
+
+    found = motion_mask(CAMERA, _clip(scene, swing))
+    mask = found.mask
+    assert mask[22:73, 32:48].all() and not mask[:, 80:].any()
+    assert found.much is not None and found.much[22:48, 32:48].all() and not found.much[56:].any()
+
+
+def test_a_mover_that_is_seen_in_two_pictures_counts_and_in_one_does_not() -> None:
+    scene = np.random.default_rng(0).integers(80, 120, (90, 120)).astype(np.float64)
+
+    def flash(pictures: int):
+        def change(picture: np.ndarray, n: float) -> None:
+            if round(23 * n) in range(12, 12 + pictures):
+                picture[20:50, 30:50] = 230
+
+        return change
+
+    assert motion_mask(CAMERA, _clip(scene, flash(2))).mask[22:48, 32:48].all()
+    assert not motion_mask(CAMERA, _clip(scene, flash(1))).mask.any()
+
+
+def test_a_shadow_changes_no_pattern_and_a_mover_does() -> None:
+    rng = np.random.default_rng(0)
+    scene = rng.integers(80, 200, (90, 120)).astype(np.float64)
+    mover = rng.integers(80, 200, (20, 20)).astype(np.float64)
+    soft = np.clip(1.2 - np.hypot(*(np.mgrid[:90, :120] - np.array([45, 90])[:, None, None])) / 25, 0, 1)
+
+    def change(picture: np.ndarray, n: float) -> None:
+        picture *= 1 - 0.5 * n * soft
+        x = 10 + round(20 * n)
+        picture[30:50, x : x + 20] = mover
+
+    pictures = _clip(scene, change)
+    shadow = np.hypot(*(np.mgrid[:90, :120] - np.array([45, 90])[:, None, None])) < 12
+    found = motion_mask(CAMERA, pictures)
+    assert found.mask[shadow].all() and not found.moved[shadow].any()
+    assert found.moved[32:48, 15:45].mean() > 0.95
+
+
+def two_movers(fixed: list[Camera], second: np.ndarray, radius: float) -> list[MotionMask]:
+    return [
+        MotionMask(c, ball_mask(c, np.zeros(3), RADIUS).mask | ball_mask(c, second, radius).mask)
+        for c in fixed
+    ]
+
+
+def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
+    """A third as wide, a thirtieth of the volume."""
+    fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), two_movers(fixed, second, radius))
+    ends = second + radius * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert (np.abs(in_box(bounds, ends)) <= bounds.aabb[1]).all()
+
+
+def test_a_shadow_as_small_is_no_mover() -> None:
+    fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
+    masks = [
+        MotionMask(m.camera, m.mask, pattern=ball_mask(m.camera, np.zeros(3)).mask)
+        for m in two_movers(fixed, second, radius)
+    ]
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    assert np.abs(in_box(bounds, second[None])).max() > 1.0
+
+
+def test_a_flat_mover_has_a_voxel_of_margin() -> None:
+    fixed = ring(4, 2.2)
+    lying = np.random.default_rng(0).uniform(-1, 1, (4000, 3)) * [0.5, 0.5, 0.01]
+    masks = []
+    for camera in fixed:
+        mask = np.zeros((camera.height, camera.width), dtype=bool)
+        u, v = camera.project(lying).astype(int).T
+        mask[v, u] = True
+        masks.append(MotionMask(camera, binary_dilation(mask, np.ones((5, 5)))))
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    assert (np.abs(in_box(bounds, lying)).max(0) <= bounds.aabb[1] - 0.9 * VOXEL).all()
+
+
+def test_a_mover_beyond_the_box_is_found_with_its_place() -> None:
+    """Somebody walks past one camera, at its upper left; what only darkens there is nobody."""
+    fixed = ring(4, 2.2)
+    masks = [ball_mask(c) for c in fixed]
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    box = bounds.box_from_world, bounds.aabb
+    assert all(cut_off(m, *box) is None for m in masks)
+    passed = masks[1].mask.copy()
+    passed[10:40, 0:20] = True
+    found = cut_off(MotionMask(fixed[1], passed), *box)
+    assert found is not None and found.place == pytest.approx((0.05, 25 / 150), abs=0.01)
+    assert found.share == pytest.approx(600 / passed.sum())
+    assert cut_off(MotionMask(fixed[1], passed, pattern=masks[1].mask), *box) is None
+
+
+@pytest.mark.parametrize(
+    ("sweep", "near"),
+    [
+        (ring(12, 5.0, 2.8), True),  # as near as the fixed cameras
+        (ring(12, 5.0, 12.0), False),  # from the far end of the hall
+        ([camera_at(c.centre, 3 * c.centre) for c in ring(12, 5.0, 2.8)], False),  # of the walls
+        (ring(2, 1.0, 2.8), False),  # two pictures
+    ],
+)
+def test_a_sweep_comes_near_the_box_or_does_not(sweep: list[Camera], near: bool) -> None:
+    fixed = ring(4, 2.2)
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), [ball_mask(c) for c in fixed])
+    left = not_swept(sweep, fixed, bounds.box_from_world, bounds.aabb)
+    assert left < 0.1 if near else left > 0.9

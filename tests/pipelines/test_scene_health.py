@@ -12,7 +12,8 @@ from devrf.capture.formats import write_dataset
 from devrf.capture.formats.colmap_model import ModelImage, read_model, write_model
 from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.progress import no_progress
-from devrf.capture.scene import Scene
+from devrf.capture.scene import PosedFrame, Scene
+from devrf.pipelines.captured_scene import left_out, span_of
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import StageContext
@@ -91,3 +92,19 @@ def test_how_cameras_stand_is_said(odd_scene: Scene, half_arc_deg: float, says: 
     bounds = scene_bounds(cameras, [], np.zeros((0, 3)), np.zeros(0))
     row = next(row for row in stage.health(bounds, odd_scene) if row.check == "cameras")
     assert says in str(row.value)
+
+
+def test_clips_of_other_lengths_are_named() -> None:
+    """A camera that films when no two others do is left out by name; a short clip is used as far as it goes."""
+    camera = Camera(64, 48, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(3, 4))
+    filmed = {"cam0": (0.0, 5.0), "cam1": (1.0, 4.0), "short": (2.0, 2.2), "late": (6.0, 8.0)}
+    assert span_of(list(filmed.values())) == (1.0, 4.0)
+    used = [
+        PosedFrame(Path("p.png"), camera, name, n, t, 0.0, "train")
+        for name, (begin, end) in filmed.items()
+        for n, t in enumerate(np.arange(begin, end, 0.1))
+        if 1.0 <= t <= 4.0
+    ]
+    (row,) = left_out(list(filmed), used)
+    assert (row.value, row.verdict) == ("late", "warn") and "late" in row.remedy
+    assert left_out(["cam0", "cam1", "short"], used) == []

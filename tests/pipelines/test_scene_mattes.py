@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.calibration.bounds import MotionMask, scene_bounds
+from devrf.calibration.bounds import scene_bounds
 from devrf.calibration.colour.match import Apart
 from devrf.calibration.colour.result import Colours
+from devrf.calibration.motion_masks import MotionMask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture import view_axes
@@ -270,11 +271,11 @@ def test_a_subject_that_leaves_the_box_is_counted(tmp_path: Path, monkeypatch: p
     config = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}, "mattes": "mattes"}
     scene = session.scene("mattes")[0]
     mattes = _mattes(session, config, scene)
-    leaving = box_health(bounds, (), mattes, scene.dynamic)[0]
+    leaving = box_health(bounds, {}, mattes, scene.dynamic)[0]
     assert leaving.check == "pictures in which the subject leaves the box (cam0)"
     assert leaving.verdict == "warn" and isinstance(leaving.value, float) and 1 <= leaving.value < 6
     wide = replace(bounds, aabb=3 * bounds.aabb)
-    assert box_health(wide, (), mattes, scene.dynamic)[0].value == 0
+    assert box_health(wide, {}, mattes, scene.dynamic)[0].value == 0
 
 
 def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
@@ -291,23 +292,27 @@ def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
 
 def test_changes_outside_the_box_stray_points_and_blind_corners() -> None:
     fixed = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
-    masks = [MotionMask(c, ball(c, BALL)) for c in fixed]
+    moves = {f"cam{n}": MotionMask(c, ball(c, BALL)) for n, c in enumerate(fixed)}
+    masks = list(moves.values())
     near = np.full(100, 2.5)
     bounds = scene_bounds(fixed, fixed, np.zeros((100, 3)), near, masks)
     frames = session_frames(fixed)
-    assert all(r.verdict == "ok" for r in box_health(bounds, masks, None, frames))
+    assert all(r.verdict == "ok" for r in box_health(bounds, moves, None, frames))
 
     passer = masks[2].mask.copy()
     passer[5:40, :20] = True  # somebody walks past one camera
-    outside = box_health(bounds, [*masks[:2], replace(masks[2], mask=passer), masks[3]], None, frames)[0]
+    passed = moves | {"cam2": replace(masks[2], mask=passer)}
+    outside, cut, *_ = box_health(bounds, passed, None, frames)
     assert outside.check.startswith("changing pixels outside the box") and outside.verdict == "warn"
+    assert cut.check == "something that moves and is cut off by the box, worst camera (cam2)"
+    assert cut.verdict == "warn" and "cam2" in cut.remedy
 
     stray = np.concatenate([near, np.full(3, 40.0)])
-    far = box_health(scene_bounds(fixed, fixed, np.zeros((100, 3)), stray, masks), masks, None, frames)[1]
+    far = box_health(scene_bounds(fixed, fixed, np.zeros((100, 3)), stray, masks), moves, None, frames)[2]
     assert far.check.startswith("far plane over") and far.verdict == "warn" and far.remedy
 
     away = [fixed[0], *(turned_away(c) for c in fixed[1:])]
-    blind = box_health(bounds, masks, None, session_frames(away))[-1]
+    blind = box_health(bounds, moves, None, session_frames(away))[-1]
     assert blind.check.startswith("share of the box that fewer than two") and blind.verdict == "warn"
 
 
