@@ -114,9 +114,10 @@ class Checkpoint:
         """Replace the file, whole or not at all, even if the power goes; where that fails, say so and go on.
 
         Returns:
-            Whether it was written.
+            Whether it was written; not where nothing is kept.
         """
-        assert self.path is not None
+        if self.path is None:
+            return False
         start, written = time.monotonic(), False
         ready = {name: tensor.detach().cpu().contiguous() for name, tensor in saved.tensors.items()}
         numbers = json.dumps(

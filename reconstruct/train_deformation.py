@@ -88,7 +88,9 @@ def _movers(
     start = time.monotonic()
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # trackable
-    found = find_movers(boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m))
+    found = find_movers(
+        boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks")
+    )
     if found is None:
         return None, Decision("movers", "none", "tracked", "too few points of the surface move")
     tracking_s = time.monotonic() - start

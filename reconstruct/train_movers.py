@@ -34,7 +34,6 @@ from devrf.reconstruct.training_state import grids_state, net_state, take_up_gri
 
 PICTURES = 16  # of which an iteration's rays are
 LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; all fall by 10
-OF_MOVERS = 1.0  # of these rates, for what the sweep has taught
 SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weight
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
 FOG = 0.004  # opacity of a step, of what could stand where movers are
@@ -194,18 +193,16 @@ class _Recipe:
         parts = _losses(around, seen, batch)
         assert self.movers.shading is not None
         loss = parts["mse"] + ENTROPY * parts["entropy"] + PER_POINT * parts["per_point"]
-        if SWEEP:
-            batch = self.sweep.draw(round(SWEEP * self.options.together_rays), self.generator)
-            batch = replace(batch, frame=torch.full_like(batch.frame, len(self.rays)))
-            jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
-            seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
-            still = _losses(self.at_rest.around(batch.rays_o, batch.rays_d), seen, batch)
-            loss = loss + SWEEP * (still["mse"] + ENTROPY * still["entropy"] + PER_POINT * still["per_point"])
+        batch = self.sweep.draw(round(SWEEP * self.options.together_rays), self.generator)
+        batch = replace(batch, frame=torch.full_like(batch.frame, len(self.rays)))
+        jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
+        seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
+        still = _losses(self.at_rest.around(batch.rays_o, batch.rays_d), seen, batch)
+        loss = loss + SWEEP * (still["mse"] + ENTROPY * still["entropy"] + PER_POINT * still["per_point"])
         (loss + self.movers.shading.penalty()).backward()
         decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.options.together)
         for name, grid in self.grids.items():
-            of = OF_MOVERS if name.startswith("movers") else 1.0
-            grid.update(of * decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
+            grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
         for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING)):
             for group in optimiser.param_groups:
                 group["lr"] = decay * rate

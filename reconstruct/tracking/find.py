@@ -13,6 +13,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.movers import Movers
@@ -25,6 +26,7 @@ from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
+from devrf.reconstruct.training_log import TrainingLog
 
 FEWEST_CAMERAS = 2  # that stand: one says nothing of depth
 FEWEST_POINTS = 60  # that move
@@ -63,7 +65,11 @@ def trackable(scene: Scene, rest: RestModel) -> bool:
 
 
 def find_movers(
-    scene: Scene, rest: RestModel, estimator: FlowEstimator, progress: Progress = no_progress
+    scene: Scene,
+    rest: RestModel,
+    estimator: FlowEstimator,
+    progress: Progress = no_progress,
+    checkpoint: Checkpoint = NOWHERE,
 ) -> Found | None:
     """Rigid parts and their motion; None where too little moves.
 
@@ -72,6 +78,7 @@ def find_movers(
         rest: The scene at rest; stays as it is.
         estimator: Of optical flow.
         progress: Told how far it is.
+        checkpoint: Where the tracks are kept, which take longest, and taken up from.
     """
     assert scene.rest_time is not None
     clips = films(scene, estimator)
@@ -86,9 +93,17 @@ def find_movers(
     clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
     moving = surface.only(moves)
     graph = Graph(moving)
-    tracks = follow_both_ways(
-        moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
-    )
+    log = TrainingLog("cpu", 1)
+    saved = checkpoint.found(log)
+    if saved is not None and saved.tensors["xyz"].shape[1] == len(moving):
+        times, xyz = (saved.tensors[name].numpy() for name in ("times", "xyz"))
+        tracks = Tracks(times, xyz, saved.numbers["rest"])
+    else:
+        tracks = follow_both_ways(
+            moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
+        )
+        kept = {"times": torch.from_numpy(tracks.times), "xyz": torch.from_numpy(tracks.xyz)}
+        checkpoint.write(Saved(1, kept, {"rest": tracks.rest, "log": log.state()}))
     voxel = rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
