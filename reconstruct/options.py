@@ -331,7 +331,12 @@ def preset(
                 rays_given=True,
                 coarse_rays=max(64, round(rays * canonical.coarse_rays / canonical.rays)),
             ),
-            replace(motion, rays=rays, rays_given=True),
+            replace(
+                motion,
+                rays=rays,
+                rays_given=True,
+                together_rays=max(64, round(rays * motion.together_rays / motion.rays)),
+            ),
         )
     if canonical_iterations is not None:
         ratio = canonical_iterations / PRESETS[name].canonical.iterations
