@@ -162,10 +162,10 @@ class Tripod:
     def add(self, frame: VideoFrame, time_s: float) -> None:
         """Look at one picture."""
         grey = frame.stored_grey(SHARPNESS_SIDE_PX)
-        if self._first is None:
+        if self._first is None or self._corners is None:  # the first pictures of a clip may show nothing
             self._first, self._corners = grey, find_corners(grey)
             return
-        motion = None if self._corners is None else follow(self._first, grey, self._corners)
+        motion = follow(self._first, grey, self._corners)
         if motion is not None:
             shift_px = motion.shift_px * max(frame.size) / max(grey.shape)
             self._shift = max(self._shift, (shift_px, time_s))

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from devrf.capture.clip_faults import bit_rate_fault, repeats_fault
 from devrf.capture.clip_watch import Seen, Unused
 from devrf.capture.courses import Courses
+from devrf.capture.empty_ends import empty_note
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import (
     SHARPNESS_SIDE_PX,
@@ -138,8 +139,8 @@ def extract_clip(
             elif keep.choose == "sharpest" and record.sharpness > best[1].sharpness:
                 best = (window, record, frame)
         write_best()
-    repeated = seen.repeats.frames()
-    for index in repeated:
+    repeated, empty = seen.repeats.frames(), seen.empty()
+    for index in (*repeated, *empty):
         file = records[index].file
         if file is not None:
             (out / file).unlink()
@@ -148,7 +149,7 @@ def extract_clip(
     if not any(record.used for record in records.values()):
         raise _nothing_used(path, keep, timed, reader.info)
     info, told = reader.info, timing(np.unique([*timed, *unused.times_s]))
-    notes = [*info.notes, *told.notes, *unused.notes(len(records))]
+    notes = [*info.notes, *told.notes, *unused.notes(len(records)), *empty_note(*seen.courses.empty())]
     if true_time is not None and max(true_time) >= count:
         notes.append(f"the table of times names frame {max(true_time)}, the clip has {count}")
     faults = [*unused.faults(), *seen.faults(), *bit_rate_fault(info, packets.count, packets.size_bytes)]
@@ -163,7 +164,7 @@ def extract_clip(
         variable_rate=told.variable_rate,
         has_audio=False,
         exif_focal_px=None,
-        rotation_deg=info.rotation_deg,
+        rotation_deg=info.upright.degrees,
         frames=tuple(records[index] for index in sorted(records)),
         level=float(np.median(seen.courses.levels)),
         missing_frames=told.missing_frames,
@@ -172,7 +173,8 @@ def extract_clip(
         notes=tuple(notes),
         faults=tuple(faults),
     )
-    return Extract(frames, seen.courses.courses(), None if seen.light is None else seen.light.course())
+    light = None if seen.light is None else seen.light.course().without(empty)
+    return Extract(frames, seen.courses.courses(), light)
 
 
 def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"], info: VideoInfo) -> CaptureError:

@@ -166,7 +166,12 @@ def _separate_joint_clips(session: CaptureSession) -> dict[str, Path]:
 def _with_clock_cues(got: Extract, sound: Sound | None, path: Path) -> CameraFrames:
     """The frames with what is known of their clock: sound, creation time, timecode."""
     recorded = read_recorded(path)
-    frames = replace(got.frames, created_s=recorded.created_s, timecode_s=recorded.timecode_s)
+    frames = replace(
+        got.frames,
+        created_s=recorded.created_s,
+        timecode_s=recorded.timecode_s,
+        timecode_fps=recorded.timecode_fps,
+    )
     if sound is None:
         found = read_sound(path)
         note = "no sound track" if found is None else "the sound track is silent"

@@ -19,6 +19,7 @@ from devrf.capture.frames import places
 from devrf.capture.photo_curve import declared_gamma
 from devrf.capture.picture_files import JPEG_SUFFIXES, PICTURE_SUFFIXES, natural_key, open_picture
 from devrf.capture.raw import develop, is_raw, read_layout
+from devrf.capture.upright import by_exif
 
 UNREADABLE_SUFFIXES = frozenset((".heic", ".heif", ".avif"))  # need a decoder that is not a dependency
 JPEG_QUALITY = 97  # of photos that had to be turned: a second JPEG at this quality costs < 1 level RMS
@@ -109,14 +110,12 @@ def probe_picture(path: Path) -> PictureInfo:
     """
     if is_raw(path):
         raw = read_layout(path)
-        size = (raw.height, raw.width) if raw.turn_deg % 180 else (raw.width, raw.height)
-        return PictureInfo(path, *size, raw.turn_deg != 0, None)
+        size = raw.upright.size(raw.width, raw.height)
+        return PictureInfo(path, *size, not raw.upright.nothing, None)
     with open_picture(path) as image:
-        width, height = image.size
-        turned = _orientation(image) > 1
-        if _orientation(image) >= 5:
-            width, height = height, width
-        return PictureInfo(path, width, height, turned, read_exif(image), declared_gamma(image))
+        upright = by_exif(_orientation(image))
+        size = upright.size(*image.size)
+        return PictureInfo(path, *size, not upright.nothing, read_exif(image), declared_gamma(image))
 
 
 def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
@@ -143,7 +142,7 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     if image.ndim == 2:
         image = image[:, :, None].repeat(3, axis=2)
     order = [2, 1, 0, 3][: image.shape[2]]
-    return np.ascontiguousarray(_upright(image[:, :, order], orientation))
+    return np.ascontiguousarray(by_exif(orientation).apply(np.ascontiguousarray(image[:, :, order])))
 
 
 def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
@@ -206,13 +205,6 @@ def _decoded(path: Path, flag: int) -> np.ndarray | None:
 def _orientation(image: Image.Image) -> int:
     value = image.getexif().get(ExifTags.Base.Orientation, 1)
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
-
-
-def _upright(image: np.ndarray, orientation: int) -> np.ndarray:
-    """Undo an EXIF orientation (EXIF 2.3, tag 0x0112: which side of the scene row 0 and column 0 are)."""
-    if orientation in (2, 4, 5, 7):  # mirrored
-        image = image[:, ::-1]
-    return np.rot90(image, {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0))
 
 
 def _is_8_bit(path: Path) -> bool:

@@ -42,7 +42,7 @@ def test_stored_turn_is_applied_once(make_clip, pictures, rotation):
     assert np.abs(rgb.astype(int) - expected).mean() < 6
     info = probe_video(path)
     assert (info.width, info.height) == (expected.shape[1], expected.shape[0])
-    assert info.rotation_deg == rotation % 360 and len(info.notes) == 1
+    assert info.upright.degrees == rotation % 360 and len(info.notes) == 1
 
 
 def test_unlabelled_small_pictures_are_bt601(make_clip):
