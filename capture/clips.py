@@ -30,7 +30,7 @@ from devrf.capture.light import LightCourse
 from devrf.capture.packets import scan_packets
 from devrf.capture.picture_writer import SUFFIX, PictureWriter
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.session import FrameTimes
+from devrf.capture.timestamps import FrameTimes, table_factor, table_faults
 from devrf.capture.video import VideoFrame, VideoInfo, VideoReader
 
 
@@ -100,6 +100,7 @@ def extract_clip(
     # A table of true times says nothing of file times, so only by decoding is its range found.
     span = keep.range_s if keep.only_range and true_time is None else None
     seen = Seen(role)
+    file_s: dict[int, float] = {}
     records: dict[int, FrameRecord] = {}
     unused = Unused()
     best: tuple[int, FrameRecord, VideoFrame] | None = None  # of the current window
@@ -119,6 +120,7 @@ def extract_clip(
         for frame in reader:
             if span is not None and frame.time_s > span[1]:
                 break
+            file_s[frame.index] = frame.time_s
             time_s = frame.time_s if true_time is None else true_time.get(frame.index)
             progress(min(1.0, frame.index / count), f"{name}: {frame.index + 1} of {count} frames")
             if unused.picture(frame, time_s, reader.info):
@@ -153,6 +155,8 @@ def extract_clip(
     if true_time is not None and max(true_time) >= count:
         notes.append(f"the table of times names frame {max(true_time)}, the clip has {count}")
     faults = [*unused.faults(), *seen.faults(), *bit_rate_fault(info, packets.count, packets.size_bytes)]
+    if times is not None:
+        faults += table_faults(table_factor(times, file_s))
     if repeated:
         faults.append(repeats_fault(repeated, len(records)))
     frames = CameraFrames(

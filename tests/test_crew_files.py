@@ -81,3 +81,16 @@ def test_clocks_by_timecode_alone(copy: Copy, devrf: Command) -> None:
     assert done.code == 0, done.err
     clock = clocks(next(scene.parent.rglob("devrf.log")).parent)["cam1"]
     assert clock["method"] == "timestamps" and clock["offset_s"] == pytest.approx(0.5005, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("table", "unit"), [("times_ms.csv", "milliseconds"), ("times_ns.csv", "nanoseconds")]
+)
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_table_that_is_not_in_seconds(
+    copy: Copy, devrf: Command, command: str, table: str, unit: str
+) -> None:
+    scene = copy("table-unit") / "scene.yaml"
+    scene.write_text(scene.read_text().replace("times_ms.csv", table))
+    done = devrf(command, scene, "--preset", "tiny", *(["--until", "sync"] if command == "run" else []))
+    assert done.code == 2 and table in done.err and unit in done.err

@@ -8,9 +8,9 @@ from pathlib import Path
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.datasets import guess_format
 from devrf.capture.progress import Progress
-from devrf.capture.session import read_timestamps
 from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Material, find_material, look_at, pictures_at
+from devrf.capture.timestamps import read_timestamps
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.init.calibrations import take_calibration

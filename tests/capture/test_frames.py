@@ -23,7 +23,8 @@ from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_s
 from devrf.capture.photos import extract_folder
 from devrf.capture.picture_files import natural_key
 from devrf.capture.pictures import list_pictures, probe_picture, read_picture, write_picture
-from devrf.capture.session import CaptureSession, FrameTimes
+from devrf.capture.session import CaptureSession
+from devrf.capture.timestamps import FrameTimes
 
 
 def test_sharpness_falls_with_blur():
