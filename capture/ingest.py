@@ -23,6 +23,7 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.photos import extract_folder
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.recorded import read_recorded
+from devrf.capture.recordings import chapter_faults
 from devrf.capture.session import CaptureSession
 from devrf.capture.slow_motion import length_faults
 from devrf.capture.timestamps import read_timestamps
@@ -97,7 +98,8 @@ def write_frames(
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step, workers)
         whole = not times and not (keep.only_range and keep.range_s)
         clocked = role in SOUND_ROLES
-        cameras[name] = _with_clock_cues(got, sounds.get(name), path, whole) if clocked else got.frames
+        frames = _with_clock_cues(got, sounds.get(name), path, whole) if clocked else got.frames
+        cameras[name] = replace(frames, faults=(*frames.faults, *chapter_faults(path)))
         if role in SOUND_ROLES:
             np.save(out / "motion" / f"{name}.npy", got.courses.motion)
             np.save(out / "brightness" / f"{name}.npy", got.courses.brightness)

@@ -13,7 +13,8 @@ import numpy as np
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.media import check_file
-from devrf.capture.pictures import is_photo, list_pictures, probe_picture
+from devrf.capture.photo_folders import is_photo, list_pictures
+from devrf.capture.pictures import probe_picture
 from devrf.capture.raw import WhiteBalance
 from devrf.capture.sampled import picture_times
 from devrf.capture.scene import Rest

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.errors import CaptureError
+from devrf.capture.photo_folders import CARD_FOLDER, UNREAD_KINDS, list_pictures
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
-from devrf.capture.pictures import UNREADABLE_SUFFIXES, list_pictures, probe_picture, read_picture
+from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import RAW_SUFFIXES
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
 from devrf.capture.video import probe_video
@@ -29,8 +30,10 @@ KINDS: dict[str, frozenset[str]] = {
     "photos": frozenset(PICTURE_SUFFIXES) | frozenset(RAW_SUFFIXES),
     "sounds": frozenset(".wav .mp3 .m4a .aac .flac .ogg".split()),
     "tables": frozenset((".csv",)),
-    "unreadable": UNREADABLE_SUFFIXES,
+    "unreadable": frozenset(UNREAD_KINDS),
 }
+UNREAD_CLIPS = frozenset(".braw .r3d .crm .ari .arx .nev .360".split())  # RAW and 360° files of their makers
+PREVIEWS = frozenset(".lrv .lrf .thm".split())  # small copies and still pictures that action cameras write
 OURS = ("stamp.json", "ingest", "devrf.log")  # what marks a run folder
 DEEPEST = 3  # folders in folders that are looked into
 MOST_SIDE_PX = 1280  # of sampled pictures: boards and backgrounds are found at it, large clips stay in memory
@@ -123,7 +126,15 @@ def find_material(folder: Path, deeper: int = DEEPEST) -> Material:
             material.photos.setdefault(folder, []).append(entry)
         else:
             getattr(material, kind).append(entry)
+    _join_card(folder, material)
     return material
+
+
+def _join_card(folder: Path, material: Material) -> None:
+    """Take the folders of a card (DCIM/100CANON, DCIM/101CANON) as the one folder of photos that they are."""
+    parts = [p for p in material.photos if p.parent == folder and CARD_FOLDER.fullmatch(p.name)]
+    if len(parts) > 1 and folder not in material.photos:
+        material.photos[folder] = [photo for part in parts for photo in material.photos.pop(part)]
 
 
 def look_at(path: Path, count: int) -> Look:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from tests.conftest import Command
 
 from devrf.capture.clips import Keep, extract_clip
@@ -94,3 +95,36 @@ def test_a_table_that_is_not_in_seconds(
     scene.write_text(scene.read_text().replace("times_ms.csv", table))
     done = devrf(command, scene, "--preset", "tiny", *(["--until", "sync"] if command == "run" else []))
     assert done.code == 2 and table in done.err and unit in done.err
+
+
+def test_photos_that_are_not_read_are_counted(copy: Copy, devrf: Command) -> None:
+    scene = copy("unread-photos") / "scene.yaml"
+    folder = run(devrf, scene, "ingest")
+    camera = json.loads((folder / "ingest" / "ingest.json").read_text())["cameras"]["static"]
+    assert len(camera["frames"]) == 18 and sum(f["photo"].endswith(".jfif") for f in camera["frames"]) == 6
+    for text in (json.dumps(camera["faults"]), devrf("check", scene, "--preset", "tiny").out):
+        assert "12 beside 18" in text and "6 HEIC" in text and "6 JPEG XL" in text
+
+
+def scene_of(devrf: Command, folder: Path) -> tuple[dict[str, Any], str]:
+    """The capture that `init` writes for a folder, and its page."""
+    done = devrf("init", folder)
+    assert done.code == 0, done.err
+    return yaml.safe_load((folder / "scene.yaml").read_text())["capture"], done.out
+
+
+def test_clips_of_photos_are_no_sweep(copy: Copy, devrf: Command) -> None:
+    capture, page = scene_of(devrf, copy("live-photos"))
+    assert capture["static"] == "DCIM/100APPLE"
+    assert page.count(".MOV") == 1 and "4 clips" in page
+
+
+def test_chapters_and_small_copies_are_no_cameras(copy: Copy, devrf: Command) -> None:
+    capture, page = scene_of(devrf, copy("chapters"))
+    assert sorted(capture["cameras"].values()) == [
+        "card/CLIP/C0001.MP4",
+        "left/GX010012.MP4",
+        "right/GX010007.MP4",
+    ]
+    assert "card/SUB/C0001S03.MP4: " in page and "ffmpeg -f concat" in page
+    assert all(f"GX010012.MP4 GX020012.MP4 > chapters.txt{end}" in page for end in ("", " && "))

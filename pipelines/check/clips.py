@@ -11,8 +11,10 @@ from devrf.calibration.field.steady import STANDS, Steadiness, steadiness
 from devrf.capture.audio import Sound
 from devrf.capture.frames import CameraFrames, FrameRecord, Role, grey_small, sharpness, timing
 from devrf.capture.ingest import MAX_SWEEP_FRAMES
-from devrf.capture.pictures import list_pictures, read_picture
+from devrf.capture.photo_folders import list_pictures, unread_faults
+from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
+from devrf.capture.recordings import chapter_faults
 from devrf.capture.sampled import read_runs
 from devrf.capture.scene import Rest
 from devrf.capture.slow_motion import length_faults
@@ -53,6 +55,10 @@ def planned_frames(
     used = set(range(look.count) if role != "sweep" else _sweep_pictures(look).tolist())
     times = look.times_s.tolist() or [None] * look.count
     faults = [] if true is None else table_faults(table_factor(true, dict(enumerate(look.times_s.tolist()))))
+    if not look.is_clip:
+        faults += unread_faults(look.path)
+    else:
+        faults += chapter_faults(look.path)
     if sound is not None and true is None:
         faults += length_faults(look.duration_s, sound.end_s - sound.start_s)
     return CameraFrames(
