@@ -188,6 +188,8 @@ def _with_clock_cues(got: Extract, sound: Sound | None, path: Path, whole: bool)
     notes = list(frames.notes)
     if sound.recorded_hz not in (None, sound.rate_hz):
         notes.append(f"sound resampled from {sound.recorded_hz} to {sound.rate_hz} Hz")
+    if sound.taken:
+        notes.append(f"sound: {sound.taken}")
     if abs(sound.start_s) > LATE_SOUND_S:
         notes.append(f"sound starts {1e3 * sound.start_s:+.0f} ms from the file's start; counted")
     shown = [f.time_s for f in frames.frames if f.time_s is not None]

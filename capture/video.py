@@ -20,7 +20,7 @@ from jaxtyping import Int, UInt8
 
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.limits import check_span
-from devrf.capture.media import open_media, origin_s, video_stream
+from devrf.capture.media import open_media, origin_s, video_stream, video_streams
 from devrf.capture.packets import Packets, scan_packets
 from devrf.capture.upright import Upright, by_display_matrix
 from devrf.capture.video_colour import bgr_of, bits_of, hdr_transfer, small_luma, small_rgb
@@ -282,6 +282,13 @@ class VideoReader:
         notes = []
         if not upright.nothing:
             notes.append(f"pictures are {upright.words} as the file says")
+        others = [s for s in video_streams(container) if s.index != stream.index]
+        if others:
+            sizes = ", ".join(
+                f"{s.codec_context.width}x{s.codec_context.height}" for s in others if s.codec_context
+            )
+            mine = f"the largest is used, number {stream.index}"
+            notes.append(f"{1 + len(others)} streams of pictures: {mine}, not {sizes or 'the others'}")
         aspect = stream.sample_aspect_ratio
         if aspect and aspect != 1:
             notes.append(f"pixels are not square ({aspect.numerator}:{aspect.denominator}); left as they are")

@@ -128,3 +128,9 @@ def test_chapters_and_small_copies_are_no_cameras(copy: Copy, devrf: Command) ->
     ]
     assert "card/SUB/C0001S03.MP4: " in page and "ffmpeg -f concat" in page
     assert all(f"GX010012.MP4 GX020012.MP4 > chapters.txt{end}" in page for end in ("", " && "))
+
+
+@pytest.mark.full
+def test_channels_of_opposite_sign(copy: Copy, devrf: Command) -> None:
+    clock = clocks(run(devrf, copy("opposed-channels") / "scene.yaml", "sync"))["cam1"]
+    assert clock["method"] == "audio" and clock["offset_s"] == pytest.approx(0.2317, abs=1e-3)
