@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.errors import CaptureError, DevrfError, InputError
 from devrf.capture.limits import check_pixels
+from devrf.capture.raw_compression import compression_words
 from devrf.capture.srgb import LEVEL_OF_LINEAR
 from devrf.capture.upright import Upright, by_exif
 
@@ -220,7 +221,29 @@ def _upright(flip: int) -> Upright:
     return by_exif(EXIF_OF_FLIP.get(flip, 1))
 
 
-def _damaged(path: Path, error: Exception) -> CaptureError:
+def check_unpacks(path: Path) -> None:
+    """Read the pixels of a RAW file, which tells whether LibRaw can.
+
+    Raises:
+        InputError: It is compressed in a way that LibRaw does not read.
+        CaptureError: Its content is damaged.
+    """
+    with _open(path) as file:
+        _header(path, file)
+
+
+def _damaged(path: Path, error: Exception) -> DevrfError:
+    import rawpy
+
+    if isinstance(
+        error, rawpy.LibRawFileUnsupportedError
+    ):  # it opened, so it is the way its pixels are stored
+        words = compression_words(path) or "a way that it does not name"
+        wrong = f"{path}: compressed by {words}, which LibRaw does not read"
+        remedy = (
+            "set the camera to lossless or none, convert them by Adobe DNG Converter or dnglab, or give JPEG"
+        )
+        return InputError("raw-compression-unread", f"{wrong}; {remedy}")
     text = f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again"
     return CaptureError("file-damaged", text)
 

@@ -15,7 +15,8 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.media import check_file
 from devrf.capture.photo_folders import is_photo, list_pictures
 from devrf.capture.pictures import probe_picture
-from devrf.capture.raw import WhiteBalance
+from devrf.capture.raw import WhiteBalance, check_unpacks, is_raw
+from devrf.capture.raw_compression import compression_of
 from devrf.capture.sampled import picture_times
 from devrf.capture.scene import Rest
 from devrf.capture.slow_motion import check_filmed_rate
@@ -166,6 +167,10 @@ def _check_folder(path: Path) -> list[Path]:
             probe_picture(picture)
         except DevrfError as error:
             broken.append(error)
+    raws = [picture for picture in pictures if is_raw(picture)]
+    if not broken:
+        for raw in {compression_of(raw): raw for raw in reversed(raws)}.values():  # the first of each kind
+            check_unpacks(raw)
     if broken:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise InputError(broken[0].code, f"{broken[0]}{more}")

@@ -14,6 +14,8 @@ from tests.conftest import Command
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.frames import CameraFrames
 from devrf.capture.pictures import read_picture
+from devrf.capture.raw_compression import compression_of
+from devrf.capture.session import CaptureSession, preflight
 
 Copy = Callable[[str], Path]
 
@@ -134,3 +136,16 @@ def test_chapters_and_small_copies_are_no_cameras(copy: Copy, devrf: Command) ->
 def test_channels_of_opposite_sign(copy: Copy, devrf: Command) -> None:
     clock = clocks(run(devrf, copy("opposed-channels") / "scene.yaml", "sync"))["cam1"]
     assert clock["method"] == "audio" and clock["offset_s"] == pytest.approx(0.2317, abs=1e-3)
+
+
+def test_raw_photos_compressed_in_a_way_that_is_not_read(copy: Copy, devrf: Command) -> None:
+    folder = copy("dng-jpeg-xl")
+    done = devrf("run", folder / "scene_jpeg_xl.yaml", "--until", "ingest", "--preset", "tiny")
+    assert done.code == 2 and "IMG_0000.DNG" in done.err and "JPEG XL (compression 52546)" in done.err
+    assert [len(preflight(CaptureSession(static=folder / kind))) for kind in ("plain", "jpeg_xl")] == [0, 1]
+    assert [compression_of(folder / kind / "IMG_0001.DNG") for kind in ("plain", "jpeg_xl")] == [1, 52546]
+    cut = folder / "IMG_0002.DNG"
+    cut.write_bytes((folder / "plain" / "IMG_0000.DNG").read_bytes()[:3000])
+    for size in range(0, 3000, 97):
+        cut.write_bytes(cut.read_bytes()[: 3000 - size])
+        assert compression_of(cut) in (None, 1)
