@@ -141,7 +141,8 @@ def extract_clip(
             elif keep.choose == "sharpest" and record.sharpness > best[1].sharpness:
                 best = (window, record, frame)
         write_best()
-    repeated, empty = seen.repeats.frames(), seen.empty()
+    empty = seen.empty()
+    repeated = seen.repeats.frames(empty)
     for index in (*repeated, *empty):
         file = records[index].file
         if file is not None:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 EMPTY_LEVELS = 1.5  # standard deviation of a small grey picture; one colour, and what coding adds
 EMPTY_SHARE = 0.25  # of the clip's usual contrast: a scene in the dark has little of it throughout
-FADE_SHARE = 0.9  # of the usual contrast: from there on a picture is shown in full
+FADE_SHARE = 0.98  # of the usual contrast: from there on a picture is shown in full
 FADE_STEP = (
     1.01  # each picture of a fade has at least so many times the contrast of the one nearer to the end
 )

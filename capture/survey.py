@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.empty_ends import EMPTY_LEVELS
 from devrf.capture.errors import CaptureError
 from devrf.capture.photo_folders import CARD_FOLDER, UNREAD_KINDS, list_pictures
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
@@ -38,7 +39,8 @@ OURS = ("stamp.json", "ingest", "devrf.log")  # what marks a run folder
 DEEPEST = 3  # folders in folders that are looked into
 MOST_SIDE_PX = 1280  # of sampled pictures: boards and backgrounds are found at it, large clips stay in memory
 BLACK_LEVEL = 10.0  # of 255: brighter than a lens cap, darker than a dim room
-END_PICTURES = 4  # successive ones, at the start or the end of a clip
+END_PICTURES = 4  # successive ones, at the start or the end of a clip, ...
+LONGER_END = 24  # ... looked for among so many where some show nothing
 
 
 @dataclass(frozen=True)
@@ -171,10 +173,15 @@ def _look_at_photos(folder: Path, count: int) -> Look:
 
 
 def pictures_at(look: Look, end: End) -> list[Picture]:
-    """Successive pictures of a clip at its start or its end; fewer where the file is damaged there."""
-    starts = spread_starts(look.times_s, 2, END_PICTURES)
-    at = starts[0] if end == "start" else starts[-1]
-    return [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], END_PICTURES))]
+    """Successive pictures of a clip at its start or its end, where they show something; fewer where it is damaged."""
+    for length in (END_PICTURES, LONGER_END):
+        starts = spread_starts(look.times_s, 2, length)
+        at = starts[0] if end == "start" else starts[-1]
+        run = [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], length))]
+        shown = [picture for picture in run if picture.std() > EMPTY_LEVELS]
+        if len(shown) == len(run):
+            return run
+    return shown[:END_PICTURES] if end == "start" else shown[-END_PICTURES:]
 
 
 def small(picture: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "h w 3"]:
