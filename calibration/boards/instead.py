@@ -1,4 +1,4 @@
-"""What pictures show where the described board is never found: other markers, mirrored ones, Kalibr's, a chessboard."""
+"""What pictures show where the described board is never found: other markers, mirrored ones, a chessboard."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,38 +12,29 @@ from devrf.calibration.boards.spec import dictionary
 from devrf.capture.pictures import read_grey
 
 PICTURES = 4  # all dictionaries take a second in each
-WAYS = (  # mirrored, width of the border in squares; in the order in which they are likely
-    (False, 1, ""),
-    (
-        True,
-        1,
-        ", in mirrored pictures: switch the camera's mirroring off, or film the board with the camera as it is",
-    ),
-    (False, 2, ", with a border of two squares (Kalibr's aprilgrid), which is not read: print another board"),
+MIRRORED = (
+    ", in mirrored pictures: switch the camera's mirroring off, or film the board with the camera as it is"
 )
 
 
 def seen_instead(files: Sequence[Path]) -> str:
     """What a few of the pictures show, in words; empty where it is nothing that is known."""
     greys = [read_grey(file) for _, file in zip(range(PICTURES), spread(files), strict=False)]
-    for mirrored, border, words in WAYS:
+    for mirrored in (False, True):
         for inverted in (False, True):
             turned = [grey[:, ::-1] if mirrored else grey for grey in greys]
-            found = _markers([np.ascontiguousarray(255 - g if inverted else g) for g in turned], border)
+            found = _markers([np.ascontiguousarray(255 - g if inverted else g) for g in turned])
             if found is not None:
                 name, ids = found
                 count = f"{len(ids)} markers of {name}, ids from {min(ids)} to {max(ids)}"
-                return f"{count}{', white on black' if inverted else ''}{words}"
+                return f"{count}{', white on black' if inverted else ''}{MIRRORED if mirrored else ''}"
     sizes = {size for grey in greys if (size := chessboard_size(grey)) is not None}
     return " or ".join(f"a chessboard of {columns}x{rows} inner corners" for columns, rows in sorted(sizes))
 
 
-def _markers(greys: Sequence[Grey], border: int) -> tuple[str, set[int]] | None:
+def _markers(greys: Sequence[Grey]) -> tuple[str, set[int]] | None:
     """The dictionary of which most markers are seen in one picture or more, and their numbers."""
     finder = cv2.aruco.ArucoDetector([dictionary(family[-1]) for family in FAMILIES])
-    parameters = finder.getDetectorParameters()
-    parameters.markerBorderBits = border
-    finder.setDetectorParameters(parameters)
     seen: dict[int, set[int]] = {}
     for grey in greys:
         _, ids, _, which = finder.detectMarkersMultiDict(grey)

@@ -52,6 +52,8 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
         seen_in = f"{name}: markers of {which} are seen in {len(seen)} pictures but fit no"
         misses = f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares)"
         remedy = "check squares, square_m, marker_m and dictionary of capture.board"
+        if spec.type == "aruco_grid":
+            remedy += " (rows that count from below, as on Kalibr's aprilgrid, are not read)"
         raise HealthError("board-layout-wrong", f"{seen_in} {misses}; {remedy}")
     wrong = [("squares", f"[{best.squares[0]}, {best.squares[1]}]")] if best.squares != spec.squares else []
     for key in ("legacy", "inverted"):

@@ -257,16 +257,16 @@ def test_what_is_seen_instead_of_the_board_is_named(tmp_path, printed, mirrored,
         find_board("clip", files, SPEC)
 
 
-def test_kalibrs_grid_is_named(tmp_path):
-    """Its tags have a border of two squares."""
+def test_a_grid_that_counts_otherwise_is_named(tmp_path):
+    """As Kalibr's aprilgrid: its rows count from below."""
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     sheet = np.full((440, 620), 255, np.uint8)
     for n in range(6):
-        row, column = divmod(n, 3)
+        row, column = 1 - n // 3, n % 3
         at = slice(40 + 200 * row, 200 + 200 * row), slice(40 + 200 * column, 200 + 200 * column)
         sheet[at] = cv2.aruco.generateImageMarker(tags, n, 160, borderBits=2)
-    spec = replace(GRID, dictionary="DICT_APRILTAG_36h11")
-    with refused("board-never-seen", "DICT_APRILTAG_36h11", "ids from 0 to 5", "Kalibr", kind=HealthError):
+    spec = replace(GRID, squares=(3, 2), dictionary="DICT_APRILTAG_36h11")
+    with refused("board-layout-wrong", "DICT_APRILTAG_36h11", "ids from 0 to 5", "Kalibr", kind=HealthError):
         find_board("clip", write(tmp_path, [sheet]), spec)
 
 
