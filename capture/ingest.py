@@ -22,7 +22,7 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.photos import extract_folder
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.recorded import read_recorded
+from devrf.capture.recorded import rate_faults, read_recorded
 from devrf.capture.recordings import chapter_faults
 from devrf.capture.session import CaptureSession
 from devrf.capture.slow_motion import length_faults
@@ -180,6 +180,7 @@ def _with_clock_cues(got: Extract, sound: Sound | None, path: Path, whole: bool)
         created_s=recorded.created_s,
         timecode_s=recorded.timecode_s,
         timecode_fps=recorded.timecode_fps,
+        faults=(*got.frames.faults, *rate_faults(recorded.timecode_fps, got.frames.fps_mean)),
     )
     if sound is None:
         found = read_sound(path)

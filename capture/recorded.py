@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from devrf.capture.frames import Fault
 from devrf.capture.media import open_media
 from devrf.capture.timecode_track import timecode_rate
 
@@ -21,6 +22,7 @@ USUAL_FPS = (
     120.0,
 )
 MEAN_TOLERANCE = 0.02
+RATE_TOLERANCE = 0.1  # clips that lost pictures have a lower mean
 DROPPED = {30: 2, 60: 4}  # frame numbers left out each minute but the tenth (SMPTE ST 12-1, drop frame)
 
 
@@ -71,6 +73,23 @@ def timecode_s(text: str, fps: float) -> float | None:
         whole = hours * 60 + minutes
         number -= DROPPED[counted] * (whole - whole // 10)
     return number / fps
+
+
+def rate_faults(timecode_fps: float | None, fps: float | None) -> list[Fault]:
+    """What to say where pictures come at another rate than the timecode counts, and not at two or four times it."""
+    if (
+        not timecode_fps
+        or not fps
+        or any(abs(fps / (n * timecode_fps) - 1) < RATE_TOLERANCE for n in (1, 2, 4))
+    ):
+        return []
+    return [
+        Fault(
+            "rate of the timecode",
+            f"it counts {timecode_fps:.4g} a second, pictures come at {fps:.4g}: a factor of {fps / timecode_fps:.3g}",
+            "Set project and camera to one rate; if it is slow motion, give true times in capture.timestamps.",
+        )
+    ]
 
 
 def _counted(fps: float | None) -> float | None:

@@ -14,6 +14,7 @@ from devrf.capture.ingest import MAX_SWEEP_FRAMES
 from devrf.capture.photo_folders import list_pictures, unread_faults
 from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
+from devrf.capture.recorded import rate_faults, read_recorded
 from devrf.capture.recordings import chapter_faults
 from devrf.capture.sampled import read_runs
 from devrf.capture.scene import Rest
@@ -59,6 +60,7 @@ def planned_frames(
         faults += unread_faults(look.path)
     else:
         faults += chapter_faults(look.path)
+        faults += rate_faults(read_recorded(look.path).timecode_fps, seen.fps_mean)
     if sound is not None and true is None:
         faults += length_faults(look.duration_s, sound.end_s - sound.start_s)
     return CameraFrames(

@@ -7,6 +7,7 @@ from tests.refused import refused
 
 from devrf.calibration.flicker import judge_light
 from devrf.capture.light import BANDS, LightCourse
+from devrf.capture.recorded import rate_faults, timecode_s
 from devrf.capture.slow_motion import check_filmed_rate, length_faults
 from devrf.capture.timestamps import FrameTimes, check_table, table_factor, table_faults
 
@@ -90,3 +91,25 @@ def test_a_clip_that_says_how_fast_it_was_filmed(make_clip, tmp_path, filmed, fa
     else:
         with refused("clip-slow-motion", path.name, factor, f"{1 / factor:.6g}", "capture.timestamps"):
             check_filmed_rate(path)
+
+
+@pytest.mark.parametrize(
+    ("counted", "fps", "said"),
+    [
+        (25.0, 25.0, 0),
+        (29.97, 59.94, 0),
+        (30.0, 119.88, 0),
+        (25.0, 24.1, 0),
+        (23.976, 59.94, 1),
+        (None, 25.0, 0),
+    ],
+)
+def test_rates_of_timecode_and_pictures(counted, fps, said):
+    assert len(rate_faults(counted, fps)) == said
+
+
+@pytest.mark.parametrize(
+    ("text", "fps", "seconds"), [("10:00:00;15", 30_000 / 1001, 36000.4645), ("01:00:00:12", 24.0, 3600.5)]
+)
+def test_timecode_counts_at_the_rate_it_is_given(text, fps, seconds):
+    assert timecode_s(text, fps) == pytest.approx(seconds, abs=1e-3)
