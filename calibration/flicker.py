@@ -150,6 +150,8 @@ def _find_flicker(
         alias_hz = abs(lamp_hz - fps * round(lamp_hz / fps))
         reach_hz = MAINS_TOLERANCE * lamp_hz
         lowest_hz = max(alias_hz - reach_hz, FEWEST_WAVES * line_hz)
+        if 4 * (alias_hz + reach_hz - lowest_hz) / line_hz > len(time_s):
+            return None  # more lines than pictures: the clip is all gaps
         steps = np.arange(lowest_hz, alias_hz + reach_hz, line_hz / 4)
         trials += [(float(seen_hz), lamp_hz) for seen_hz in steps]
     if not trials:

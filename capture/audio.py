@@ -6,22 +6,26 @@ Resampling is linear-phase (scipy's polyphase filter), so it delays nothing.
 """
 
 import wave
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import gcd
 from pathlib import Path
 
 import av
 import numpy as np
+from av.audio.stream import AudioStream
+from av.container import InputContainer
 from av.error import FFmpegError
+from av.packet import Packet
 from jaxtyping import Float
 from scipy.signal import resample_poly
 
+from devrf.capture.audio_channels import SILENCE_RMS, Choice, Heard, choose
 from devrf.capture.errors import CaptureError
 from devrf.capture.limits import check_span
 from devrf.capture.media import open_media, origin_s
 
 RATE_HZ = 48_000  # what nearly all cameras record; 21 microseconds a sample
-SILENCE_RMS = 1e-4  # -80 dB: below any real microphone's noise
 JITTER_S = 1e-3  # containers with millisecond time bases (mkv) round by half a millisecond
 INT16_MAX = 32767
 
@@ -35,12 +39,14 @@ class Sound:
         rate_hz: Samples per second.
         start_s: File time of sample 0, seconds.
         recorded_hz: Samples per second in the file it was read from, or None.
+        taken: Which of several channels or tracks it is and why, where it is not the mean of the first track's.
     """
 
     samples: Float[np.ndarray, " n"]
     rate_hz: int
     start_s: float
     recorded_hz: int | None = None
+    taken: str = ""
 
     @property
     def end_s(self) -> float:
@@ -56,16 +62,22 @@ class Sound:
 
 
 def read_sound(path: Path) -> Sound | None:
-    """Decode the first sound stream of a file as mono; None where the file has none.
+    """Decode the sound of a file as mono; None where the file has none.
+
+    It is the mean of the first track's channels, or what is clearer (`audio_channels`).
 
     Raises:
         InputError: If the file is missing or not a media file.
-        CaptureError: If there is a sound stream of which nothing decodes, or it is longer than any recording.
+        CaptureError: If there is a sound track, but nothing of any decodes, or it is longer than any recording.
     """
     with open_media(path) as container:
-        if not container.streams.audio:
+        tracks = container.streams.audio
+        if not tracks:
             return None
-        stream = container.streams.audio[0]
+        several = len(tracks) > 1 or (tracks[0].channels if tracks[0].codec_context else 1) > 1
+        choice = _listen(path, container) if several else Choice()
+    with open_media(path) as container:
+        stream = container.streams.audio[choice.track]
         blocks: list[tuple[float, np.ndarray]] = []
         native_hz, failure = 0, ""
         try:
@@ -73,7 +85,10 @@ def read_sound(path: Path) -> Sound | None:
                 if block.time is None or not block.samples:
                     continue
                 native_hz = native_hz or block.sample_rate
-                blocks.append((block.time - origin_s(container), _mono(block)))
+                values = _channels(block)
+                one = choice.channel is not None and choice.channel < len(values)
+                samples = values[choice.channel] if one else values.mean(axis=0)
+                blocks.append((block.time - origin_s(container), samples))
                 check_span(path, abs(blocks[-1][0] - blocks[0][0]))
         except FFmpegError as error:
             failure = f" ({error.strerror})"  # what decoded before the damage is used
@@ -85,7 +100,36 @@ def read_sound(path: Path) -> Sound | None:
     if native_hz != RATE_HZ:
         factor = gcd(native_hz, RATE_HZ)
         samples = resample_poly(samples, RATE_HZ // factor, native_hz // factor).astype(np.float32)
-    return Sound(samples, RATE_HZ, start_s, native_hz)
+    return Sound(samples, RATE_HZ, start_s, native_hz, choice.why)
+
+
+def _listen(path: Path, container: InputContainer) -> Choice:
+    """Listen to all channels of all tracks, without keeping what is heard, and choose."""
+    tracks = [s for s in container.streams.audio if s.codec_context is not None]
+    heard = {s.index: Heard() for s in container.streams.audio}
+    damaged: set[int] = set()
+    first_s: float | None = None
+    for packet in _packets(container, tracks):
+        if packet.stream.index in damaged:
+            continue
+        try:
+            for block in packet.stream.codec_context.decode(packet):
+                if block.time is None or not block.samples:
+                    continue
+                first_s = block.time if first_s is None else first_s
+                check_span(path, abs(block.time - first_s))
+                heard[packet.stream.index].add(_channels(block))
+        except FFmpegError:
+            damaged.add(packet.stream.index)
+    return choose(list(heard.values()))
+
+
+def _packets(container: InputContainer, tracks: list[AudioStream]) -> Iterator[Packet]:
+    """Packets of sound up to the first damage of the file."""
+    try:
+        yield from container.demux(*tracks)
+    except FFmpegError:
+        return
 
 
 def write_wav(path: Path, sound: Sound) -> None:
@@ -116,16 +160,16 @@ def read_wav(path: Path, start_s: float = 0.0) -> Sound:
         raise CaptureError("file-damaged", f"{path}: not a wav file ({error})") from None
 
 
-def _mono(block: av.AudioFrame) -> Float[np.ndarray, " n"]:
-    """Mean of the channels [n], float32 in [-1, 1]."""
+def _channels(block: av.AudioFrame) -> Float[np.ndarray, "channels n"]:
+    """Its channels [channels, n], float32 in [-1, 1]."""
     values = block.to_ndarray()
     if not block.format.is_planar:
         values = values.reshape(-1, block.layout.nb_channels).T
     if values.dtype == np.uint8:
-        return ((values.astype(np.float32) - 128) / 128).mean(axis=0)
+        return (values.astype(np.float32) - 128) / 128
     if np.issubdtype(values.dtype, np.integer):
-        return (values.astype(np.float32) / float(2 ** (8 * values.itemsize - 1))).mean(axis=0)
-    return values.astype(np.float32).mean(axis=0)
+        return values.astype(np.float32) / float(2 ** (8 * values.itemsize - 1))
+    return values.astype(np.float32)
 
 
 def _place(blocks: list[tuple[float, np.ndarray]], rate_hz: int) -> tuple[Float[np.ndarray, " n"], float]:

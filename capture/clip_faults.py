@@ -3,6 +3,8 @@
 Each frame is looked at as a small grey picture, as the sensor reads it. Nothing here changes a picture.
 """
 
+from collections.abc import Sequence
+
 import av
 import cv2
 import numpy as np
@@ -42,31 +44,34 @@ class Repeats:
         # Of each frame: index, whether it is the same as the one before, whether something moved.
         self._frames: list[tuple[int, bool, bool]] = []
         self._last: UInt8[np.ndarray, "h w"] | None = None
+        self._first = 0
 
     def add(self, index: int, grey: UInt8[np.ndarray, "h w"]) -> None:
         """Look at frame `index`."""
         last, self._last = self._last, grey
         if last is None:
+            self._first = index
             return
         difference = cv2.absdiff(grey, last)
         moved = bool(np.count_nonzero(difference > MOVED_LEVEL) > MOVED_SHARE * difference.size)
         self._frames.append((index, not moved and cv2.mean(difference)[0] < SAME_LEVEL, moved))
 
-    def frames(self) -> list[int]:
-        """Their indices."""
-        same = np.array([same for _, same, _ in self._frames], dtype=bool)
+    def frames(self, empty: Sequence[int] = ()) -> list[int]:
+        """Their indices; how a clip gets from `empty` frames to the others is no movement."""
+        left_out = set(empty)
+        seen = [f for n, f in enumerate(self._frames) if not left_out & {f[0], self._before(n)}]
+        same = np.array([same for _, same, _ in seen], dtype=bool)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
         found: list[int] = []
         for start, end in edges.reshape(-1, 2).tolist():
             inside = 0 < start and end < len(same)
-            if (
-                inside
-                and end - start <= LONGEST_REPEAT
-                and self._frames[start - 1][2]
-                and self._frames[end][2]
-            ):
-                found += [index for index, _, _ in self._frames[start:end]]
+            if inside and end - start <= LONGEST_REPEAT and seen[start - 1][2] and seen[end][2]:
+                found += [index for index, _, _ in seen[start:end]]
         return found
+
+    def _before(self, n: int) -> int:
+        """Index of the frame before the n-th that was compared with one."""
+        return self._frames[n - 1][0] if n else self._first
 
 
 def repeats_fault(repeated: list[int], count: int) -> Fault:
@@ -162,10 +167,10 @@ class Tripod:
     def add(self, frame: VideoFrame, time_s: float) -> None:
         """Look at one picture."""
         grey = frame.stored_grey(SHARPNESS_SIDE_PX)
-        if self._first is None:
+        if self._first is None or self._corners is None:  # the first pictures of a clip may show nothing
             self._first, self._corners = grey, find_corners(grey)
             return
-        motion = None if self._corners is None else follow(self._first, grey, self._corners)
+        motion = follow(self._first, grey, self._corners)
         if motion is not None:
             shift_px = motion.shift_px * max(frame.size) / max(grey.shape)
             self._shift = max(self._shift, (shift_px, time_s))

@@ -19,6 +19,7 @@ class Seen:
         self.courses = CourseMeter()
         self.light = LightMeter() if role in ("camera", "test") else None
         self.repeats = Repeats()
+        self._indices: list[int] = []
         self._clipped: list[float] | None = (
             None if role in ("board", "joint") else []
         )  # boards are white paper
@@ -30,6 +31,7 @@ class Seen:
         """Look at a frame; `grey` is its `stored_grey`."""
         self.courses.add(time_s, grey)
         self.repeats.add(frame.index, grey)
+        self._indices.append(frame.index)
         if self.light is not None:
             self.light.add(frame.index, time_s, frame.stored_rgb(SMALL_SIDE_PX))
         if time_s < self._look_at_s:
@@ -40,6 +42,11 @@ class Seen:
             self._clipped.append(clipped_share(frame.stored_rgb(SMALL_SIDE_PX)))
         if self._tripod is not None:
             self._tripod.add(frame, time_s)
+
+    def empty(self) -> list[int]:
+        """Indices of the frames at the ends that show nothing."""
+        start, end = self.courses.empty()
+        return self._indices[:start] + self._indices[len(self._indices) - end :]
 
     def faults(self) -> list[Fault]:
         """What is suspicious, apart from frames that repeat others."""

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from devrf.capture.clip_faults import bit_rate_fault, repeats_fault
 from devrf.capture.clip_watch import Seen, Unused
 from devrf.capture.courses import Courses
+from devrf.capture.empty_ends import empty_note
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import (
     SHARPNESS_SIDE_PX,
@@ -29,7 +30,7 @@ from devrf.capture.light import LightCourse
 from devrf.capture.packets import scan_packets
 from devrf.capture.picture_writer import SUFFIX, PictureWriter
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.session import FrameTimes
+from devrf.capture.timestamps import FrameTimes, table_factor, table_faults
 from devrf.capture.video import VideoFrame, VideoInfo, VideoReader
 
 
@@ -99,6 +100,7 @@ def extract_clip(
     # A table of true times says nothing of file times, so only by decoding is its range found.
     span = keep.range_s if keep.only_range and true_time is None else None
     seen = Seen(role)
+    file_s: dict[int, float] = {}
     records: dict[int, FrameRecord] = {}
     unused = Unused()
     best: tuple[int, FrameRecord, VideoFrame] | None = None  # of the current window
@@ -118,6 +120,7 @@ def extract_clip(
         for frame in reader:
             if span is not None and frame.time_s > span[1]:
                 break
+            file_s[frame.index] = frame.time_s
             time_s = frame.time_s if true_time is None else true_time.get(frame.index)
             progress(min(1.0, frame.index / count), f"{name}: {frame.index + 1} of {count} frames")
             if unused.picture(frame, time_s, reader.info):
@@ -138,8 +141,9 @@ def extract_clip(
             elif keep.choose == "sharpest" and record.sharpness > best[1].sharpness:
                 best = (window, record, frame)
         write_best()
-    repeated = seen.repeats.frames()
-    for index in repeated:
+    empty = seen.empty()
+    repeated = seen.repeats.frames(empty)
+    for index in (*repeated, *empty):
         file = records[index].file
         if file is not None:
             (out / file).unlink()
@@ -148,10 +152,12 @@ def extract_clip(
     if not any(record.used for record in records.values()):
         raise _nothing_used(path, keep, timed, reader.info)
     info, told = reader.info, timing(np.unique([*timed, *unused.times_s]))
-    notes = [*info.notes, *told.notes, *unused.notes(len(records))]
+    notes = [*info.notes, *told.notes, *unused.notes(len(records)), *empty_note(*seen.courses.empty())]
     if true_time is not None and max(true_time) >= count:
         notes.append(f"the table of times names frame {max(true_time)}, the clip has {count}")
     faults = [*unused.faults(), *seen.faults(), *bit_rate_fault(info, packets.count, packets.size_bytes)]
+    if times is not None:
+        faults += table_faults(table_factor(times, file_s))
     if repeated:
         faults.append(repeats_fault(repeated, len(records)))
     frames = CameraFrames(
@@ -163,7 +169,7 @@ def extract_clip(
         variable_rate=told.variable_rate,
         has_audio=False,
         exif_focal_px=None,
-        rotation_deg=info.rotation_deg,
+        rotation_deg=info.upright.degrees,
         frames=tuple(records[index] for index in sorted(records)),
         level=float(np.median(seen.courses.levels)),
         missing_frames=told.missing_frames,
@@ -172,7 +178,8 @@ def extract_clip(
         notes=tuple(notes),
         faults=tuple(faults),
     )
-    return Extract(frames, seen.courses.courses(), None if seen.light is None else seen.light.course())
+    light = None if seen.light is None else seen.light.course().without(empty)
+    return Extract(frames, seen.courses.courses(), light)
 
 
 def _nothing_used(path: Path, keep: Keep, time_s: Float[np.ndarray, " n"], info: VideoInfo) -> CaptureError:

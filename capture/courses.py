@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.empty_ends import empty_ends
 from devrf.capture.frames import SHARPNESS_SIDE_PX, shrunk
 from devrf.capture.video import VideoReader
 
@@ -28,13 +29,14 @@ class Courses:
 
 
 class CourseMeter:
-    """Gathers `Courses`, frame by frame."""
+    """Gathers `Courses`, frame by frame, without empty pictures at the ends."""
 
     def __init__(self) -> None:
         self.times_s: list[float] = []
         self.levels: list[float] = []  # median of each frame
         self._motion: list[tuple[float, float]] = []
         self._brightness: list[np.ndarray] = []
+        self._contrast: list[float] = []
         self._last: UInt8[np.ndarray, "h w"] | None = None
 
     def add(self, time_s: float, grey: UInt8[np.ndarray, "h w"]) -> None:
@@ -45,13 +47,20 @@ class CourseMeter:
             self._motion.append(((time_s + self.times_s[-1]) / 2, difference))
         self._brightness.append(np.concatenate([[time_s], _row_bands(grey)]))
         self.levels.append(float(np.median(small)))
+        self._contrast.append(float(cv2.meanStdDev(small)[1][0, 0]))
         self.times_s.append(time_s)
         self._last = small
 
+    def empty(self) -> tuple[int, int]:
+        """How many pictures at the start and at the end show nothing."""
+        return empty_ends(np.array(self._contrast))
+
     def courses(self) -> Courses:
         """What was measured."""
+        start, end = self.empty()
         motion = np.array(self._motion).reshape(-1, 2)
-        return Courses(motion, np.array(self._brightness).reshape(-1, 1 + ROW_BANDS))
+        brightness = np.array(self._brightness).reshape(-1, 1 + ROW_BANDS)
+        return Courses(motion[start : len(motion) - end], brightness[start : len(brightness) - end])
 
 
 def read_courses(path: Path, seconds: float) -> Courses:

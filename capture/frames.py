@@ -94,6 +94,7 @@ class CameraFrames:
         audio_start_s: File time of the first sample of its sound, or None.
         created_s: When the file says it was made, seconds since 1970 UTC, or None.
         timecode_s: Timecode of its first frame, seconds of the day, or None.
+        timecode_fps: Frames that the timecode counts in a second, or None.
         missing_frames: Frames that its timestamps say were dropped.
         ended_early: Where a damaged or truncated file ended, in words; None for a whole one.
         announced_frames: Frames the file announces, or None.
@@ -115,6 +116,7 @@ class CameraFrames:
     audio_start_s: float | None = None
     created_s: float | None = None
     timecode_s: float | None = None
+    timecode_fps: float | None = None
     missing_frames: int = 0
     ended_early: str | None = None
     announced_frames: int | None = None

@@ -22,8 +22,11 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.photos import extract_folder
 from devrf.capture.progress import Progress, no_progress
-from devrf.capture.recorded import read_recorded
-from devrf.capture.session import CaptureSession, read_timestamps
+from devrf.capture.recorded import rate_faults, read_recorded
+from devrf.capture.recordings import chapter_faults
+from devrf.capture.session import CaptureSession
+from devrf.capture.slow_motion import length_faults
+from devrf.capture.timestamps import read_timestamps
 from devrf.capture.white import mean_white
 
 MAX_SWEEP_FRAMES = 120  # exhaustive matching of 120 pictures is 7140 pairs, minutes on two cores
@@ -93,7 +96,10 @@ def write_frames(
             )
             return
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step, workers)
-        cameras[name] = _with_clock_cues(got, sounds.get(name), path) if role in SOUND_ROLES else got.frames
+        whole = not times and not (keep.only_range and keep.range_s)
+        clocked = role in SOUND_ROLES
+        frames = _with_clock_cues(got, sounds.get(name), path, whole) if clocked else got.frames
+        cameras[name] = replace(frames, faults=(*frames.faults, *chapter_faults(path)))
         if role in SOUND_ROLES:
             np.save(out / "motion" / f"{name}.npy", got.courses.motion)
             np.save(out / "brightness" / f"{name}.npy", got.courses.brightness)
@@ -163,10 +169,19 @@ def _separate_joint_clips(session: CaptureSession) -> dict[str, Path]:
     return {f"joint_{c}": p for c, p in session.joint_clips.items() if not session.shares_joint_clip(c)}
 
 
-def _with_clock_cues(got: Extract, sound: Sound | None, path: Path) -> CameraFrames:
-    """The frames with what is known of their clock: sound, creation time, timecode."""
+def _with_clock_cues(got: Extract, sound: Sound | None, path: Path, whole: bool) -> CameraFrames:
+    """The frames with what is known of their clock: sound, creation time, timecode.
+
+    `whole`: they are all of the clip's, with its own times, so that they last as long as the sound.
+    """
     recorded = read_recorded(path)
-    frames = replace(got.frames, created_s=recorded.created_s, timecode_s=recorded.timecode_s)
+    frames = replace(
+        got.frames,
+        created_s=recorded.created_s,
+        timecode_s=recorded.timecode_s,
+        timecode_fps=recorded.timecode_fps,
+        faults=(*got.frames.faults, *rate_faults(recorded.timecode_fps, got.frames.fps_mean)),
+    )
     if sound is None:
         found = read_sound(path)
         note = "no sound track" if found is None else "the sound track is silent"
@@ -174,6 +189,11 @@ def _with_clock_cues(got: Extract, sound: Sound | None, path: Path) -> CameraFra
     notes = list(frames.notes)
     if sound.recorded_hz not in (None, sound.rate_hz):
         notes.append(f"sound resampled from {sound.recorded_hz} to {sound.rate_hz} Hz")
+    if sound.taken:
+        notes.append(f"sound: {sound.taken}")
     if abs(sound.start_s) > LATE_SOUND_S:
         notes.append(f"sound starts {1e3 * sound.start_s:+.0f} ms from the file's start; counted")
-    return replace(frames, has_audio=True, audio_start_s=sound.start_s, notes=tuple(notes))
+    shown = [f.time_s for f in frames.frames if f.time_s is not None]
+    lasts_s = max(shown) - min(shown) if whole and shown else 0.0
+    faults = (*frames.faults, *length_faults(lasts_s, sound.end_s - sound.start_s))
+    return replace(frames, has_audio=True, audio_start_s=sound.start_s, notes=tuple(notes), faults=faults)

@@ -52,6 +52,12 @@ class LightCourse:
     left: Float[np.ndarray, " n"]
     bands: Float[np.ndarray, "n bands"]
 
+    def without(self, frames: Sequence[int]) -> "LightCourse":
+        """The course without some frames."""
+        kept = ~np.isin(self.index, frames)
+        parts = (self.index, self.time_s, self.stops, self.left, self.bands)
+        return LightCourse(*(part[kept] for part in parts))
+
     def write(self, path: Path) -> None:
         """Write a table [n, 6 + bands]: frame, seconds, stops of R, G, B, what they leave, stops of the bands."""
         np.save(path, np.column_stack([self.index, self.time_s, self.stops, self.left, self.bands]))

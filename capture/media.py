@@ -61,7 +61,7 @@ def origin_s(container: InputContainer) -> float:
 
 
 def video_stream(container: InputContainer, path: Path, threads: int | None = None) -> VideoStream:
-    """The first stream of pictures that is not a cover; its decoder refuses pictures that are too large.
+    """The stream of the largest pictures, the first of several; its decoder refuses pictures that are too large.
 
     Args:
         container: The open file.
@@ -71,13 +71,14 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
         InputError: If there is none.
         CaptureError: If its pictures are larger than any camera's.
     """
-    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+    streams = video_streams(container)
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
         text = f"{path}: has no video stream (it holds: {kinds}); check the path in scene.yaml"
         raise InputError("video-missing", text)
-    stream = streams[0]
-    if stream.codec_context is None:
+    known = [s for s in streams if s.codec_context is not None]
+    stream = max(known, key=lambda s: s.codec_context.width * s.codec_context.height, default=None)
+    if stream is None:
         text = f"{path}: its pictures are coded in a way that is not known; convert it to H.264"
         raise InputError("video-unknown", text)
     if stream.codec_context.width * stream.codec_context.height:  # else the first picture tells
@@ -86,6 +87,11 @@ def video_stream(container: InputContainer, path: Path, threads: int | None = No
     stream.codec_context.thread_count = min(threads or usable_cores(), MOST_THREADS)
     stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(CLIP_PX)}
     return stream
+
+
+def video_streams(container: InputContainer) -> list[VideoStream]:
+    """Streams of pictures that are no covers; cameras write small copies and a second lens beside the main one."""
+    return [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
 
 
 def _what_is_it(path: Path, error: Exception) -> InputError:

@@ -1,4 +1,7 @@
-"""What a clip's coded pictures tell without being decoded: how many, when, how many bytes. Reading them is fast."""
+"""What a clip's coded pictures tell without being decoded: how many, when, how many bytes. Reading them is fast.
+
+A packet holds a picture, or one field of an interlaced one (`fields.py`).
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +10,7 @@ import numpy as np
 from av.error import FFmpegError
 from jaxtyping import Int
 
+from devrf.capture.fields import SecondFields
 from devrf.capture.limits import check_span
 from devrf.capture.media import open_media, video_stream
 
@@ -44,6 +48,7 @@ def scan_packets(path: Path) -> Packets:
     """
     with open_media(path) as container:
         stream = video_stream(container, path)
+        fields = SecondFields(stream.codec_context.name, stream.codec_context.extradata)
         count, size_bytes = 0, 0
         pts: list[int] = []
         keys: list[int] = []
@@ -52,11 +57,15 @@ def scan_packets(path: Path) -> Packets:
             for packet in container.demux(stream):
                 if packet.is_corrupt:
                     break
-                if packet.is_keyframe and packet.pts is not None:
+                second = fields.possible and fields.second(bytes(packet))
+                if packet.is_keyframe and packet.pts is not None and not second:
                     keys.append(packet.pts)
                 if packet.size == 0 or packet.is_discard:  # the end; before the start of an edit list
                     continue
-                count, size_bytes = count + 1, size_bytes + packet.size
+                size_bytes += packet.size
+                if second:
+                    continue
+                count += 1
                 if packet.pts is None:
                     timed = False
                 else:

@@ -19,7 +19,8 @@ from devrf.capture.frames import (
     sharpness,
 )
 from devrf.capture.light import clipped_share, highlight_faults
-from devrf.capture.pictures import copy_upright, list_pictures, numbering, probe_picture, read_picture
+from devrf.capture.photo_folders import list_pictures, numbering, unread_faults
+from devrf.capture.pictures import copy_upright, probe_picture, read_picture
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.raw import WhiteBalance, is_raw
 from devrf.capture.raw_set import develop_set
@@ -93,7 +94,7 @@ def extract_folder(
         kept = photo.file if used else None
         records.append(FrameRecord(i, None, photo.sharpness, used, kept, photo.exif, photo.name))
     focals = [p.exif.focal_px for p in photos if p.exif is not None and p.exif.focal_px is not None]
-    faults = _curve_fault(photos)
+    faults = [*unread_faults(path), *_curve_fault(photos)]
     if role == "sweep":  # a board is white paper
         faults += highlight_faults([photo.clipped for photo in photos if photo.clipped is not None])
     return CameraFrames(

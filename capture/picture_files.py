@@ -18,12 +18,21 @@ from devrf.capture.cores import usable_cores
 from devrf.capture.errors import CaptureError, DevrfError
 from devrf.capture.limits import check_pixels
 
-JPEG_SUFFIXES = frozenset((".jpg", ".jpeg"))
+JPEG_SUFFIXES = frozenset((".jpg", ".jpeg", ".jpe", ".jfif", ".jif"))
 PICTURE_SUFFIXES = JPEG_SUFFIXES | frozenset((".png", ".tif", ".tiff", ".bmp", ".webp"))
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")  # plain pixels; others of Pillow's run programs (EPS)
 WITH_ALPHA = frozenset(("LA", "La", "PA", "RGBA", "RGBa"))
 KEYED = frozenset(("P", "RGB"))  # modes in which one colour may be declared transparent
 DEEP_GREY = frozenset(("I", "I;16", "I;16B", "I;16L", "I;16N"))  # 16 bits; "I" in older releases of Pillow
+UNREAD_STARTS = (  # place and bytes by which pictures that are not read are known
+    (4, b"ftyphei", "a HEIC photo"),
+    (4, b"ftyphev", "a HEIC photo"),
+    (4, b"ftypmif1", "a HEIC photo"),
+    (4, b"ftypavif", "an AVIF photo"),
+    (0, b"\xff\x0a", "a JPEG XL photo"),
+    (4, b"JXL ", "a JPEG XL photo"),
+    (4, b"jP  ", "a JPEG 2000 photo"),
+)
 PNG_LEVEL = 1  # against the default 6: 128 and 466 ms, 717 and 639 kB for a photo of 540 x 960
 
 
@@ -50,6 +59,10 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
         text = f"{path}: no such file; make it again or remove it from the set"
         raise CaptureError("picture-missing", text) from None
     except UnidentifiedImageError:
+        kind = _kind_unread(path)
+        if kind is not None:
+            text = f"{path}: holds {kind}, whatever its name says, which is not read; convert it to JPEG"
+            raise CaptureError("picture-kind-unread", text) from None
         text = f"{path}: cannot be read: not a picture; save it as JPEG or PNG, or remove it"
         raise CaptureError("picture-unreadable", text) from None
     except Exception as error:  # what Pillow raises of damaged files depends on their bytes
@@ -102,6 +115,13 @@ def write_png(
 ) -> None:
     """Write grey (8 or 16 bits), RGB or RGBA; a full disk is an OSError."""
     Image.fromarray(picture).save(path, format="PNG", compress_level=PNG_LEVEL)
+
+
+def _kind_unread(path: Path) -> str | None:
+    """The kind of a picture that is one, but is not read, by its first bytes."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    return next((kind for at, start, kind in UNREAD_STARTS if head[at : at + len(start)] == start), None)
 
 
 def _deep_colour(path: Path, image: ImageFile.ImageFile) -> np.ndarray | None:

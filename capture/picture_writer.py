@@ -53,7 +53,7 @@ class PictureWriter:
 
 
 def _write(path: Path, frame: VideoFrame) -> None:
-    data = jpeg_of(frame.picture, JPEG_QUALITY, frame.turn)
+    data = jpeg_of(frame.picture, JPEG_QUALITY, frame.upright)
     if data is None:
         write_bgr(path, frame.bgr, JPEG_QUALITY)
     else:

@@ -1,9 +1,8 @@
-"""Folders of photos: which files, in which order, upright.
+"""Photos, upright.
 
 A photo's EXIF orientation is applied once, here; files that need no turn are taken as they are.
 """
 
-import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +12,13 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import ExifTags, Image
 
-from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.errors import CaptureError
 from devrf.capture.exif import Exif, read_exif
-from devrf.capture.frames import places
 from devrf.capture.photo_curve import declared_gamma
-from devrf.capture.picture_files import JPEG_SUFFIXES, PICTURE_SUFFIXES, natural_key, open_picture
+from devrf.capture.picture_files import JPEG_SUFFIXES, open_picture
 from devrf.capture.raw import develop, is_raw, read_layout
+from devrf.capture.upright import by_exif
 
-UNREADABLE_SUFFIXES = frozenset((".heic", ".heif", ".avif"))  # need a decoder that is not a dependency
 JPEG_QUALITY = 97  # of photos that had to be turned: a second JPEG at this quality costs < 1 level RMS
 # Twice as fast as level 1 alone, and smaller (46 against 93 ms, 1.17 against 1.30 MB for 1080x1920).
 PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
@@ -46,60 +44,6 @@ class PictureInfo:
     gamma: float | None = None
 
 
-def is_photo(path: Path) -> bool:
-    """Whether the file name is that of a picture or a RAW photo."""
-    return path.suffix.lower() in PICTURE_SUFFIXES or is_raw(path)
-
-
-def list_pictures(folder: Path) -> list[Path]:
-    """Photos of a folder in natural order; hidden files and other kinds are left out.
-
-    Raises:
-        InputError: If the folder is missing or holds no photos.
-    """
-    if not folder.is_dir():
-        text = f"{folder}: no such folder; check the path in scene.yaml (relative to scene.yaml)"
-        raise InputError("folder-missing", text)
-    files = sorted(
-        (p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")),
-        key=lambda p: (natural_key(p.name), p.name),
-    )
-    pictures = [p for p in files if p.suffix.lower() in PICTURE_SUFFIXES]
-    raws = [p for p in files if is_raw(p)]
-    if pictures and raws:  # cameras write both; the RAW files are the ones with one fixed recipe
-        developed = {p.stem for p in raws}
-        pictures = [p for p in pictures if p.stem not in developed]
-        pictures = sorted(pictures + raws, key=lambda p: (natural_key(p.name), p.name))
-    pictures = pictures or raws
-    if pictures:
-        return pictures
-    if any(p.suffix.lower() in UNREADABLE_SUFFIXES for p in files):
-        raise InputError(
-            "picture-kind-unread", f"{folder}: holds HEIC/AVIF photos only; convert them to JPEG"
-        )
-    kinds = ", ".join(sorted({p.suffix or p.name for p in files})[:6]) or "nothing"
-    text = f"{folder}: no pictures in this folder (it holds: {kinds}); expected JPEG, PNG or RAW files"
-    raise InputError("pictures-none", text)
-
-
-def numbering(pictures: list[Path]) -> list[str]:
-    """What is odd about the numbers in the names of photos in natural order, one sentence each."""
-    notes = []
-    if [p.name for p in pictures] != sorted(p.name for p in pictures):
-        notes.append(
-            f"file names do not sort by number ({pictures[0].name} to {pictures[-1].name}): taken in the "
-            "order of their numbers"
-        )
-    matches = [re.fullmatch(r"(.*?)(\d+)", p.stem) for p in pictures]
-    numbers = [int(m[2]) for m in matches if m is not None]
-    if len(numbers) == len(pictures) and len({m[1] for m in matches if m is not None}) == 1:
-        missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
-        if 0 < len(missing) <= len(numbers):  # more: numbers that are times, or count in steps
-            between = f"between {numbers[0]} and {numbers[-1]}: {places(missing)}"
-            notes.append(f"{len(missing)} numbers are missing {between}")
-    return notes
-
-
 def probe_picture(path: Path) -> PictureInfo:
     """Read a photo's header.
 
@@ -109,14 +53,12 @@ def probe_picture(path: Path) -> PictureInfo:
     """
     if is_raw(path):
         raw = read_layout(path)
-        size = (raw.height, raw.width) if raw.turn_deg % 180 else (raw.width, raw.height)
-        return PictureInfo(path, *size, raw.turn_deg != 0, None)
+        size = raw.upright.size(raw.width, raw.height)
+        return PictureInfo(path, *size, not raw.upright.nothing, None)
     with open_picture(path) as image:
-        width, height = image.size
-        turned = _orientation(image) > 1
-        if _orientation(image) >= 5:
-            width, height = height, width
-        return PictureInfo(path, width, height, turned, read_exif(image), declared_gamma(image))
+        upright = by_exif(_orientation(image))
+        size = upright.size(*image.size)
+        return PictureInfo(path, *size, not upright.nothing, read_exif(image), declared_gamma(image))
 
 
 def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
@@ -143,7 +85,7 @@ def read_picture(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     if image.ndim == 2:
         image = image[:, :, None].repeat(3, axis=2)
     order = [2, 1, 0, 3][: image.shape[2]]
-    return np.ascontiguousarray(_upright(image[:, :, order], orientation))
+    return np.ascontiguousarray(by_exif(orientation).apply(np.ascontiguousarray(image[:, :, order])))
 
 
 def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
@@ -206,13 +148,6 @@ def _decoded(path: Path, flag: int) -> np.ndarray | None:
 def _orientation(image: Image.Image) -> int:
     value = image.getexif().get(ExifTags.Base.Orientation, 1)
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
-
-
-def _upright(image: np.ndarray, orientation: int) -> np.ndarray:
-    """Undo an EXIF orientation (EXIF 2.3, tag 0x0112: which side of the scene row 0 and column 0 are)."""
-    if orientation in (2, 4, 5, 7):  # mirrored
-        image = image[:, ::-1]
-    return np.rot90(image, {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0))
 
 
 def _is_8_bit(path: Path) -> bool:

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.errors import CaptureError, DevrfError, InputError
 from devrf.capture.limits import check_pixels
+from devrf.capture.raw_compression import compression_words
 from devrf.capture.srgb import LEVEL_OF_LINEAR
+from devrf.capture.upright import Upright, by_exif
 
 if TYPE_CHECKING:
     from rawpy import RawPy
@@ -30,12 +32,7 @@ RAW_SUFFIXES = frozenset(
     ".raw .rw2 .rwl .sr2 .srf .srw .x3f".split()
 )
 DEMOSAIC = "AHD"
-TURNS_DEG = {
-    0: 0,
-    3: 180,
-    5: 90,
-    6: 270,
-}  # LibRaw's code -> turn that makes a photo upright, counter-clockwise
+EXIF_OF_FLIP = {0: 1, 1: 2, 2: 4, 3: 3, 4: 5, 5: 8, 6: 6, 7: 7}  # LibRaw's code -> EXIF's orientation
 BELOW_BLACK = 0.002  # of the range: noise of a dark pixel seldom reaches it, a wrong level does
 FLOOR_QUANTILE = 0.001  # of the pixels are darker than the floor
 
@@ -48,12 +45,12 @@ class RawLayout:
 
     Attributes:
         width, height: Size of the picture before any turn, pixels.
-        turn_deg: Turn its tag asks for, degrees counter-clockwise.
+        upright: The turn and mirror its tag asks for.
     """
 
     width: int
     height: int
-    turn_deg: int
+    upright: Upright
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class RawHeader:
         white: White level, as stored.
         as_shot: White balance the camera chose, multipliers with G at 1; None where the file has none.
         daylight: The sensor's multipliers for daylight, the smallest at 1; ones where LibRaw knows none.
-        turn_deg: Turn its tag asks for, degrees counter-clockwise.
+        upright: The turn and mirror its tag asks for.
         exposure_s, iso, aperture: As set; None where unknown.
     """
 
@@ -75,7 +72,7 @@ class RawHeader:
     white: int
     as_shot: tuple[float, float, float] | None
     daylight: WhiteBalance
-    turn_deg: int
+    upright: Upright
     exposure_s: float | None
     iso: float | None
     aperture: float | None
@@ -88,12 +85,12 @@ class Recipe:
     Attributes:
         white_balance: Multipliers for R, G, B and the second G, the smallest at 1.
         white: White level, as stored.
-        turn_deg: Turn of the whole set, degrees counter-clockwise.
+        upright: Turn and mirror of the whole set.
     """
 
     white_balance: WhiteBalance
     white: int
-    turn_deg: int
+    upright: Upright
 
 
 @dataclass(frozen=True)
@@ -139,7 +136,7 @@ def read_layout(path: Path) -> RawLayout:
     """
     with _open(path) as file:
         sizes = file.sizes
-        return RawLayout(int(sizes.width), int(sizes.height), TURNS_DEG.get(sizes.flip, 0))
+        return RawLayout(int(sizes.width), int(sizes.height), _upright(sizes.flip))
 
 
 def recipe_for(paths: Sequence[Path], white_balance: WhiteBalance | None = None) -> Recipe:
@@ -152,7 +149,7 @@ def recipe_for(paths: Sequence[Path], white_balance: WhiteBalance | None = None)
         InputError: If a file is not a RAW file that LibRaw reads.
         CaptureError: If the first one is damaged.
     """
-    turns = Counter(read_layout(path).turn_deg for path in paths)
+    turns = Counter(read_layout(path).upright for path in paths)
     with _open(paths[0]) as file:
         first = _header(paths[0], file)
     balance = white_balance or first.daylight
@@ -198,7 +195,7 @@ def develop(path: Path, recipe: Recipe | None = None) -> Development:
             raise _damaged(path, error) from None
         matrix = np.asarray(file.color_matrix, dtype=np.float64)
     clipped = float((linear.max(axis=-1) == 65535).mean())
-    upright = np.ascontiguousarray(np.rot90(linear, recipe.turn_deg // 90))
+    upright = recipe.upright.apply(linear)
     return Development(upright, header, matrix, clipped, *sensor)
 
 
@@ -220,7 +217,33 @@ def _open(path: Path) -> "RawPy":
     return file
 
 
-def _damaged(path: Path, error: Exception) -> CaptureError:
+def _upright(flip: int) -> Upright:
+    return by_exif(EXIF_OF_FLIP.get(flip, 1))
+
+
+def check_unpacks(path: Path) -> None:
+    """Read the pixels of a RAW file, which tells whether LibRaw can.
+
+    Raises:
+        InputError: It is compressed in a way that LibRaw does not read.
+        CaptureError: Its content is damaged.
+    """
+    with _open(path) as file:
+        _header(path, file)
+
+
+def _damaged(path: Path, error: Exception) -> DevrfError:
+    import rawpy
+
+    if isinstance(
+        error, rawpy.LibRawFileUnsupportedError
+    ):  # it opened, so it is the way its pixels are stored
+        words = compression_words(path) or "a way that it does not name"
+        wrong = f"{path}: compressed by {words}, which LibRaw does not read"
+        remedy = (
+            "set the camera to lossless or none, convert them by Adobe DNG Converter or dnglab, or give JPEG"
+        )
+        return InputError("raw-compression-unread", f"{wrong}; {remedy}")
     text = f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again"
     return CaptureError("file-damaged", text)
 
@@ -240,7 +263,7 @@ def _header(path: Path, file: "RawPy") -> RawHeader:
         white=int(file.white_level),
         as_shot=(red / green, 1.0, blue / green) if min(red, green, blue) > 0 else None,
         daylight=_daylight(file.daylight_whitebalance),
-        turn_deg=TURNS_DEG.get(file.sizes.flip, 0),
+        upright=_upright(file.sizes.flip),
         exposure_s=float(settings.shutter_speed) or None,
         iso=float(settings.iso_speed) or None,
         aperture=float(settings.aperture) or None,

@@ -8,7 +8,7 @@ in memory. The picture in `frames` is sRGB with 8 bits.
 import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,9 @@ def _recipe(recipe: Recipe) -> dict[str, Any]:
     import rawpy
 
     return {
-        **asdict(recipe),
+        "white_balance": recipe.white_balance,
+        "white": recipe.white,
+        "turn_deg": recipe.upright.degrees,
         "demosaic": DEMOSAIC,
         "auto_bright": False,
         "highlights": "clip",
@@ -131,7 +133,7 @@ def _used(photo: Development, file: str) -> dict[str, Any]:
         "white": header.white,
         "as_shot": header.as_shot,
         "daylight": header.daylight,
-        "turn_deg": header.turn_deg,
+        "turn_deg": header.upright.degrees,
         "exposure_s": header.exposure_s,
         "iso": header.iso,
         "aperture": header.aperture,

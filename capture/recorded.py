@@ -5,9 +5,24 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from devrf.capture.frames import Fault
 from devrf.capture.media import open_media
+from devrf.capture.timecode_track import timecode_rate
 
 TIMECODE = re.compile(r"(\d{2}):(\d{2}):(\d{2})([:;.])(\d{2,3})")
+USUAL_FPS = (
+    *(n * 1000 / 1001 for n in (24, 30, 48, 60, 120)),
+    24.0,
+    25.0,
+    30.0,
+    48.0,
+    50.0,
+    60.0,
+    100.0,
+    120.0,
+)
+MEAN_TOLERANCE = 0.02
+RATE_TOLERANCE = 0.1  # clips that lost pictures have a lower mean
 DROPPED = {30: 2, 60: 4}  # frame numbers left out each minute but the tenth (SMPTE ST 12-1, drop frame)
 
 
@@ -18,7 +33,7 @@ class Recorded:
     Attributes:
         created_s: Creation time, seconds since 1970 UTC; None where the file has none.
         timecode_s: Timecode of the first frame, seconds of the day; None where the file has none.
-        timecode_fps: Frames that the timecode counts in a second.
+        timecode_fps: Frames that the timecode counts in a second: its own track's rate, else that of the pictures.
     """
 
     created_s: float | None = None
@@ -37,6 +52,7 @@ def read_recorded(path: Path) -> Recorded:
         fps = next((float(s.average_rate) for s in container.streams.video if s.average_rate), None)
     created = next((t["creation_time"] for t in tags if "creation_time" in t), None)
     code = next((t["timecode"] for t in tags if "timecode" in t), None)
+    fps = None if code is None else timecode_rate(path) or _counted(fps)
     code_s = timecode_s(code, fps) if code is not None and fps else None
     return Recorded(_epoch(created), code_s, fps if code_s is not None else None)
 
@@ -57,6 +73,34 @@ def timecode_s(text: str, fps: float) -> float | None:
         whole = hours * 60 + minutes
         number -= DROPPED[counted] * (whole - whole // 10)
     return number / fps
+
+
+def rate_faults(timecode_fps: float | None, fps: float | None) -> list[Fault]:
+    """What to say where pictures come at another rate than the timecode counts, and not at two or four times it."""
+    if (
+        not timecode_fps
+        or not fps
+        or any(abs(fps / (n * timecode_fps) - 1) < RATE_TOLERANCE for n in (1, 2, 4))
+    ):
+        return []
+    return [
+        Fault(
+            "rate of the timecode",
+            f"it counts {timecode_fps:.4g} a second, pictures come at {fps:.4g}: a factor of {fps / timecode_fps:.3g}",
+            "Set project and camera to one rate; if it is slow motion, give true times in capture.timestamps.",
+        )
+    ]
+
+
+def _counted(fps: float | None) -> float | None:
+    """The rate that a timecode without a track counts at: the usual one next to the pictures' mean; None without.
+
+    The mean of a variable rate, or of a clip that lost pictures, is no rate that a timecode has.
+    """
+    if not fps:
+        return None
+    nearest = min(USUAL_FPS, key=lambda usual: abs(fps / usual - 1))
+    return nearest if abs(fps / nearest - 1) <= MEAN_TOLERANCE else fps if fps > max(USUAL_FPS) else None
 
 
 def _epoch(text: str | None) -> float | None:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from devrf.capture.errors import CaptureError
 from devrf.capture.media import open_media, origin_s, video_stream
 from devrf.capture.packets import scan_packets
+from devrf.capture.upright import Upright
 from devrf.capture.video import VideoFrame, VideoReader
 
 MOST_AHEAD = 60  # pictures decoded from a key picture to the place asked for; then what is there is taken
@@ -63,9 +64,9 @@ def read_runs(
         InputError: The file is not a video, or no picture decodes.
     """
     with VideoReader(path) as reader:
-        turns = reader.info.rotation_deg // 90
+        upright = reader.info.upright
     with open_media(path) as container:
-        clip = _OpenClip(container, video_stream(container, path), times_s, turns)
+        clip = _OpenClip(container, video_stream(container, path), times_s, upright)
         frames: Iterator[VideoFrame] = iter(())
         last = -NEAR - 1  # number of the picture that was read last
         for start_s in starts_s:
@@ -85,7 +86,7 @@ class _OpenClip:
     container: InputContainer
     stream: VideoStream
     times_s: Float[np.ndarray, " n"]
-    turns: int
+    upright: Upright
 
     def number(self, time_s: float) -> int:
         """The picture that is shown at a file time."""
@@ -107,7 +108,7 @@ class _OpenClip:
         for picture in self.container.decode(self.stream):
             if picture.pts is not None:
                 time_s = float(picture.pts * time_base) - offset_s
-                yield VideoFrame(self.number(time_s), time_s, picture, self.turns)
+                yield VideoFrame(self.number(time_s), time_s, picture, self.upright)
 
 
 def _run(frames: Iterator[VideoFrame], first: int, last: int, length: int) -> list[VideoFrame]:

@@ -4,25 +4,25 @@ A session is a sweep of the scene at rest, clips of fixed cameras while it moves
 clips of a calibration board and an optional table of true frame times.
 """
 
-import csv
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.limits import TEXT_BYTES, check_bytes
 from devrf.capture.media import check_file
-from devrf.capture.pictures import is_photo, list_pictures, probe_picture
-from devrf.capture.raw import WhiteBalance
+from devrf.capture.photo_folders import is_photo, list_pictures
+from devrf.capture.pictures import probe_picture
+from devrf.capture.raw import WhiteBalance, check_unpacks, is_raw
+from devrf.capture.raw_compression import compression_of
 from devrf.capture.sampled import picture_times
 from devrf.capture.scene import Rest
+from devrf.capture.slow_motion import check_filmed_rate
+from devrf.capture.timestamps import FrameTimes, check_table, read_timestamps, table_factor
 from devrf.capture.video import VideoInfo, probe_video
 
-TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
 MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check
 
 
@@ -75,14 +75,6 @@ class CaptureSession:
         return list(dict.fromkeys(out))
 
 
-@dataclass(frozen=True)
-class FrameTimes:
-    """True times of one camera's frames: `time_s` [n] belongs to frame `index` [n] of its clip."""
-
-    index: Int[np.ndarray, " n"]
-    time_s: Float[np.ndarray, " n"]
-
-
 def preflight(session: CaptureSession) -> list[str]:
     """Everything that is wrong with the raw files, each with file and remedy; empty when all is well."""
     problems: list[str] = []
@@ -99,10 +91,14 @@ def preflight(session: CaptureSession) -> list[str]:
         sweep = session.static
         attempt(lambda: _check_sweep(sweep), "capture.static")
     clips: dict[str, VideoInfo] = {}
+
+    def probe_camera(name: str, path: Path) -> None:
+        clips[name] = probe_video(path)
+        if session.timestamps is None:
+            check_filmed_rate(path)
+
     for name, path in session.cameras.items():
-        attempt(
-            lambda name=name, path=path: clips.update({name: probe_video(path)}), f"capture camera {name}"
-        )
+        attempt(lambda name=name, path=path: probe_camera(name, path), f"capture camera {name}")
     for name, path in session.board_clips.items():
         attempt(lambda path=path: _check_clip_or_folder(path), f"capture.board.clips.{name}")
     for name, path in session.joint_clips.items():
@@ -113,7 +109,7 @@ def preflight(session: CaptureSession) -> list[str]:
     if session.timestamps is not None:
         table = session.timestamps
         times: dict[str, FrameTimes] = {}
-        attempt(lambda: times.update(read_timestamps(table, session.cameras)), "capture.timestamps")
+        attempt(lambda: times.update(_checked_table(table, session.cameras, clips)), "capture.timestamps")
         problems += _outside_range(times, session.range_s, "times in capture.timestamps go")
     elif session.cameras and session.range_s is not None and not problems:
         first = next(iter(session.cameras))
@@ -125,69 +121,15 @@ def preflight(session: CaptureSession) -> list[str]:
     return problems
 
 
-def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]:
-    """Read a table of true frame times.
-
-    Args:
-        path: CSV with a header and at least the columns camera, frame_index (from 0), time_s (one clock).
-        cameras: Names that must be in it.
-    Returns:
-        Camera name -> times, sorted by frame index.
-    Raises:
-        InputError: Naming the row or the camera, and what was expected.
-        CaptureError: The file is larger than any table.
-    """
-    check_file(path)
-    check_bytes(path, TEXT_BYTES)
-    rows: dict[str, dict[int, float]] = {}
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            columns = tuple(reader.fieldnames or ())
-            missing = [c for c in TIMESTAMP_COLUMNS if c not in columns]
-            if missing:
-                wrong = f"{path}: no column {', '.join(missing)} (it has: {', '.join(columns) or 'nothing'})"
-                raise InputError("entry-missing", f"{wrong}; expected {', '.join(TIMESTAMP_COLUMNS)}")
-            for row in reader:
-                name, index, time_s = _times_row(row, f"{path}: line {reader.line_num}")
-                if index in rows.setdefault(name, {}):
-                    text = f"{path}: line {reader.line_num}: frame {index} of camera {name} is given twice"
-                    raise InputError("entry-twice", text)
-                rows[name][index] = time_s
-    except UnicodeDecodeError as error:
-        wrong = f"{path}: not UTF-8 text ({error.reason} at byte {error.start}); expected a CSV text file"
-        raise InputError("encoding-wrong", f"{wrong}; save it as UTF-8 (UTF-16 is not read)") from None
-    except csv.Error as error:
-        raise InputError("file-damaged", f"{path}: not a CSV text file ({error})") from None
-    names = list(cameras)
-    absent = [name for name in names if name not in rows]
-    if absent:
-        wrong = f"{path}: no rows for camera {', '.join(absent)} (it has: {', '.join(rows) or 'no rows'})"
-        raise InputError("camera-missing", f"{wrong}; use the names of capture.cameras")
-    out = {}
-    for name in names:
-        index = np.array(sorted(rows[name]))
-        time_s = np.array([rows[name][i] for i in index.tolist()])
-        back = np.flatnonzero(np.diff(time_s) <= 0)
-        if len(back):
-            i = int(back[0])
-            a, b = (f"frame {index[n]} ({time_s[n]:.6f} s)" for n in (i, i + 1))
-            text = f"{path}: camera {name}: time does not increase from {a} to {b}; correct the table"
-            raise InputError("times-not-rising", text)
-        out[name] = FrameTimes(index, time_s)
-    return out
-
-
-def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
-    try:
-        index, time_s = int(row["frame_index"]), float(row["time_s"])
-    except (TypeError, ValueError):
-        wrong = f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}"
-        raise InputError("entry-wrong", f"{wrong}; expected a whole number and seconds") from None
-    if index < 0 or not np.isfinite(time_s):
-        text = f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite"
-        raise InputError("entry-wrong", text)
-    return (row["camera"] or "").strip(), index, time_s
+def _checked_table(
+    table: Path, cameras: Mapping[str, Path], clips: Mapping[str, VideoInfo]
+) -> dict[str, FrameTimes]:
+    """The times of a table that fits the clips, as far as these can be read."""
+    times = read_timestamps(table, cameras)
+    for name, own in times.items():
+        clip_s = picture_times(cameras[name]).tolist() if name in clips else []
+        check_table(table, name, own, table_factor(own, dict(enumerate(clip_s))))
+    return times
 
 
 def _check_sweep(path: Path) -> None:
@@ -225,6 +167,10 @@ def _check_folder(path: Path) -> list[Path]:
             probe_picture(picture)
         except DevrfError as error:
             broken.append(error)
+    raws = [picture for picture in pictures if is_raw(picture)]
+    if not broken:
+        for raw in {compression_of(raw): raw for raw in reversed(raws)}.values():  # the first of each kind
+            check_unpacks(raw)
     if broken:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise InputError(broken[0].code, f"{broken[0]}{more}")

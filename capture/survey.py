@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from devrf.capture.empty_ends import EMPTY_LEVELS
 from devrf.capture.errors import CaptureError
+from devrf.capture.photo_folders import CARD_FOLDER, UNREAD_KINDS, list_pictures
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
-from devrf.capture.pictures import UNREADABLE_SUFFIXES, list_pictures, probe_picture, read_picture
+from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import RAW_SUFFIXES
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
 from devrf.capture.video import probe_video
@@ -29,13 +31,16 @@ KINDS: dict[str, frozenset[str]] = {
     "photos": frozenset(PICTURE_SUFFIXES) | frozenset(RAW_SUFFIXES),
     "sounds": frozenset(".wav .mp3 .m4a .aac .flac .ogg".split()),
     "tables": frozenset((".csv",)),
-    "unreadable": UNREADABLE_SUFFIXES,
+    "unreadable": frozenset(UNREAD_KINDS),
 }
+UNREAD_CLIPS = frozenset(".braw .r3d .crm .ari .arx .nev .360".split())  # RAW and 360° files of their makers
+PREVIEWS = frozenset(".lrv .lrf .thm".split())  # small copies and still pictures that action cameras write
 OURS = ("stamp.json", "ingest", "devrf.log")  # what marks a run folder
 DEEPEST = 3  # folders in folders that are looked into
 MOST_SIDE_PX = 1280  # of sampled pictures: boards and backgrounds are found at it, large clips stay in memory
 BLACK_LEVEL = 10.0  # of 255: brighter than a lens cap, darker than a dim room
-END_PICTURES = 4  # successive ones, at the start or the end of a clip
+END_PICTURES = 4  # successive ones, at the start or the end of a clip, ...
+LONGER_END = 24  # ... looked for among so many where some show nothing
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,15 @@ def find_material(folder: Path, deeper: int = DEEPEST) -> Material:
             material.photos.setdefault(folder, []).append(entry)
         else:
             getattr(material, kind).append(entry)
+    _join_card(folder, material)
     return material
+
+
+def _join_card(folder: Path, material: Material) -> None:
+    """Take the folders of a card (DCIM/100CANON, DCIM/101CANON) as the one folder of photos that they are."""
+    parts = [p for p in material.photos if p.parent == folder and CARD_FOLDER.fullmatch(p.name)]
+    if len(parts) > 1 and folder not in material.photos:
+        material.photos[folder] = [photo for part in parts for photo in material.photos.pop(part)]
 
 
 def look_at(path: Path, count: int) -> Look:
@@ -160,10 +173,15 @@ def _look_at_photos(folder: Path, count: int) -> Look:
 
 
 def pictures_at(look: Look, end: End) -> list[Picture]:
-    """Successive pictures of a clip at its start or its end; fewer where the file is damaged there."""
-    starts = spread_starts(look.times_s, 2, END_PICTURES)
-    at = starts[0] if end == "start" else starts[-1]
-    return [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], END_PICTURES))]
+    """Successive pictures of a clip at its start or its end, where they show something; fewer where it is damaged."""
+    for length in (END_PICTURES, LONGER_END):
+        starts = spread_starts(look.times_s, 2, length)
+        at = starts[0] if end == "start" else starts[-1]
+        run = [small(f.rgb) for f in next(read_runs(look.path, look.times_s, [at], length))]
+        shown = [picture for picture in run if picture.std() > EMPTY_LEVELS]
+        if len(shown) == len(run):
+            return run
+    return shown[:END_PICTURES] if end == "start" else shown[-END_PICTURES:]
 
 
 def small(picture: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "h w 3"]:

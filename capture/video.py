@@ -2,7 +2,8 @@
 
 File time is the presentation timestamp times the stream's time base, in seconds; it is never index / fps.
 Stream formats whose clock starts anywhere (MPEG-TS, MPEG-PS) are counted from the file's first timestamp.
-A turn stored in the file (display matrix) is applied here, once. Pictures are 8-bit sRGB [height, width, 3].
+What the file asks for (display matrix: a turn, a mirror) is applied here, once. Pictures are 8-bit sRGB
+[height, width, 3].
 """
 
 from collections.abc import Iterator
@@ -19,15 +20,15 @@ from jaxtyping import Int, UInt8
 
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.limits import check_span
-from devrf.capture.media import open_media, origin_s, video_stream
+from devrf.capture.media import open_media, origin_s, video_stream, video_streams
 from devrf.capture.packets import Packets, scan_packets
+from devrf.capture.upright import Upright, by_display_matrix
 from devrf.capture.video_colour import bgr_of, bits_of, hdr_transfer, small_luma, small_rgb
 
 END_TOLERANCE_STEPS = 2  # announced duration minus last timestamp: one step, and rounding
 END_TOLERANCE_S = 0.05  # sound may end up to two AAC blocks after the pictures
 CODING_ORDER_FORMATS = ("avi",)  # their times tell where a picture is in the file, not when it is shown
 SEEK_TRIES = 3  # key pictures tried, backwards; then all is decoded
-TURNS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class VideoInfo:
         announced_frames: Number of pictures the container announces, or None.
         fps: Announced mean rate, or None; never used for times.
         has_audio: Whether there is a sound stream.
-        rotation_deg: Counter-clockwise turn that makes the stored pictures upright: 0, 90, 180 or 270.
+        upright: What makes the stored pictures upright.
         notes: What is unusual about the file, one sentence each.
         bits: Of a colour of its pictures: 8, or more.
     """
@@ -55,7 +56,7 @@ class VideoInfo:
     announced_frames: int | None
     fps: float | None
     has_audio: bool
-    rotation_deg: int
+    upright: Upright
     notes: tuple[str, ...] = ()
     bits: int = 8
 
@@ -68,13 +69,13 @@ class VideoFrame:
         index: Place in presentation order, from 0.
         time_s: File time.
         picture: As stored, before its turn.
-        turns: Quarter turns counter-clockwise that make it upright.
+        upright: What makes it upright.
     """
 
     index: int
     time_s: float
     picture: av.VideoFrame
-    turns: int
+    upright: Upright
 
     @property
     def rgb(self) -> UInt8[np.ndarray, "height width 3"]:
@@ -84,13 +85,7 @@ class VideoFrame:
     @property
     def bgr(self) -> UInt8[np.ndarray, "height width 3"]:
         """Upright, B, G, R: what OpenCV writes."""
-        bgr = bgr_of(self.picture)
-        return bgr if self.turn is None else cv2.rotate(bgr, self.turn)
-
-    @property
-    def turn(self) -> int | None:
-        """OpenCV's code of the rotation that makes it upright; None for none."""
-        return TURNS.get(self.turns)
+        return self.upright.apply(bgr_of(self.picture))
 
     def stored_grey(self, side_px: int) -> UInt8[np.ndarray, "small_height small_width"]:
         """Grey, area-averaged to at most `side_px`; rows in the order the sensor reads them, so not turned."""
@@ -103,8 +98,7 @@ class VideoFrame:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height, upright."""
-        width, height = self.picture.width, self.picture.height
-        return (height, width) if self.turns % 2 else (width, height)
+        return self.upright.size(self.picture.width, self.picture.height)
 
     @property
     def damaged(self) -> bool:
@@ -216,7 +210,6 @@ class VideoReader:
         picture, self._first = self._first, None
         if picture is None:
             raise ValueError(f"{self.path}: a VideoReader can be read only once")
-        turns = self.info.rotation_deg // 90
         shown = self._shown_pts()
         while picture is not None:
             pts = picture.pts if shown is None or self.decoded >= len(shown) else int(shown[self.decoded])
@@ -233,7 +226,7 @@ class VideoReader:
             if place is not None:  # after a jump some pictures before the key picture do not decode
                 self.decoded = place
             if self._from_s is None or time_s >= self._from_s:
-                yield VideoFrame(self.decoded, time_s, picture, turns)
+                yield VideoFrame(self.decoded, time_s, picture, self.info.upright)
             self.decoded += 1
             picture = next(self._pictures, None)
             if picture is None:
@@ -283,13 +276,19 @@ class VideoReader:
 
     def _describe(self, picture: av.VideoFrame) -> VideoInfo:
         stream, container = self._stream, self._container
-        rotation = int(round(picture.rotation / 90.0)) * 90 % 360
-        width, height = picture.width, picture.height
-        if rotation % 180:
-            width, height = height, width
+        matrix = picture.side_data.get("DISPLAYMATRIX")
+        upright = Upright() if matrix is None else by_display_matrix(bytes(matrix))
+        width, height = upright.size(picture.width, picture.height)
         notes = []
-        if rotation:
-            notes.append(f"pictures are turned by {rotation} degrees as the file says")
+        if not upright.nothing:
+            notes.append(f"pictures are {upright.words} as the file says")
+        others = [s for s in video_streams(container) if s.index != stream.index]
+        if others:
+            sizes = ", ".join(
+                f"{s.codec_context.width}x{s.codec_context.height}" for s in others if s.codec_context
+            )
+            mine = f"the largest is used, number {stream.index}"
+            notes.append(f"{1 + len(others)} streams of pictures: {mine}, not {sizes or 'the others'}")
         aspect = stream.sample_aspect_ratio
         if aspect and aspect != 1:
             notes.append(f"pixels are not square ({aspect.numerator}:{aspect.denominator}); left as they are")
@@ -312,7 +311,7 @@ class VideoReader:
             announced_frames=stream.frames or None,
             fps=float(stream.average_rate) if stream.average_rate else None,
             has_audio=bool(container.streams.audio),
-            rotation_deg=rotation,
+            upright=upright,
             notes=tuple(notes),
             bits=bits_of(picture),
         )

@@ -13,6 +13,7 @@ import numpy as np
 import simplejpeg
 from jaxtyping import Float, UInt8
 
+from devrf.capture.upright import Upright
 from devrf.capture.video_colour import LUMA_SHARES, colour_matrix, hdr_transfer, is_full_range, plane_bytes
 
 PLANES_420 = frozenset(("yuv420p", "yuvj420p"))
@@ -20,19 +21,19 @@ JFIF = 5
 MIDDLE = 128
 
 
-def jpeg_of(picture: av.VideoFrame, quality: int, turn: int | None = None) -> bytes | None:
+def jpeg_of(picture: av.VideoFrame, quality: int, upright: Upright | None = None) -> bytes | None:
     """The picture as JPEG with halved colour; None where its planes are not 4:2:0 in bytes.
 
     Args:
         picture: As decoded.
         quality: 1 to 100.
-        turn: OpenCV's code of the rotation that makes it upright; None for none.
+        upright: What makes it upright; None for nothing.
     """
     planes = jfif_planes(picture)
     if planes is None:
         return None
-    upright = [np.ascontiguousarray(p if turn is None else cv2.rotate(p, turn)) for p in planes]
-    return simplejpeg.encode_jpeg_yuv_planes(*upright, quality=quality)
+    turned = [np.ascontiguousarray(p if upright is None else upright.apply(p)) for p in planes]
+    return simplejpeg.encode_jpeg_yuv_planes(*turned, quality=quality)
 
 
 def jfif_planes(picture: av.VideoFrame) -> list[UInt8[np.ndarray, "_ _"]] | None:

@@ -13,7 +13,8 @@ from jaxtyping import Float, UInt8
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.light import CLIPPED_SHARE, clipped_share
-from devrf.capture.pictures import is_photo, list_pictures, read_picture
+from devrf.capture.photo_folders import is_photo, list_pictures
+from devrf.capture.pictures import read_picture
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 from devrf.capture.video import VideoReader
 

@@ -39,7 +39,11 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
     problems = preflight(session) + _check_masks(config, scene_dir) + _check_mattes(config, scene_dir)
     problems += _check_dictionary(config)
     # sizes and tracks are known where clips are whole
-    return problems or _check_sound(config, session) + _check_given(config, scene_dir, session)
+    return problems or [
+        *_check_sound(config, session),
+        *_check_timecode(config, session),
+        *_check_given(config, scene_dir, session),
+    ]
 
 
 def _check_dictionary(config: SceneConfig) -> list[str]:
@@ -75,6 +79,18 @@ def _check_sound(config: SceneConfig, session: CaptureSession) -> list[str]:
         f"calibration.sync.method: audio, but there is no sound track in the clip of {', '.join(silent)}; set it to "
         "auto, flash or motion, or give capture.timestamps"
     ]
+
+
+def _check_timecode(config: SceneConfig, session: CaptureSession) -> list[str]:
+    """Clips that are to be synchronised by times, and have neither a table nor a timecode."""
+    if config.calibration.sync.method != "timestamps" or session.timestamps is not None:
+        return []
+    from devrf.calibration.clocks.sync import no_timecode
+    from devrf.capture.recorded import read_recorded
+
+    clips = session.cameras.items() if len(session.cameras) > 1 else ()
+    without = [name for name, path in clips if read_recorded(path).timecode_s is None]
+    return [f"capture.timestamps: {no_timecode(without)}"] if without else []
 
 
 def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -21,7 +21,7 @@ from devrf.capture.mattes.make import (
     command_mattes,
     given_mattes,
 )
-from devrf.capture.pictures import list_pictures
+from devrf.capture.photo_folders import list_pictures
 from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.capture_session import raw_file

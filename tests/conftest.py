@@ -110,6 +110,20 @@ def data_dir() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def crew_files() -> Path:
+    """The folder of captures as crews bring them: `DEVRF_CASES`, or ../shared/cases/capture beside the repository.
+
+    As with `data_dir`, tests skip where it is absent and fail under CI.
+    """
+    folder = Path(os.environ.get("DEVRF_CASES", REPOSITORY.parent / "shared" / "cases" / "capture"))
+    if not folder.is_dir():
+        if os.environ.get("CI") == "true":
+            pytest.fail(f"captures of crews not found at {folder}; set DEVRF_CASES")
+        pytest.skip(f"captures of crews not found at {folder}; set DEVRF_CASES")
+    return folder
+
+
 @pytest.fixture
 def odd_scene(tmp_path: Path) -> "Scene":
     """A small scene with everything that formats forget: lens distortion, a principal point off the middle,

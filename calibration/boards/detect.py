@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from devrf.calibration.boards.spec import BoardSpec, charuco_board, dictionary
+from devrf.calibration.boards.spec import BoardSpec, charuco_board, dictionary, marker_count
 
 Grey = UInt8[np.ndarray, "h w"]
 Found = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"]]
 Detector = Callable[[Grey], Found]
 
+MIN_CORNERS = 6  # of a view that is used at all
 MISREAD = 0.1  # squares; corners that lie further from a smooth picture of the board belong to other things
 MIN_SMOOTH = 9  # corners of which a smooth picture can be told: its 14 unknowns leave some over
 WINDOW = 0.35  # of the distance between corners: as far as an edge runs without meeting the next corner
@@ -129,14 +130,14 @@ def _charuco(spec: BoardSpec, _second_try: bool) -> Detector:
 
 def _aruco_grid(spec: BoardSpec, _second_try: bool) -> Detector:
     finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
-    count = spec.squares[0] * spec.squares[1]
+    count = marker_count(spec)
 
     def detect(grey: Grey) -> Found:
         quads, ids, _ = finder.detectMarkers(grey)
         if ids is None or len(ids) == 0:
             return _nothing()
-        numbers = np.asarray(ids).reshape(-1).astype(np.int64)
-        ours = numbers < count
+        numbers = np.asarray(ids).reshape(-1).astype(np.int64) - spec.first_id
+        ours = (numbers >= 0) & (numbers < count)
         corners = np.asarray(quads, np.float64).reshape(-1, 4, 2)[ours]
         return (4 * numbers[ours][:, None] + np.arange(4)).reshape(-1), corners.reshape(-1, 2)
 

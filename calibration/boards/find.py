@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from devrf.calibration.boards.detect import detector, edge_width
+from devrf.calibration.boards.detect import MIN_CORNERS, detector, edge_width
+from devrf.calibration.boards.instead import seen_instead
 from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, settle
 from devrf.calibration.boards.spec import BoardSpec, BoardView
 from devrf.capture.errors import HealthError
 from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress, no_progress
 
-MIN_CORNERS = 6  # of a view that is used at all
 ENOUGH_VIEWS = 20  # of a chessboard; up to here pictures in which it was not found are searched once more
 
 
@@ -35,6 +35,8 @@ def find_board(
         settled = replace(spec, inverted=False, legacy=False)
     elif (found := settle(name, files, spec, required)) is not None:
         settled = found
+    elif required:
+        raise HealthError("board-never-seen", never_seen(name, len(files), spec, seen_instead(files)))
     else:
         return [], spec
     views = _search(name, files, settled, progress)
@@ -43,7 +45,7 @@ def find_board(
         if other is not None:
             settled, views = other, _search(name, files, other, progress)
     if not views and required:
-        raise HealthError("board-never-seen", never_seen(name, len(files), settled))
+        raise HealthError("board-never-seen", never_seen(name, len(files), settled, seen_instead(files)))
     return views, settled
 
 

@@ -13,7 +13,15 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.boards.layout import FIT_SQUARES, TRIAL_MARKERS, Markers, layout_error
+from devrf.calibration.boards.detect import MIN_CORNERS, detector
+from devrf.calibration.boards.layout import (
+    FIT_SQUARES,
+    SEEN_TWICE,
+    TRIAL_MARKERS,
+    Markers,
+    layout_error,
+    repeated_ids,
+)
 from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_places
 
 Grey = UInt8[np.ndarray, "_ _"]  # pictures of different cameras have different sizes
@@ -27,7 +35,6 @@ FAMILIES = (  # larger dictionaries of a family begin with the smaller ones
     ("DICT_ARUCO_MIP_36h12",),
     ("DICT_ARUCO_ORIGINAL",),
 )  # fmt: skip
-SEEN_TWICE = 2  # pictures; one alone is chance, or another thing with markers
 ENOUGH_VIEWS = 8  # pictures with markers that settle a layout
 LARGEST_SIDE = 24  # squares; larger boards have markers too small for most clips
 CHESSBOARD_FROM = (5, 4)  # inner corners; smaller ones are seen in tiles and windows
@@ -52,7 +59,8 @@ def guess_board(greys: Sequence[Grey]) -> BoardGuess | None:
     for inverted in (False, True):
         found = _guess_markers([255 - grey if inverted else grey for grey in greys])
         if found is not None:
-            return replace(found, spec=replace(found.spec, inverted=inverted))
+            guess = replace(found, spec=replace(found.spec, inverted=inverted))
+            return guess if _is_found(guess.spec, greys) else None
     return _guess_chessboard(greys)
 
 
@@ -60,13 +68,15 @@ def board_pictures(greys: Sequence[Grey], guess: BoardGuess) -> int:
     """In how many pictures the board is seen."""
     spec = guess.spec
     if spec.type == "chessboard":
-        return sum(_chessboard_size(grey) == spec.squares for grey in greys)
+        return sum(chessboard_size(grey) == spec.squares for grey in greys)
     finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
     count = 0
     for grey in greys:
         _, ids, _ = finder.detectMarkers(255 - grey if spec.inverted is True else grey)
         if ids is not None:
-            count += int((np.asarray(ids) <= guess.largest_id).sum() >= TRIAL_MARKERS)
+            numbers = np.asarray(ids)
+            ours = (numbers >= spec.first_id) & (numbers <= guess.largest_id)
+            count += int(ours.sum() >= TRIAL_MARKERS)
     return count
 
 
@@ -103,22 +113,27 @@ def _guess_markers(greys: Sequence[Grey]) -> BoardGuess | None:
 
 def _layout(family: Sequence[str], seen: list[Markers]) -> BoardGuess | None:
     """Kind, columns and rows that put the markers where they are seen."""
-    largest = _largest_id(seen)
+    ids = repeated_ids(seen)
+    largest = ids[-1]
     name = next((n for n in family if dictionary(n).bytesList.shape[0] > largest), family[-1])
+    found = [_best_from(first, name, largest, seen) for first in sorted({0, ids[0]})]
+    error, _, best = min(found, key=lambda fit: (fit[0] > FIT_SQUARES, fit[2].first_id, fit[0]))
+    return BoardGuess(best, largest) if error <= FIT_SQUARES else None
+
+
+def _best_from(first: int, name: str, largest: int, seen: list[Markers]) -> tuple[float, int, BoardSpec]:
+    """The layout with a first marker of this number that fits best: how far markers miss it, its place, and itself."""
     guesses = []
     for kind in ("charuco", "aruco_grid"):
         for columns in range(2, LARGEST_SIDE + 1):
             markers_per_two_rows = columns if kind == "charuco" else 2 * columns
-            rows = max(2, int(np.ceil(2 * (largest + 1) / markers_per_two_rows)))
+            rows = max(2, int(np.ceil(2 * (largest + 1 - first) / markers_per_two_rows)))
             if rows > LARGEST_SIDE:
                 continue
             for legacy in (False, True) if kind == "charuco" and rows % 2 == 0 else (False,):
-                spec = BoardSpec(kind, (columns, rows), 1.0, 0.75, name, False, legacy)
+                spec = BoardSpec(kind, (columns, rows), 1.0, 0.75, name, False, legacy, first)
                 guesses.append((layout_error(spec, seen), len(guesses), spec))
-    error, _, best = min(guesses)
-    if error > FIT_SQUARES:
-        return None
-    return BoardGuess(best, largest)
+    return min(guesses)
 
 
 def _marker_share(spec: BoardSpec, greys: Sequence[Grey]) -> float:
@@ -146,14 +161,14 @@ def _marker_share(spec: BoardSpec, greys: Sequence[Grey]) -> float:
     return float(np.clip(np.median(sides), 0.1, 0.95)) if sides else spec.marker_m or 0.75
 
 
-def _largest_id(seen: list[Markers]) -> int:
-    """The largest id that is seen more than once: single misreadings have any id."""
-    counts = Counter(i for ids, _ in seen for i in ids.tolist())
-    return max(i for i, n in counts.items() if n >= SEEN_TWICE or len(seen) < SEEN_TWICE)
+def _is_found(spec: BoardSpec, greys: Sequence[Grey]) -> bool:
+    """Whether a run would find the board too: its corners, in at least one picture."""
+    detect = detector(spec)
+    return any(len(detect(grey)[0]) >= MIN_CORNERS for grey in greys)
 
 
 def _guess_chessboard(greys: Sequence[Grey]) -> BoardGuess | None:
-    sizes = Counter(size for grey in greys if (size := _chessboard_size(grey)) is not None)
+    sizes = Counter(size for grey in greys if (size := chessboard_size(grey)) is not None)
     if not sizes:
         return None
     size, count = max(sizes.items(), key=lambda item: (item[1], item[0][0] * item[0][1]))
@@ -162,7 +177,8 @@ def _guess_chessboard(greys: Sequence[Grey]) -> BoardGuess | None:
     return BoardGuess(BoardSpec("chessboard", size, 1.0, inverted=False, legacy=False), -1)
 
 
-def _chessboard_size(grey: Grey) -> tuple[int, int] | None:
+def chessboard_size(grey: Grey) -> tuple[int, int] | None:
+    """Inner corners of the chessboard in a picture, the longer side first; None where none is seen."""
     cv2.setRNGSeed(0)
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, CHESSBOARD_FROM, CHESSBOARD_FLAGS)
     if not found or meta is None:

@@ -5,6 +5,7 @@ fit the description's plane by one homography. Chessboards have no markers: anot
 described one is never seen.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +15,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.calibration.boards.detect import detector
-from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_places
+from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_count, marker_places
 from devrf.capture.errors import HealthError
 from devrf.capture.pictures import read_grey
 
 TRIAL_VIEWS = 12  # views with markers that decide inverted, legacy and swapped
 TRIAL_PICTURES = 8  # in which a chessboard of another size is looked for
 TRIAL_MARKERS = 4
+SEEN_TWICE = 2  # pictures; one alone is chance, or another thing with markers
+MOST_FIRSTS = 64  # numbers of the first marker that are tried
 FIT_SQUARES = 0.25  # a layout whose markers miss their places by more than this share of a square is wrong
 
 
@@ -30,26 +33,27 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
     What the description says is tried first, and kept where nothing speaks against it.
 
     Returns:
-        The settled description; None where no marker is seen and that is allowed.
+        The settled description; None where no marker of it is seen.
     Raises:
         InputError: No such dictionary.
-        HealthError: No marker is seen in any picture, or the markers do not fit any layout.
+        HealthError: The markers do not fit any layout.
     """
     inverted, seen = _marker_trial(files, spec)
     if not seen:
-        if not required:
-            return None
-        raise HealthError("board-never-seen", never_seen(name, len(files), spec))
-    fits = []
-    for squares in (spec.squares, spec.squares[::-1]):
-        for legacy in _tries(spec.legacy) if spec.type == "charuco" else (False,):
-            layout = replace(spec, squares=squares, inverted=inverted, legacy=legacy)
-            fits.append((layout_error(layout, seen), len(fits), layout))
-    error, _, best = min(fits)
+        return None
+    error, best = _best_layout(replace(spec, inverted=inverted), seen)
     if error > FIT_SQUARES:
-        seen_in = f"{name}: markers of {spec.dictionary} are seen in {len(seen)} pictures but fit no"
+        error, best = _first_elsewhere(best, seen, error)
+    ids = repeated_ids(seen)
+    if error > FIT_SQUARES and not required and ids[0] >= marker_count(spec):
+        return None  # markers of something else
+    if error > FIT_SQUARES:
+        which = f"{spec.dictionary} (ids from {ids[0]} to {ids[-1]})"
+        seen_in = f"{name}: markers of {which} are seen in {len(seen)} pictures but fit no"
         misses = f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares)"
         remedy = "check squares, square_m, marker_m and dictionary of capture.board"
+        if spec.type == "aruco_grid":
+            remedy += " (rows that count from below, as on Kalibr's aprilgrid, are not read)"
         raise HealthError("board-layout-wrong", f"{seen_in} {misses}; {remedy}")
     wrong = [("squares", f"[{best.squares[0]}, {best.squares[1]}]")] if best.squares != spec.squares else []
     for key in ("legacy", "inverted"):
@@ -70,12 +74,13 @@ def chessboard_of_another_size(files: Sequence[Path], spec: BoardSpec) -> BoardS
     return None
 
 
-def never_seen(name: str, count: int, spec: BoardSpec) -> str:
-    """A message."""
+def never_seen(name: str, count: int, spec: BoardSpec, instead: str) -> str:
+    """A message; `instead` is what is seen in place of it."""
     what = "squares (inner corners, not fields)" if spec.type == "chessboard" else "squares and dictionary"
+    but = f", but {instead}; describe what was printed" if instead else ""
     return (
-        f"board never seen in {name}: 0 of {count} frames show a {spec.words}; check {what} "
-        "of capture.board, and film the board larger than a quarter of the picture, sharp and without glare"
+        f"board never seen in {name}: 0 of {count} frames show a {spec.words}{but}; check {what} of capture.board, and "
+        "film the board larger than a quarter of the picture, sharp and without glare"
     )
 
 
@@ -89,7 +94,35 @@ def spread(files: Sequence[Path]) -> Iterable[Path]:
                 yield files[i]
 
 
+def repeated_ids(seen: Sequence["Markers"]) -> list[int]:
+    """Numbers of the markers that are seen more than once, rising: single misreadings have any."""
+    counts = Counter(i for ids, _ in seen for i in ids.tolist())
+    return sorted(i for i, n in counts.items() if n >= SEEN_TWICE or len(seen) < SEEN_TWICE) or sorted(counts)
+
+
 Markers = tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 4 2"]]
+
+
+def _best_layout(spec: BoardSpec, seen: list[Markers]) -> tuple[float, BoardSpec]:
+    """The layout that fits best, of both ways to count and both patterns, and by how much markers miss it."""
+    fits = []
+    for squares in (spec.squares, spec.squares[::-1]):
+        for legacy in _tries(spec.legacy) if spec.type == "charuco" else (False,):
+            layout = replace(spec, squares=squares, legacy=legacy)
+            fits.append((layout_error(layout, seen), len(fits), layout))
+    error, _, best = min(fits)
+    return error, best
+
+
+def _first_elsewhere(spec: BoardSpec, seen: list[Markers], error: float) -> tuple[float, BoardSpec]:
+    """As `_best_layout`, for boards whose first marker is not number 0, where just one other first number fits."""
+    ids = repeated_ids(seen)
+    firsts = range(max(1, ids[-1] + 1 - marker_count(spec)), ids[0] + 1)
+    if len(firsts) > MOST_FIRSTS:
+        return error, spec
+    found = [_best_layout(replace(spec, first_id=first), seen) for first in firsts]
+    good = [fit for fit in found if fit[0] <= FIT_SQUARES]
+    return good[0] if len(good) == 1 else (error, spec)
 
 
 def _tries(told: object) -> tuple[bool, bool]:
@@ -100,8 +133,6 @@ def _tries(told: object) -> tuple[bool, bool]:
 def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[Markers]]:
     """Whether the print is inverted, and the markers of the first pictures that show some."""
     finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
-    columns, rows = spec.squares
-    count = columns * rows if spec.type == "aruco_grid" else columns * rows // 2 + 1
     polarities = _tries(spec.inverted)
     seen: dict[bool, list[Markers]] = {p: [] for p in polarities}
     for file in spread(files):
@@ -111,10 +142,9 @@ def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[Ma
             if ids is None:
                 continue
             numbers = np.asarray(ids).reshape(-1)
-            ours = numbers < count
-            if ours.sum() >= TRIAL_MARKERS:
+            if len(numbers) >= TRIAL_MARKERS:
                 quads = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-                seen[polarity].append((numbers[ours].astype(np.int64), quads[ours]))
+                seen[polarity].append((numbers.astype(np.int64), quads))
         if max(len(s) for s in seen.values()) >= TRIAL_VIEWS:
             break
     best = max(polarities, key=lambda p: sum(len(ids) for ids, _ in seen[p]))

@@ -25,6 +25,7 @@ class BoardSpec:
         marker_m: Side of a marker, metres.
         dictionary: OpenCV's name of the marker dictionary.
         inverted, legacy: Known, or "auto".
+        first_id: Number of the first marker; found by `find_board`.
         corrections: Key and value of what pictures show otherwise than was told; filled by `find_board`.
     """
 
@@ -35,6 +36,7 @@ class BoardSpec:
     dictionary: str = "DICT_5X5_100"
     inverted: Auto = "auto"
     legacy: Auto = "auto"
+    first_id: int = 0
     corrections: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -64,7 +66,12 @@ class BoardSpec:
     def words(self) -> str:
         """For messages."""
         marks = "" if self.type == "chessboard" else f" with {self.dictionary}"
-        found = (self.legacy is True, ", legacy layout"), (self.inverted is True, ", white on black")
+        first = f", markers from number {self.first_id} on"
+        found = (
+            (self.legacy is True, ", legacy layout"),
+            (self.inverted is True, ", white on black"),
+            (self.first_id > 0, first),
+        )
         return f"{self.squares[0]}x{self.squares[1]} {self.type}{marks}" + "".join(
             t for yes, t in found if yes
         )
@@ -102,10 +109,17 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(number)
 
 
+def marker_count(spec: BoardSpec) -> int:
+    """How many markers are on a board with markers."""
+    columns, rows = spec.squares
+    return columns * rows if spec.type == "aruco_grid" else columns * rows // 2
+
+
 def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
     """A settled ChArUco board as OpenCV has it."""
+    ids = spec.first_id + np.arange(marker_count(spec), dtype=np.int32)
     board = cv2.aruco.CharucoBoard(
-        spec.squares, spec.square_m, spec.marker_m or 0.75 * spec.square_m, dictionary(spec.dictionary)
+        spec.squares, spec.square_m, spec.marker_m or 0.75 * spec.square_m, dictionary(spec.dictionary), ids
     )
     board.setLegacyPattern(spec.legacy is True)
     return board
@@ -114,7 +128,7 @@ def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
 def marker_places(spec: BoardSpec) -> dict[int, Float[np.ndarray, "4 2"]]:
     """Marker id -> its corners on a settled board with markers, metres."""
     if spec.type == "aruco_grid":
-        return dict(enumerate(spec.corners[:, :2].reshape(-1, 4, 2)))
+        return dict(enumerate(spec.corners[:, :2].reshape(-1, 4, 2), spec.first_id))
     board = charuco_board(spec)
     ids = np.asarray(board.getIds()).reshape(-1).tolist()
     return {i: np.asarray(p, dtype=np.float64)[:, :2] for i, p in zip(ids, board.getObjPoints(), strict=True)}

@@ -187,9 +187,15 @@ def see_flashes(names: Sequence[str], extras: Extras, out: Evidence, aloud: bool
         else:
             rows = ", ".join(f"{e.frame_s:.2f} s row {100 * min(e.row, 1):.0f} %" for e in found.events[:4])
             out.notes.append(f"camera {name}: {len(found.events)} flashes ({rows} of the height)")
+    by_sound = groups(names, out.accepted("audio"))
     for a, b in itertools.combinations(seen, 2):
         found = flash_delay(seen[a], seen[b])
         if found is None:
+            continue
+        if found.lone_step and by_sound[a] == by_sound[b]:
+            out.notes.append(
+                f"{a} and {b}: the light changes once and stays so, which is no flash; sound counts"
+            )
             continue
         if not found.accepted:
             out.notes.append(f"{a} and {b}: flashes not trusted, several delays explain as many")

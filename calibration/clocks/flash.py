@@ -22,6 +22,7 @@ LEAST_LEVELS = 1.5  # and at least this high, in levels of 255: an encoder's key
 SLOW_FRAMES = 15  # changes over more frames than this are exposure and daylight
 EVENT_FRAMES = 3  # a flash is over after this many
 LIT_ROWS = 0.25  # of the largest change: rows that change less do not see the light
+STEP_FRAMES = 8  # before and after a step: fewer are how a file begins or ends
 STEP_SHARE = 0.5  # what remains afterwards, of the change: more is a lamp switched on or off
 READOUT_SHARE, READOUT_STD = 0.7, 0.15  # of a frame: prior, phones and action cameras
 KNOWN_READOUT_STD = 0.02  # of a given readout
@@ -90,6 +91,7 @@ class FlashDelay:
         first_s: File time in the first clip in the middle of the flashes.
         matches: Number of flashes that both saw.
         accepted: Whether no other delay explains as many.
+        lone_step: Whether all there is to it is light that changed once, in each clip, and stayed so.
     """
 
     delay_s: float
@@ -97,6 +99,7 @@ class FlashDelay:
     first_s: float
     matches: int
     accepted: bool
+    lone_step: bool = False
 
 
 def find_flashes(brightness: Brightness, readout_s: float | None = None) -> Flashes:
@@ -110,8 +113,9 @@ def find_flashes(brightness: Brightness, readout_s: float | None = None) -> Flas
     loud = np.flatnonzero(np.abs(jump) > SEEN_SIGMAS * sigma)
     events = []
     for group in _grouped(loud):
-        event = _event(brightness, int(group[0]), int(group[-1]) + 1, assumed_s)
-        if event is not None:
+        before, after = int(group[0]), int(group[-1]) + 1
+        event = _event(brightness, before, after, assumed_s)
+        if event is not None and not (event.kind == "step" and _at_end(before, after, len(mean))):
             events.append(event)
     times = np.array([e.frame_s + e.row * assumed_s for e in events])
     gaps = np.diff(times)
@@ -142,7 +146,8 @@ def flash_delay(first: Flashes, second: Flashes) -> FlashDelay | None:
     first_s = float(np.mean([first.time_s(a) for a, _ in pairs]))
     alone = len(first.events) == len(second.events) == 1
     accepted = (len(pairs) > max(rival, 1) or alone) and not (first.periodic or second.periodic)
-    return FlashDelay(delay_s, std_s, first_s, len(pairs), accepted)
+    lone_step = alone and pairs[0][0].kind == "step"
+    return FlashDelay(delay_s, std_s, first_s, len(pairs), accepted, lone_step)
 
 
 def _event(brightness: Brightness, before: int, after: int, readout_s: float) -> Flash | None:
@@ -170,6 +175,11 @@ def _event(brightness: Brightness, before: int, after: int, readout_s: float) ->
     row = (at[1] - at[0]) / (SLOPE_STEP * readout_s)
     kind = "step" if step else "pulse"
     return Flash(at[0] - row * readout_s, row, float(gap_s / np.sqrt(12)), kind, sign)
+
+
+def _at_end(before: int, after: int, count: int) -> bool:
+    """Whether a clip shows too little before or after a change to tell that it is one of the scene."""
+    return min(before + 1, count - after) < STEP_FRAMES
 
 
 def _extreme(change: Float[np.ndarray, "k r"]) -> Float[np.ndarray, " r"]:

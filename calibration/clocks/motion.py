@@ -21,6 +21,7 @@ MIN_OVERLAP_SHARE = 0.5  # of the shorter clip: less would let two single gestur
 MIN_OVERLAP_STEPS = 12
 OUTLIER_QUANTILE = 0.99  # one flash or cut must not be all there is
 DISTINCT_STEPS = 2.0  # another peak closer than this many frames is the same one
+END_PICTURES, END_TIMES = 8, 3.0  # within so many pictures of an end, more than so many times all else
 MIN_VARIATION = 0.05  # standard deviation over mean of the energy: below it nothing happens
 ACCEPT_CORRELATION = 0.6  # below it views disagree
 ACCEPT_SCORE = 4.0  # standard deviations away from chance (Fisher's z with independent samples)
@@ -124,9 +125,18 @@ def course_delay(
 
 def _root(energy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
     """Square root of the energy without its outliers; None where it hardly varies."""
-    energy = np.minimum(energy, np.quantile(energy, OUTLIER_QUANTILE))
+    energy = np.minimum(_without_ends(energy), np.quantile(energy, OUTLIER_QUANTILE))
     root = np.sqrt(np.maximum(energy, 0))
     return root if root.std() >= MIN_VARIATION * max(float(root.mean()), 1e-6) else None
+
+
+def _without_ends(energy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The energy without what only happens as a file begins or ends: exposure that settles, a fade, a torn picture."""
+    inner = energy[END_PICTURES:-END_PICTURES]
+    most, usual = END_TIMES * float(inner.max(initial=0.0)), float(np.median(inner)) if len(inner) else 0.0
+    ends = np.ones(len(energy), bool)
+    ends[END_PICTURES:-END_PICTURES] = False
+    return np.where(ends & (energy > most), usual, energy)
 
 
 def _on_grid(

@@ -38,7 +38,7 @@ from devrf.calibration.clocks.evidence import (
     watch,
 )
 from devrf.calibration.clocks.motion import ACCEPT_CORRELATION, ACCEPT_SCORE
-from devrf.calibration.clocks.times import doubts, timecode_guesses
+from devrf.calibration.clocks.times import doubts, stated_delay, timecode_guesses
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CalibrationError
 from devrf.capture.progress import Progress, no_progress
@@ -48,6 +48,8 @@ Method = Literal["auto", "audio", "motion", "flash", "timestamps", "none"]
 
 SOUND_PATH_S_PER_M = 1 / 343.0
 LAG_S, LAG_SIGMAS = 0.01, 3.0  # sound and flash that differ by more contradict; 10 ms are 3 m of air
+TIMECODE_CONFIDENCE = 0.75  # where it was asked for: as of sound that needed it
+TIMECODE_BASIS = "timecode alone, which is as good as the hand that set it"
 MOTION_SIGMAS = 4.0  # motion that differs by more contradicts; views differ, so less says nothing
 TRUSTED: tuple[tuple[Cue, tuple[Cue, ...]], ...] = (  # a clock's cue: the first that connects it
     ("audio", ("audio",)),
@@ -106,19 +108,18 @@ def synchronise(
     """
     extras = extras or Extras()
     names = list(spans_s)
-    if method == "timestamps" and not true_times:
-        text = "calibration.sync.method is timestamps, but there is no table; name it in capture.timestamps"
-        raise CalibrationError("timestamps-missing", text)
     if true_times and method in ("auto", "timestamps"):
         basis = "the table of times is on one clock"
         return SyncResult({n: Clock(0.0, 0.0, 0.0, "timestamps", 1.0, basis) for n in names})
     if len(names) == 1:
         return SyncResult({names[0]: _reference()})
-    if method in ("none", "timestamps"):
+    longest_s = max(b - a for a, b in spans_s.values())
+    if method == "timestamps":
+        return _by_timecode(names, extras.recorded, longest_s)
+    if method == "none":
         basis = "the clips' own times are taken as true, unchecked"
         clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
         return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
-    longest_s = max(b - a for a, b in spans_s.values())
     evidence = Evidence()
     sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
     if method in ("auto", "audio"):
@@ -142,6 +143,27 @@ def synchronise(
         evidence.equations += timecode_guesses(named, longest_s)
     result = _settle(spans_s, evidence)
     return _against_files(result, extras.recorded, longest_s)
+
+
+def _by_timecode(names: Sequence[str], recorded: Mapping[str, Recorded], longest_s: float) -> SyncResult:
+    """Clocks by what the files' timecodes say, for cameras that are known to be jammed together."""
+    without = [n for n in names if n not in recorded or recorded[n].timecode_s is None]
+    if without:
+        raise CalibrationError("timestamps-missing", no_timecode(without))
+    clocks = {names[0]: _reference()}
+    for name in names[1:]:
+        stated = stated_delay(recorded[names[0]], recorded[name])
+        assert stated is not None
+        clocks[name] = Clock(stated[0], 0.0, stated[1], "timestamps", TIMECODE_CONFIDENCE, TIMECODE_BASIS)
+    return _against_files(SyncResult(clocks), recorded, longest_s)
+
+
+def no_timecode(cameras: Sequence[str]) -> str:
+    """What to say of cameras without a timecode, where the clocks are to come from times."""
+    return (
+        f"calibration.sync.method is timestamps, but there is no table and the clips of {', '.join(cameras)} have no "
+        "timecode; name a table in capture.timestamps, or set the method to auto"
+    )
 
 
 def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> None:
@@ -332,5 +354,5 @@ def _basis(cue: Cue, quality: float, pairs: int) -> str:
     if cue == "flash":
         return f"light: {quality:.0f} flash{'es' if quality > 1 else ''} seen in common, {count}"
     if cue == "timestamps":
-        return "timecode alone, which is as good as the hand that set it"
+        return TIMECODE_BASIS
     return f"motion energy: correlation {quality:.2f}, {count}; good to half a frame at best"

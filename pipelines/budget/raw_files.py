@@ -1,6 +1,7 @@
 """How many pictures of raw files are decoded, developed and written at once, by what their headers say."""
 
-from devrf.capture.pictures import list_pictures, probe_picture
+from devrf.capture.photo_folders import list_pictures
+from devrf.capture.pictures import probe_picture
 from devrf.capture.raw import is_raw
 from devrf.capture.session import CaptureSession
 from devrf.capture.video import probe_video

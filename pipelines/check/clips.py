@@ -11,12 +11,17 @@ from devrf.calibration.field.steady import STANDS, Steadiness, steadiness
 from devrf.capture.audio import Sound
 from devrf.capture.frames import CameraFrames, FrameRecord, Role, grey_small, sharpness, timing
 from devrf.capture.ingest import MAX_SWEEP_FRAMES
-from devrf.capture.pictures import list_pictures, read_picture
+from devrf.capture.photo_folders import list_pictures, unread_faults
+from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
+from devrf.capture.recorded import rate_faults, read_recorded
+from devrf.capture.recordings import chapter_faults
 from devrf.capture.sampled import read_runs
 from devrf.capture.scene import Rest
+from devrf.capture.slow_motion import length_faults
 from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small
+from devrf.capture.timestamps import FrameTimes, table_factor, table_faults
 from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 SWEEP_PICTURES = 40  # whose neighbours are compared
@@ -43,11 +48,21 @@ class SweepSeen:
     rows: list[HealthRow]
 
 
-def planned_frames(look: Look, role: Role, source: str, sound: Sound | None = None) -> CameraFrames:
+def planned_frames(
+    look: Look, role: Role, source: str, sound: Sound | None = None, true: FrameTimes | None = None
+) -> CameraFrames:
     """Frames and times of one camera as `ingest` would write them, without pictures and sharpness."""
     seen = timing(look.times_s)
     used = set(range(look.count) if role != "sweep" else _sweep_pictures(look).tolist())
     times = look.times_s.tolist() or [None] * look.count
+    faults = [] if true is None else table_faults(table_factor(true, dict(enumerate(look.times_s.tolist()))))
+    if not look.is_clip:
+        faults += unread_faults(look.path)
+    else:
+        faults += chapter_faults(look.path)
+        faults += rate_faults(read_recorded(look.path).timecode_fps, seen.fps_mean)
+    if sound is not None and true is None:
+        faults += length_faults(look.duration_s, sound.end_s - sound.start_s)
     return CameraFrames(
         role=role,
         source=source,
@@ -63,6 +78,7 @@ def planned_frames(look: Look, role: Role, source: str, sound: Sound | None = No
         audio_start_s=None if sound is None else sound.start_s,
         missing_frames=seen.missing_frames,
         notes=(*look.notes, *seen.notes),
+        faults=tuple(faults),
     )
 
 

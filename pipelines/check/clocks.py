@@ -7,7 +7,7 @@ from devrf.capture.audio import Sound
 from devrf.capture.courses import read_courses
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames
-from devrf.capture.recorded import Recorded, read_recorded
+from devrf.capture.recorded import read_recorded
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.clock import REFUSED_BELOW, REMEDY
@@ -26,8 +26,7 @@ def clock_rows(
     settings, table = config.calibration.sync, session.timestamps is not None
     times = {name: sync.used_times(frames) for name, frames in moving.items()}
     spans = {name: (float(t[0]), float(t[-1])) for name, t in times.items()}
-    found = {name: read_recorded(session.cameras[name]) for name in moving}
-    recorded = {n: Recorded(r.created_s, r.timecode_s, moving[n].fps_mean) for n, r in found.items()}
+    recorded = {name: read_recorded(session.cameras[name]) for name in moving}
 
     def solve(seconds: float) -> SyncResult:
         clips = session.cameras.items() if seconds else ()

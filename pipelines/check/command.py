@@ -16,6 +16,7 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at
+from devrf.capture.timestamps import read_timestamps
 from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.budget.disk import room_of
 from devrf.pipelines.budget.memory import allowed_bytes
@@ -91,12 +92,13 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         sweep = seen.features
         sections["sweep"] = [*ingest.health(FrameSet({SWEEP: seen.frames})), *seen.rows]
     sounds = {name: sound for name, path in session.cameras.items() if (sound := _sound(path)) is not None}
+    table = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
     moving: dict[str, CameraFrames] = {}
     for n, (name, path) in enumerate(session.cameras.items()):
         progress(0.5 + 0.25 * n / len(session.cameras), name)
         looks[name] = look_at(path, CLIP_PICTURES)
         role = "test" if name in session.test_names else "camera"
-        moving[name] = planned_frames(looks[name], role, path.name, sounds.get(name))
+        moving[name] = planned_frames(looks[name], role, path.name, sounds.get(name), table.get(name))
         sections[f"camera {name}"] = camera_rows(name, looks[name], session.rest, sweep)
     if moving:
         sections["all cameras"] = ingest.health(FrameSet(moving))

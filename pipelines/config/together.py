@@ -108,7 +108,6 @@ def _missing(config: SceneConfig, capture: CaptureConfig, *, board_is_wrong: boo
         ("calibration.rig.given", rig.given, rig.method, "given"),
         ("capture.board.joint_clips", joint, rig.method, "board"),
         ("capture.static", capture.static, rig.method, "sweep"),
-        ("capture.timestamps", capture.timestamps, config.calibration.sync.method, "timestamps"),
         ("calibration.colour.chart", colour.chart, colour.method, "chart"),
     ):
         if method == wanted and (value is None or value == {}):

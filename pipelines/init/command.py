@@ -8,15 +8,16 @@ from pathlib import Path
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.datasets import guess_format
 from devrf.capture.progress import Progress
-from devrf.capture.session import read_timestamps
 from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Material, find_material, look_at, pictures_at
+from devrf.capture.timestamps import read_timestamps
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.init.calibrations import take_calibration
 from devrf.pipelines.init.found import Roles
 from devrf.pipelines.init.names import BY_NAME, called, photos, roles_called
 from devrf.pipelines.init.roles import FEWEST_PHOTOS, guess_roles, see
+from devrf.pipelines.init.together import not_read, sort_clips
 from devrf.pipelines.init.yaml import dataset_yaml, scene_yaml
 
 PICTURES = 12  # of each clip that are looked at
@@ -70,7 +71,8 @@ def survey(folder: Path, material: Material, progress: Progress) -> Roles:
     """Look at everything and guess."""
     looks: list[Look] = []
     left: dict[str, str] = {}
-    work = [*material.clips, *material.photos]
+    own = sort_clips(folder, material)
+    work = [*own.clips, *material.photos]
     for n, path in enumerate(work):
         relative, count = path.relative_to(folder).as_posix(), len(material.photos.get(path, ()))
         progress(0.6 * n / len(work), relative)
@@ -85,12 +87,10 @@ def survey(folder: Path, material: Material, progress: Progress) -> Roles:
                 left[relative] = str(error).splitlines()[0].removeprefix(f"{path}: ")
     progress(0.6, "boards and movement")
     roles = guess_roles(*see(looks, folder))
-    roles.left |= left
-    for files, why in (
-        (material.sounds, "sound by itself; clocks are taken from the clips' own sound"),
-        (material.unreadable, "HEIC or AVIF; convert it to JPEG"),
-    ):
-        roles.left |= {file.relative_to(folder).as_posix(): why for file in files}
+    roles.left |= {**left, **own.left, **not_read(folder, material)}
+    roles.doubts += own.doubts
+    why = "sound by itself; clocks are taken from the clips' own sound"
+    roles.left |= {file.relative_to(folder).as_posix(): why for file in material.sounds}
     take_calibration(folder, material.others, roles)
     progress(0.95, "rest")
     _doubt_rest(roles)

@@ -16,6 +16,7 @@ from devrf.pipelines.init.names import camera_name, photos
 from devrf.pipelines.stages.ingest import FEWEST_SWEEP_PICTURES
 
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one
+PLACES_A_SECOND = 2.0  # of a clip of a walk; a photo is one
 MOST_TRIALS = 24  # pictures in which a board of unknown kind is looked for; each takes a second
 BOARD_TRIALS, STILL_TRIALS = 4, 2  # of them of each clip called a board clip, and of each camera that stands
 
@@ -72,9 +73,10 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
 
 
 def _sweep(moving: list[Seen], roles: Roles) -> None:
-    """The one so called, else the longest that no name calls a camera."""
+    """The one so called, else the one from most places that no name calls a camera."""
     for s in sorted(
-        moving, key=lambda s: (s.called != "sweep", s.called in ("camera", "test"), -s.look.count)
+        moving,
+        key=lambda s: (s.called != "sweep", s.called in ("camera", "test"), -_places(s), -s.look.count),
     ):
         count, is_camera = photos(s.look.count), s.called in ("camera", "test")
         if not s.look.is_clip and s.look.count < FEWEST_PHOTOS and s.called != "sweep":
@@ -100,6 +102,15 @@ def _sweep(moving: list[Seen], roles: Roles) -> None:
             "no sweep: no clip in which the camera moves, and no folder of photos. Film the scene at rest with one "
             "moving camera, walking around it; without one, `run --until flow` is all that can be done"
         )
+
+
+def _places(s: Seen) -> float:
+    """From about how many places the scene is seen: a walk passes two a second, whatever the frame rate."""
+    return (
+        min(float(s.look.count), PLACES_A_SECOND * s.look.duration_s)
+        if s.look.is_clip
+        else float(s.look.count)
+    )
 
 
 def _camera(s: Seen, roles: Roles) -> None:

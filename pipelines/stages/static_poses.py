@@ -16,8 +16,8 @@ from devrf.calibration.sweep.static_poses import (
     recover_static_poses,
 )
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
+from devrf.capture.photo_folders import list_pictures
 from devrf.capture.picture_files import open_picture
-from devrf.capture.pictures import list_pictures
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import swept_at_once

@@ -58,7 +58,7 @@ def _solve(
     brightness = read_brightness(folder, frames)
     extras = Extras(
         {n: Brightness(b[:, 0], b[:, 1:]) for n, b in brightness.items() if n in cameras and len(b) > 1},
-        {n: Recorded(c.created_s, c.timecode_s, c.fps_mean) for n, c in cameras.items()},
+        {n: Recorded(c.created_s, c.timecode_s, c.timecode_fps) for n, c in cameras.items()},
         config.av_lag_s,
         config.readout_s,
     )
@@ -118,7 +118,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[He
     if not others:
         return
     cues = sorted({clock.method for clock in others.values()})
-    if cues == ["timestamps"]:
+    if all(clock.method == "timestamps" and clock.confidence == 1 for clock in others.values()):
         yield note("cue", "the table of times")
         return
     if all(clock.basis.startswith("the clips' own") for clock in others.values()):

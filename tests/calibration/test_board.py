@@ -10,6 +10,7 @@ from tests.refused import refused
 
 from devrf.calibration.boards.detect import CHESSBOARD_TRIES, detector, misfit
 from devrf.calibration.boards.find import BoardSpec, find_board
+from devrf.calibration.boards.guess import guess_board
 from devrf.calibration.boards.layout import settle
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError, InputError
@@ -37,12 +38,16 @@ def draw(
     if spec.type == "aruco_grid":
         assert spec.marker_m is not None
         gap = round((spec.square_m - spec.marker_m) / spec.square_m * PIXELS_PER_SQUARE)
-        grid = cv2.aruco.GridBoard(spec.squares, spec.marker_m, spec.square_m - spec.marker_m, dictionary)
+        ids = spec.first_id + np.arange(spec.squares[0] * spec.squares[1])
+        grid = cv2.aruco.GridBoard(
+            spec.squares, spec.marker_m, spec.square_m - spec.marker_m, dictionary, ids
+        )
         size = tuple(n * PIXELS_PER_SQUARE + gap for n in spec.squares)  # a gap's width of margin all around
         print_ = grid.generateImage(size, marginSize=gap)
         origin = spec.marker_m - spec.square_m
     elif spec.type == "charuco":
-        board = cv2.aruco.CharucoBoard(spec.squares, spec.square_m, spec.marker_m or 0.0, dictionary)
+        ids = spec.first_id + np.arange(spec.squares[0] * spec.squares[1] // 2)
+        board = cv2.aruco.CharucoBoard(spec.squares, spec.square_m, spec.marker_m or 0.0, dictionary, ids)
         board.setLegacyPattern(legacy)
         print_ = board.generateImage(tuple(n * PIXELS_PER_SQUARE for n in spec.squares))
         origin = 0.0
@@ -214,6 +219,56 @@ def test_a_board_that_is_never_seen_is_refused(tmp_path):
     assert find_board("clip7", files, SPEC, required=False)[0] == []
     with refused("board-never-seen", "squares", kind=HealthError):
         find_board("clip7", files, BoardSpec("chessboard", (7, 4), 0.04))
+
+
+GRID = BoardSpec("aruco_grid", (5, 4), 0.05, 0.04, "DICT_5X5_100")
+
+
+@pytest.mark.parametrize("spec", [SPEC, replace(SPEC, squares=(5, 7)), GRID], ids=["6x4", "5x7", "grid"])
+@pytest.mark.parametrize("first", [1, 20])
+def test_a_board_whose_first_marker_has_another_number(tmp_path, spec, first):
+    rng, printed = np.random.default_rng(4), replace(spec, first_id=first)
+    poses = [board_pose(rng, printed) for _ in range(3)]
+    pictures = [draw(printed, pose) for pose in poses]
+    views, settled = find_board("clip", write(tmp_path, pictures), spec)
+    assert settled.first_id == first and settled.corrections == () and len(views) == 3
+    for view, pose in zip(views, poses, strict=True):
+        points = spec.corners[view.ids] @ pose[:, :3].T + pose[:, 3]
+        xy = points @ K.T
+        assert np.abs(xy[:, :2] / xy[:, 2:] - view.xy).max() < 0.5
+    guess = guess_board(pictures)  # perhaps of a taller board, of which this is a part
+    assert guess is not None and guess.spec.squares[0] == spec.squares[0]
+    assert len(find_board("clip", write(tmp_path, pictures), replace(guess.spec, first_id=0))[0]) == 3
+
+
+@pytest.mark.parametrize(
+    ("printed", "mirrored", "named"),
+    [
+        (replace(SPEC, dictionary="DICT_6X6_250"), False, ("DICT_6X6_50", "ids from 0 to 11")),
+        (SPEC, True, ("DICT_5X5_50", "ids from 0 to 11", "mirror")),
+        (BoardSpec("chessboard", (8, 5), 0.05), False, ("8x5",)),
+    ],
+    ids=["another dictionary", "mirrored", "chessboard"],
+)
+def test_what_is_seen_instead_of_the_board_is_named(tmp_path, printed, mirrored, named):
+    rng = np.random.default_rng(7)
+    pictures = [draw(printed, board_pose(rng, printed)) for _ in range(3)]
+    files = write(tmp_path, [np.ascontiguousarray(p[:, ::-1]) if mirrored else p for p in pictures])
+    with refused("board-never-seen", *named, kind=HealthError):
+        find_board("clip", files, SPEC)
+
+
+def test_a_grid_that_counts_otherwise_is_named(tmp_path):
+    """As Kalibr's aprilgrid: its rows count from below."""
+    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    sheet = np.full((440, 620), 255, np.uint8)
+    for n in range(6):
+        row, column = 1 - n // 3, n % 3
+        at = slice(40 + 200 * row, 200 + 200 * row), slice(40 + 200 * column, 200 + 200 * column)
+        sheet[at] = cv2.aruco.generateImageMarker(tags, n, 160, borderBits=2)
+    spec = replace(GRID, squares=(3, 2), dictionary="DICT_APRILTAG_36h11")
+    with refused("board-layout-wrong", "DICT_APRILTAG_36h11", "ids from 0 to 5", "Kalibr", kind=HealthError):
+        find_board("clip", write(tmp_path, [sheet]), spec)
 
 
 def test_a_wrong_description_is_refused(tmp_path):

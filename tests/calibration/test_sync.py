@@ -9,11 +9,13 @@ from scipy.signal import fftconvolve
 from tests.refused import refused
 
 from devrf.calibration.clocks.equations import Clock, Equation, consistent
+from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.motion import motion_delay
 from devrf.calibration.clocks.sound import gcc_phat, sound_delay
 from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import CalibrationError
+from devrf.capture.recorded import Recorded
 
 RATE_HZ = 48_000
 NAMES = ("cam0", "cam1", "cam2", "cam3", "witness")
@@ -211,8 +213,15 @@ def test_methods_that_need_nothing():
     assert synchronise(spans(names=("only",)), {}, {}).cameras["only"].method == "reference"
 
 
+def test_clocks_by_timecode_where_it_is_asked_for():
+    stated = {n: Recorded(None, 36_000.0 + i, 25.0) for i, n in enumerate(NAMES)}
+    result = synchronise(spans(), {}, {}, "timestamps", extras=Extras(recorded=stated))
+    assert [c.offset_s for c in result.cameras.values()] == pytest.approx(list(range(len(NAMES))))
+    assert all(0.5 < c.confidence < 1 for c in list(result.cameras.values())[1:])
+
+
 def test_methods_that_cannot_be_used():
-    with refused("timestamps-missing", "capture.timestamps", kind=CalibrationError):
+    with refused("timestamps-missing", "capture.timestamps", "cam1", kind=CalibrationError):
         synchronise(spans(), {}, {}, "timestamps")
     rng = np.random.default_rng(0)
     with refused("sound-missing", "cam1, cam2, cam3, witness", kind=CalibrationError):

@@ -9,6 +9,7 @@ import pytest
 from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
 from devrf.calibration.clocks.sync import synchronise
+from devrf.capture.audio import Sound
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.simulate.flash import RollingShutter, exposed, film_flashes
 
@@ -116,3 +117,29 @@ def test_lamps_that_blink_are_no_flash(tmp_path):
 def test_a_still_wall_and_a_flash_in_the_noise_are_none(tmp_path, strength):
     path = film_flashes(tmp_path / "a.mp4", RollingShutter(), FLASHES_S, strength=strength)
     assert find_flashes(seen(path, tmp_path / "ingest")).events == ()
+
+
+def step(at: int, count: int = 120) -> Brightness:
+    """Light that is switched on before frame `at`."""
+    lit = (np.arange(count) >= at)[:, None] * np.ones(24)
+    return Brightness(
+        np.arange(count) / FPS, 60 + 60 * lit + np.random.default_rng(at).normal(0, 0.1, lit.shape)
+    )
+
+
+@pytest.mark.parametrize("at", [3, 117])
+def test_light_that_changes_at_the_end_of_a_file_is_no_event(at):
+    assert find_flashes(step(at)).events == ()
+
+
+def test_a_lone_step_never_overrules_sound():
+    """The light goes on in both files at 1 s, and their sound says that the second began 0.3 s later."""
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=5 * 48_000).astype(np.float32) * 0.1
+    sounds = {
+        "cam0": Sound(noise[: 4 * 48_000], 48_000, 0.0),
+        "cam1": Sound(noise[14_400 : 14_400 + 4 * 48_000], 48_000, 0.0),
+    }
+    spans = {n: SPANS[n] for n in sounds}
+    clock = synchronise(spans, sounds, {}, extras=Extras({n: step(30) for n in sounds})).cameras["cam1"]
+    assert clock.method == "audio" and clock.offset_s == pytest.approx(0.3, abs=1e-3)

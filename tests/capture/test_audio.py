@@ -1,5 +1,8 @@
 """Sound: true start times through AAC, resampling and gaps."""
 
+from pathlib import Path
+
+import av
 import numpy as np
 import pytest
 
@@ -56,3 +59,52 @@ def test_wav_round_trip(tmp_path):
 def test_real_silent_track(data_dir):
     sound = read_sound(data_dir / "pose2sim_single" / "videos" / "cam02.mp4")
     assert sound is not None and sound.silent
+
+
+RATE_HZ = 48_000
+CLAPS_S = (0.5, 1.1)
+
+
+def track_file(path: Path, *tracks: np.ndarray) -> Path:
+    """A file with sound tracks, each an array [channels, samples] in [-1, 1]."""
+    with av.open(str(path), "w") as out:
+        streams = [
+            out.add_stream("pcm_s16le", rate=RATE_HZ, layout="stereo" if len(t) == 2 else "mono")
+            for t in tracks
+        ]
+        for track, stream in zip(tracks, streams, strict=True):
+            for at in range(0, track.shape[1], 1024):
+                values = (track[:, at : at + 1024].T * 32767).astype(np.int16).reshape(1, -1)
+                frame = av.AudioFrame.from_ndarray(values, format="s16", layout=stream.layout.name)
+                frame.sample_rate, frame.pts = RATE_HZ, at
+                for packet in stream.encode(frame):
+                    out.mux(packet)
+    return path
+
+
+def microphone(seed: int = 0, level: float = 1.0) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0, 2e-3, int(1.5 * RATE_HZ))
+    return level * (clicks(RATE_HZ, list(CLAPS_S), 1.5) + noise)
+
+
+HUM = np.sin(2 * np.pi * 50 * np.arange(int(1.5 * RATE_HZ)) / RATE_HZ)
+SILENT = np.zeros_like(HUM)
+
+
+@pytest.mark.parametrize(
+    ("tracks", "expected", "named"),
+    [
+        ([np.stack([microphone(), -microphone()])], microphone(), "channel 1 of 2"),
+        ([np.stack([microphone(), microphone()])], microphone(), ""),
+        ([np.stack([microphone(), SILENT])], microphone() / 2, ""),
+        ([np.stack([0.9 * HUM, microphone(level=0.05)])], microphone(level=0.05), "channel 2 of 2"),
+        ([SILENT[None], microphone()[None]], microphone(), "track 2 of 2"),
+        ([microphone()[None], microphone(1)[None]], microphone(), ""),
+        ([np.stack([SILENT, SILENT])], SILENT, ""),
+    ],
+    ids=["opposed", "equal", "one", "hum", "second track", "two tracks", "silent"],
+)
+def test_the_channel_in_which_something_is_to_be_heard(tmp_path, tracks, expected, named):
+    sound = read_sound(track_file(tmp_path / "a.mkv", *tracks))
+    assert sound is not None and bool(sound.taken) == bool(named) and sound.taken.startswith(named)
+    np.testing.assert_allclose(sound.samples, expected, atol=2e-4)

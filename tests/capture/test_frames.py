@@ -20,10 +20,12 @@ from devrf.capture.frames import (
     window_of,
 )
 from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_sounds
+from devrf.capture.photo_folders import list_pictures
 from devrf.capture.photos import extract_folder
 from devrf.capture.picture_files import natural_key
-from devrf.capture.pictures import list_pictures, probe_picture, read_picture, write_picture
-from devrf.capture.session import CaptureSession, FrameTimes
+from devrf.capture.pictures import probe_picture, read_picture, write_picture
+from devrf.capture.session import CaptureSession
+from devrf.capture.timestamps import FrameTimes
 
 
 def test_sharpness_falls_with_blur():

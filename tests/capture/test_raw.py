@@ -112,7 +112,8 @@ def test_a_set_is_turned_once_and_alike(tmp_path):
         )
     paths = [tmp_path / f"{n}.dng" for n in range(3)]
     recipe = recipe_for(paths)
-    assert [develop(path).header.turn_deg for path in paths] == [270, 0, 270] and recipe.turn_deg == 270
+    assert [develop(path).header.upright.degrees for path in paths] == [270, 0, 270]
+    assert recipe.upright.degrees == 270
     for path in paths:  # one sensor, one set of intrinsics
         got = develop(path, recipe).linear / 65535
         np.testing.assert_allclose(inside(got), inside(np.rot90(light(), -1)), atol=TRUTH)

@@ -6,7 +6,8 @@ from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.pictures import probe_picture, write_picture
-from devrf.capture.session import CaptureSession, preflight, read_timestamps
+from devrf.capture.session import CaptureSession, preflight
+from devrf.capture.timestamps import read_timestamps
 from devrf.capture.video import probe_video
 
 TABLE = "camera,frame_index,time_s\n"

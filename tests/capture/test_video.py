@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from tests.refused import refused
@@ -42,7 +43,7 @@ def test_stored_turn_is_applied_once(make_clip, pictures, rotation):
     assert np.abs(rgb.astype(int) - expected).mean() < 6
     info = probe_video(path)
     assert (info.width, info.height) == (expected.shape[1], expected.shape[0])
-    assert info.rotation_deg == rotation % 360 and len(info.notes) == 1
+    assert info.upright.degrees == rotation % 360 and len(info.notes) == 1
 
 
 def test_unlabelled_small_pictures_are_bt601(make_clip):
@@ -149,3 +150,21 @@ def test_a_decoder_takes_the_cores_that_a_run_is_given(
     path = make_clip("cam0.mp4", pictures)
     with open_media(path) as container:
         assert video_stream(container, path, asked).codec_context.thread_count == threads
+
+
+def test_of_several_streams_of_pictures_the_largest(tmp_path):
+    path = tmp_path / "two.mkv"
+    with av.open(str(path), "w") as out:
+        streams = [out.add_stream("libx264", rate=25) for _ in range(2)]
+        for stream, side in zip(streams, (32, 64), strict=True):
+            stream.width, stream.height, stream.pix_fmt = 2 * side, side, "yuv420p"
+        for stream in streams:
+            picture = np.full((stream.height, stream.width, 3), 99, np.uint8)
+            for _ in range(5):
+                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
+                    out.mux(packet)
+            for packet in stream.encode(None):
+                out.mux(packet)
+    info = probe_video(path)
+    assert (info.width, info.height) == (128, 64) and any("64x32" in note for note in info.notes)
+    assert scan_packets(path).count == 5

@@ -74,7 +74,7 @@ def test_grey_planes_are_exact(make_clip):
 @pytest.mark.parametrize("rotation", [0, 90, 180, -90])
 def test_jpeg_from_planes_is_upright(make_clip, rotation):
     frame = first(make_clip("a.mp4", [chart()] * 2, rotation=rotation, crf=1))
-    data = jpeg_of(frame.picture, 100, frame.turn)
+    data = jpeg_of(frame.picture, 100, frame.upright)
     assert data is not None
     rgb = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
     assert rgb is not None

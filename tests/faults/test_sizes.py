@@ -30,7 +30,7 @@ from devrf.capture.light import LightCourse
 from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.pictures import probe_picture, read_grey, read_picture
-from devrf.capture.session import read_timestamps
+from devrf.capture.timestamps import read_timestamps
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
 from devrf.flow import weights_file

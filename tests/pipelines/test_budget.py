@@ -13,6 +13,7 @@ import pytest
 from devrf.capture.frames import CameraFrames, FrameRecord
 from devrf.capture.pictures import write_picture
 from devrf.capture.session import CaptureSession
+from devrf.capture.upright import Upright
 from devrf.capture.video import VideoInfo
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.budget import at_once, raw_files
@@ -63,7 +64,7 @@ def test_pairs_of_large_pictures_take_what_was_measured() -> None:
 
 def test_clips_and_photos_take_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six pictures of a clip took 0.54 GB (docs/budgets.md); more bits and sound take more, photos one at a time."""
-    clip = VideoInfo(Path("c.mp4"), *LARGE, "h264", 60.0, 1800, 30.0, False, 0)
+    clip = VideoInfo(Path("c.mp4"), *LARGE, "h264", 60.0, 1800, 30.0, False, Upright())
 
     def ingested(gb: float, static: Path | None = None, **changes: object) -> int:
         monkeypatch.setattr(raw_files, "probe_video", lambda path: replace(clip, **changes))

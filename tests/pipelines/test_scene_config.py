@@ -88,7 +88,6 @@ JOINT = f"{{cameras: {{a: cam0.mp4}}, board: {{{BOARD}, clips: {{static: cam1.mp
         ("flow: {weights: static.mp4}", "flow: weights 'static.mp4' "),
         ("flow: {method: raft, weights: gone.pth}", "flow.weights: 'gone.pth': "),
         ("calibration: {sync: {method: sound}}", "calibration.sync.method: 'sound'; "),
-        ("calibration: {sync: {method: timestamps}}", "capture.timestamps: "),
         ("calibration: {rig: {method: given}}", "calibration.rig.given: "),
         ("calibration: {rig: {method: board}}", "capture.board.joint_clips: "),
         ("calibration: {rig: {given: rig.json}}", "calibration.rig.given: 'rig.json': "),

@@ -49,6 +49,35 @@ def test_single_batches_may_be_bad() -> None:
     assert not any(_losses(Guard(), 1.0, 9.0, 1.0, 1.0, 9.0, 0.9))
 
 
+def _trained(spread: float, count: int, seed: int) -> list[float]:
+    """Losses of a training that goes well, whose batches differ by chance: little as long as all is to be learned."""
+    rng, left = np.random.default_rng(seed), np.exp(-np.arange(count) / 30)
+    return ((0.06 * left + 3e-4) * np.exp(spread * (1 - left) * rng.normal(size=count))).tolist()
+
+
+@pytest.mark.parametrize("spread", [0.02, 0.1, 0.25, 0.4])
+def test_batches_that_differ_by_chance_have_not_run_away(spread: float) -> None:
+    """0.4: the largest of a hundred is five times the smallest, or more."""
+    assert not any(any(_losses(Guard(), *_trained(spread, 600, seed))) for seed in range(20))
+
+
+@pytest.mark.parametrize(("spread", "leap"), [(0.02, 2.5), (0.1, 2.5), (0.25, 8.0), (0.4, 20.0)])
+def test_a_leap_beyond_chance_is_caught(spread: float, leap: float) -> None:
+    for seed in range(20):
+        losses = _trained(spread, 400, seed)
+        guard = Guard()
+        assert not any(_losses(guard, *losses[:300]))
+        assert any(_losses(guard, *(leap * loss for loss in losses[300:350])))
+
+
+def test_cameras_of_other_errors_are_no_chance() -> None:
+    """They take turns, and one of them is fitted a hundred times worse."""
+    guard = Guard()
+    guard.look_every = 6
+    assert not any(_losses(guard, *[1.0, 0.01, 0.02] * 40))
+    assert any(_losses(guard, *[2.5, 0.025, 0.05] * 2))
+
+
 def test_no_number_has_run_away() -> None:
     guard = Guard()
     assert _losses(guard, 1.0, 1.0, float("nan"), 1.0, 1.0)[-1]

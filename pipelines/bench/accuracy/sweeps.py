@@ -15,7 +15,7 @@ from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import Truth, compare_cameras
 from devrf.capture.frames import SWEEP
 from devrf.capture.ingest import write_frames
-from devrf.capture.pictures import list_pictures
+from devrf.capture.photo_folders import list_pictures
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.bench.accuracy.cases import Cases, not_there
 from devrf.pipelines.bench.rows import Row

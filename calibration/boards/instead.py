@@ -1,0 +1,52 @@
+"""What pictures show where the described board is never found: other markers, mirrored ones, a chessboard."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from devrf.calibration.boards.guess import FAMILIES, Grey, chessboard_size
+from devrf.calibration.boards.layout import TRIAL_MARKERS, spread
+from devrf.calibration.boards.spec import dictionary
+from devrf.capture.pictures import read_grey
+
+PICTURES = 4  # all dictionaries take a second in each
+MIRRORED = (
+    ", in mirrored pictures: switch the camera's mirroring off, or film the board with the camera as it is"
+)
+
+
+def seen_instead(files: Sequence[Path]) -> str:
+    """What a few of the pictures show, in words; empty where it is nothing that is known."""
+    greys = [read_grey(file) for _, file in zip(range(PICTURES), spread(files), strict=False)]
+    for mirrored in (False, True):
+        for inverted in (False, True):
+            turned = [grey[:, ::-1] if mirrored else grey for grey in greys]
+            found = _markers([np.ascontiguousarray(255 - g if inverted else g) for g in turned])
+            if found is not None:
+                name, ids = found
+                count = f"{len(ids)} markers of {name}, ids from {min(ids)} to {max(ids)}"
+                return f"{count}{', white on black' if inverted else ''}{MIRRORED if mirrored else ''}"
+    sizes = {size for grey in greys if (size := chessboard_size(grey)) is not None}
+    return " or ".join(f"a chessboard of {columns}x{rows} inner corners" for columns, rows in sorted(sizes))
+
+
+def _markers(greys: Sequence[Grey]) -> tuple[str, set[int]] | None:
+    """The dictionary of which most markers are seen in one picture or more, and their numbers."""
+    finder = cv2.aruco.ArucoDetector([dictionary(family[-1]) for family in FAMILIES])
+    seen: dict[int, set[int]] = {}
+    for grey in greys:
+        _, ids, _, which = finder.detectMarkersMultiDict(grey)
+        if ids is None or which is None:
+            continue
+        numbers, owner = np.asarray(ids).reshape(-1), np.asarray(which).reshape(-1)
+        for n in np.unique(owner).tolist():
+            own = numbers[owner == n].tolist()
+            if len(set(own)) >= TRIAL_MARKERS:
+                seen.setdefault(n, set()).update(own)
+    if not seen:
+        return None
+    best = max(seen, key=lambda n: len(seen[n]))
+    name = next(n for n in FAMILIES[best] if dictionary(n).bytesList.shape[0] > max(seen[best]))
+    return name, seen[best]

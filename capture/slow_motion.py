@@ -1,0 +1,65 @@
+"""Clips whose pictures do not come as fast as they were filmed: what the file says, and how long its sound is."""
+
+from pathlib import Path
+
+from devrf.capture.errors import InputError
+from devrf.capture.frames import Fault
+from devrf.capture.media import open_media
+
+FILMED_FPS = "com.android.capture.fps"  # tag of phones: pictures a second while filming
+SAME_RATE = 1.2  # rates and lengths that differ by more are not the same
+LEAST_APART_S = 1.0  # of lengths: sound that starts late or ends early by less says nothing
+WHOLE = 0.02  # a factor this near to a whole number is one
+
+
+def filmed_factor(path: Path) -> float | None:
+    """How many times slower a clip plays than it was filmed, where its tags say; None where they do not.
+
+    Raises:
+        InputError: If it is missing or not a media file.
+    """
+    with open_media(path) as container:
+        tags = [container.metadata, *(stream.metadata for stream in container.streams)]
+        said = next((t[FILMED_FPS] for t in tags if FILMED_FPS in t), None)
+        fps = next((float(s.average_rate) for s in container.streams.video if s.average_rate), None)
+    try:
+        return None if said is None or not fps else float(said) / fps
+    except ValueError:
+        return None
+
+
+def check_filmed_rate(path: Path) -> None:
+    """Refuse a clip that says that it plays slower or faster than it was filmed: none of its times is true.
+
+    Raises:
+        InputError: Naming the factor, and what makes the times true.
+    """
+    factor = filmed_factor(path)
+    if factor is None or factor <= 0 or 1 / SAME_RATE <= factor <= SAME_RATE:
+        return
+    wrong = f"{path}: filmed {factor:.3g} times as fast as it plays ({FILMED_FPS}), so its times are not true"
+    remedy = (
+        f"`ffmpeg -itsscale {1 / factor:.6g} -i IN.mp4 -map 0:v -c copy OUT.mp4` makes them so, without sound"
+    )
+    raise InputError("clip-slow-motion", f"{wrong}; {remedy}; or give capture.timestamps")
+
+
+def length_faults(pictures_s: float, sound_s: float) -> list[Fault]:
+    """What to say of a clip whose pictures last as long as they do, and its sound."""
+    if min(pictures_s, sound_s) <= 0 or abs(pictures_s - sound_s) < LEAST_APART_S:
+        return []
+    factor = pictures_s / sound_s
+    if 1 / SAME_RATE <= factor <= SAME_RATE:
+        return []
+    slow = round(factor) >= 2 and abs(factor / round(factor) - 1) < WHOLE
+    found = f"{pictures_s:.2f} s of pictures, {sound_s:.2f} s of sound"
+    if slow:
+        remedy = (
+            f"Slow motion has such a factor: `ffmpeg -itsscale {1 / factor:.4g} -i IN.mp4 -map 0:v -c copy OUT.mp4` "
+            "makes its times true, without sound; as it is, its clock by sound is wrong."
+        )
+    else:
+        remedy = (
+            "One of the two was cut or lost: copy the camera's own file again; clocks by sound need both."
+        )
+    return [Fault("length of pictures and sound", f"{found}: a factor of {factor:.3g}", remedy)]

@@ -1,0 +1,67 @@
+"""How a stored picture is turned and mirrored into the one to be seen: by EXIF, or by a clip's display matrix."""
+
+from dataclasses import dataclass
+from math import atan2, pi
+
+import cv2
+import numpy as np
+from jaxtyping import Shaped
+
+ROTATIONS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
+EXIF_QUARTERS = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}
+EXIF_MIRRORED = (2, 4, 5, 7)
+
+
+@dataclass(frozen=True)
+class Upright:
+    """What makes a stored picture upright: first its columns are exchanged, left and right, then it is turned.
+
+    Attributes:
+        quarters: Quarter turns counter-clockwise, 0 to 3.
+        mirrored: Whether columns are exchanged.
+    """
+
+    quarters: int = 0
+    mirrored: bool = False
+
+    @property
+    def degrees(self) -> int:
+        """The turn, degrees counter-clockwise."""
+        return 90 * self.quarters
+
+    @property
+    def nothing(self) -> bool:
+        """Whether pictures are upright as they are stored."""
+        return not self.quarters and not self.mirrored
+
+    @property
+    def words(self) -> str:
+        """What is done, for a note: "mirrored and turned by 180 degrees"; empty for nothing."""
+        parts = ["mirrored"] * self.mirrored + [f"turned by {self.degrees} degrees"] * bool(self.quarters)
+        return " and ".join(parts)
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the upright picture."""
+        return (height, width) if self.quarters % 2 else (width, height)
+
+    def apply(self, picture: Shaped[np.ndarray, "h w *channels"]) -> Shaped[np.ndarray, "h2 w2 *channels"]:
+        """The upright picture; the one given where nothing is to be done."""
+        if self.mirrored:
+            picture = cv2.flip(picture, 1)
+        return picture if not self.quarters else cv2.rotate(picture, ROTATIONS[self.quarters])
+
+
+def by_exif(orientation: int) -> Upright:
+    """By an EXIF orientation (EXIF 2.3, tag 0x0112: which side of the scene row 0 and column 0 are)."""
+    return Upright(EXIF_QUARTERS.get(orientation, 0), orientation in EXIF_MIRRORED)
+
+
+def by_display_matrix(data: bytes) -> Upright:
+    """By a display matrix: nine 32-bit numbers [a b u; c d v; x y w] that take (column, row) to (a p + c q, b p + d q).
+
+    Its determinant tells whether it mirrors; the angle that is left is rounded to quarter turns.
+    """
+    a, b, _, c, d = np.frombuffer(data, dtype="=i4")[:5].astype(float).tolist()
+    mirrored = a * d - b * c < 0
+    angle = -atan2(-b, -a) if mirrored else -atan2(b, a)  # rows count downwards
+    return Upright(round(angle / (pi / 2)) % 4, mirrored)
