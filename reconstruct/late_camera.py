@@ -18,7 +18,6 @@ from jaxtyping import Float
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.clocks import error_curves, lowest, picture_gap_s, with_offset
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import ChangingPixels, changing_pixels
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips, spread
@@ -56,7 +55,7 @@ class Moments:
         self._read: dict[str, tuple[RaySet, PixelSurroundings, ChangingPixels]] = {}
 
     def curves(
-        self, motion: MotionField, camera: str, shifts: Float[np.ndarray, " shifts"]
+        self, model: DynamicModel, camera: str, shifts: Float[np.ndarray, " shifts"]
     ) -> Float[np.ndarray, "F shifts"]:
         """Errors of a camera's pictures; always of the same pixels."""
         if camera not in self._read:
@@ -71,8 +70,8 @@ class Moments:
         gap = picture_gap_s(self._clips[camera]) / (self._scene.t1_s - self._scene.t0_s)
         times = rays.times[:, None] + gap * torch.from_numpy(shifts).to(rays.times)
         generator = torch.Generator().manual_seed(self._seed)
-        model = DynamicModel(self._rest, motion)
-        return error_curves(model, rays, around, changing, times, generator)
+        looked_at = replace(model, rest=self._rest)
+        return error_curves(looked_at, rays, around, changing, times, generator)
 
 
 def suspect(curves: Errors, reference: str) -> str | None:

@@ -66,9 +66,17 @@ def train_deformation(
     """
     reason = None
     if options.together and estimator is not None and trackable(scene, rest):
-        found, reason = _movers(scene, rest, options, device, progress, checkpoint, estimator)
-        if found is not None:
-            return found
+        found = _movers(scene, rest, options, device, progress, checkpoint, estimator)
+        if not isinstance(found, Decision):
+            late = None
+            if reference is not None and options.find_late_camera:
+                late = _late_for(found[0], scene, rest, options, device, reference)
+            if late is None:
+                return found
+            return _with_late_movers(
+                scene, rest, options, device, progress, checkpoint, estimator, found, late
+            )
+        reason = found
     model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch, reference)
     if reason is not None:
         metrics["decisions"].append(str(reason))
@@ -83,8 +91,8 @@ def _movers(
     progress: Progress,
     checkpoint: Checkpoint,
     estimator: FlowEstimator,
-) -> tuple[tuple[DynamicModel, dict[str, Any]] | None, Decision | None]:
-    """The model with movers and what was measured; None, and why, where they explain too little."""
+) -> tuple[DynamicModel, dict[str, Any]] | Decision:
+    """The model with movers and what was measured, or why there is none: they explain too little."""
     start = time.monotonic()
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # trackable
@@ -92,7 +100,7 @@ def _movers(
         boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks")
     )
     if found is None:
-        return None, Decision("movers", "none", "tracked", "too few points of the surface move")
+        return Decision("movers", "none", "tracked", "too few points of the surface move")
     tracking_s = time.monotonic() - start
     trained = train_movers(
         boxed,
@@ -108,7 +116,7 @@ def _movers(
     gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
     if trained.unshaded_gain_db < LEAST_GAIN_DB:
         reason = f"{parts} rigid parts gained {gains}, expected {LEAST_GAIN_DB} without"
-        return None, Decision("movers", "none", f"{parts} rigid parts", reason)
+        return Decision("movers", "none", f"{parts} rigid parts", reason)
     keys = min(len(found.tracks.times), options.keys or options.most_keys)
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, keys, boxed.rest_time)
     assert model.motion is not None
@@ -126,7 +134,45 @@ def _movers(
         "flow_contradicted": {},
     }
     metrics["seconds"] += tracking_s
-    return (model, metrics), None
+    return model, metrics
+
+
+def _late_for(
+    model: DynamicModel, scene: Scene, rest: RestModel, options: MotionOptions, device: str, reference: str
+) -> tuple[str, float] | None:
+    """A camera whose pictures fit the motion clearly better at other times, and by how many pictures; or None."""
+    names = tuple(clips(scene))
+    if len(names) < FEWEST:
+        return None
+    moments = Moments(scene, rest, options, device)
+    name = suspect({name: moments.curves(model, name, SHIFTS) for name in names}, reference)
+    pictures = 0.0 if name is None else offset_pictures(moments.curves(model, name, WIDE), WIDE)
+    return None if name is None or pictures == 0 else (name, pictures)
+
+
+def _with_late_movers(
+    scene: Scene,
+    rest: RestModel,
+    options: MotionOptions,
+    device: str,
+    progress: Progress,
+    checkpoint: Checkpoint,
+    estimator: FlowEstimator,
+    before: tuple[DynamicModel, dict[str, Any]],
+    late: tuple[str, float],
+) -> tuple[DynamicModel, dict[str, Any]]:
+    """Movers with the clock of one camera moved, if these explain pixels held back better; else as before."""
+    name, pictures = late
+    offset_s = pictures * picture_gap_s(clips(scene)[name])
+    moved = moved_by(scene, name, offset_s)
+    again = _movers(moved, rest, options, device, progress, checkpoint.part("late"), estimator)
+    if isinstance(again, Decision):
+        return before
+    (model, metrics), (other, measured) = before, again
+    if measured["movers_gain_db"] <= metrics["movers_gain_db"]:
+        return model, _with_cost_of(metrics, measured)
+    found = {"name": name, "pictures": pictures, "offset_s": offset_s}
+    return other, _with_cost_of(measured, metrics) | {"late_camera": found}
 
 
 def _field(
@@ -193,7 +239,7 @@ def _with_late_camera(
     if len(names) < FEWEST:
         return motion, metrics
     moments = Moments(scene, rest, options, device)
-    curves = {name: moments.curves(motion, name, SHIFTS) for name in names}
+    curves = {name: moments.curves(DynamicModel(rest, motion), name, SHIFTS) for name in names}
     name = suspect(curves, reference)
     if name is None:
         return motion, metrics
@@ -211,7 +257,9 @@ def _with_late_camera(
         check=check,
     )
     metrics = _with_cost_of(metrics, cost)
-    pictures = offset_pictures(Moments(scene, rest, options, device).curves(others, name, WIDE), WIDE)
+    pictures = offset_pictures(
+        Moments(scene, rest, options, device).curves(DynamicModel(rest, others), name, WIDE), WIDE
+    )
     del others
     if pictures == 0:
         return motion, metrics
@@ -228,7 +276,7 @@ def _with_late_camera(
     )
     moments = Moments(scene, rest, options, device)
     shift = {camera: np.array([pictures if camera == name else 0.0]) for camera in names}
-    after = {camera: moments.curves(again, camera, shift[camera]) for camera in names}
+    after = {camera: moments.curves(DynamicModel(rest, again), camera, shift[camera]) for camera in names}
     if not fits_better(before, after):
         return motion, _with_cost_of(metrics, new)
     found = {"name": name, "pictures": pictures, "offset_s": offset_s}
