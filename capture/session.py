@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.limits import TEXT_BYTES, check_bytes
+from devrf.capture.limits import CLIP_S, TEXT_BYTES, check_bytes
 from devrf.capture.media import check_file
 from devrf.capture.pictures import is_photo, list_pictures, probe_picture
 from devrf.capture.raw import WhiteBalance
@@ -23,6 +23,7 @@ from devrf.capture.scene import Rest
 from devrf.capture.video import VideoInfo, probe_video
 
 TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
+MOST_FRAMES = 2**31  # of a clip; indices are whole numbers of 64 bits
 MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check
 
 
@@ -114,6 +115,10 @@ def preflight(session: CaptureSession) -> list[str]:
         table = session.timestamps
         times: dict[str, FrameTimes] = {}
         attempt(lambda: times.update(read_timestamps(table, session.cameras)), "capture.timestamps")
+        for name in clips.keys() & times.keys():
+            attempt(
+                lambda name=name: _check_indices(table, name, times[name], clips[name]), "capture.timestamps"
+            )
         problems += _outside_range(times, session.range_s, "times in capture.timestamps go")
     elif session.cameras and session.range_s is not None and not problems:
         first = next(iter(session.cameras))
@@ -168,14 +173,41 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
     for name in names:
         index = np.array(sorted(rows[name]))
         time_s = np.array([rows[name][i] for i in index.tolist()])
-        back = np.flatnonzero(np.diff(time_s) <= 0)
+        back = np.flatnonzero(time_s[1:] <= time_s[:-1])
         if len(back):
             i = int(back[0])
             a, b = (f"frame {index[n]} ({time_s[n]:.6f} s)" for n in (i, i + 1))
             text = f"{path}: camera {name}: time does not increase from {a} to {b}; correct the table"
             raise InputError("times-not-rising", text)
+        _check_table_span(path, name, index, time_s)
         out[name] = FrameTimes(index, time_s)
     return out
+
+
+def _check_table_span(
+    path: Path, name: str, index: Int[np.ndarray, " n"], time_s: Float[np.ndarray, " n"]
+) -> None:
+    """Refuse times of a camera that lie further apart than any recording is long: a wrong row, or another unit."""
+    span_s = float(time_s[-1]) - float(time_s[0])  # not in numpy, which warns where it is infinite
+    if span_s > CLIP_S:
+        i = int(np.argmax(np.diff(time_s / 2)))  # halves, whose differences are finite
+        a, b = (f"frame {index[n]} ({time_s[n]:.6g} s)" for n in (i, i + 1))
+        wrong = f"{path}: camera {name}: its times are {span_s:.6g} s apart, most of it from {a} to {b}"
+        remedy = f"at most {CLIP_S} s are read: correct these rows, or the unit, which is seconds"
+        raise InputError("times-too-far", f"{wrong}; {remedy}")
+
+
+def _check_indices(path: Path, name: str, times: FrameTimes, clip: VideoInfo) -> None:
+    """Refuse a table none of whose frames a clip has; that it has some more, or fewer, is usual."""
+    first = int(times.index[0])
+    if clip.announced_frames is not None and first < clip.announced_frames:
+        return
+    count = len(picture_times(clip.path))
+    if first >= count:
+        wrong = (
+            f"{path}: camera {name}: its first frame has index {first}, and {clip.path} has {count} frames"
+        )
+        raise InputError("frames-not-in-clip", f"{wrong}; count frame_index from 0 in each clip")
 
 
 def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
@@ -184,8 +216,8 @@ def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
     except (TypeError, ValueError):
         wrong = f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}"
         raise InputError("entry-wrong", f"{wrong}; expected a whole number and seconds") from None
-    if index < 0 or not np.isfinite(time_s):
-        text = f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite"
+    if not 0 <= index < MOST_FRAMES or not np.isfinite(time_s):
+        text = f"{where}: frame_index {index:g}, time_s {time_s}; expected 0 or more, and finite"
         raise InputError("entry-wrong", text)
     return (row["camera"] or "").strip(), index, time_s
 

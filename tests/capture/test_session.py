@@ -98,6 +98,9 @@ def test_raw_photos_are_looked_into(tmp_path):
         ("cam0,0,nan\n", ("entry-wrong", "line 2", "nan")),
         ("cam0,-1,1.0\n", ("entry-wrong", "line 2", "-1")),
         ("cam0,0\n", ("entry-wrong", "line 2", "None")),
+        (f"cam0,{10**30},1.0\n", ("entry-wrong", "line 2", "1e+30")),
+        ("cam0,0,0.0\ncam0,1,17e8\n", ("times-too-far", "camera cam0", "frame 0 (0 s)", "frame 1", "14400")),
+        ("cam0,0,-1e308\ncam0,7,1e308\n", ("times-too-far", "frame 0 (-1e+308 s)", "frame 7")),
         ("cam1,0,1.0\n", ("camera-missing", "camera cam0", "cam1")),
     ],
 )
@@ -106,6 +109,16 @@ def test_wrong_tables_of_times(tmp_path, rows, refusal):
     path.write_text(TABLE + rows)
     with refused(*refusal, kind=InputError):
         read_timestamps(path, ["cam0"])
+
+
+def test_indices_that_a_clip_has_not(make_clip, pictures, tmp_path):
+    """A table with some rows too many is usual; one that has none of a clip's frames counts them otherwise."""
+    clip, times = make_clip("cam0.mp4", pictures), tmp_path / "t.csv"
+    for first, problems in ((0, 0), (len(pictures) - 1, 0), (len(pictures), 1), (1000, 1)):
+        times.write_text(TABLE + "".join(f"cam0,{first + n},{n / 10}\n" for n in range(50)))
+        found = preflight(CaptureSession(cameras={"cam0": clip}, timestamps=times))
+        assert len(found) == problems
+        assert all(f"index {first}" in text and f"{len(pictures)} frames" in text for text in found)
 
 
 def test_table_of_times_in_any_order_with_more_columns(tmp_path):

@@ -72,3 +72,14 @@ def test_a_folder_that_may_not_be_read(tmp_path: Path) -> None:
     finally:
         tmp_path.chmod(0o700)
     assert result.returncode == BAD_INPUT and "[folder-unreadable]" in result.stderr
+
+
+def test_a_truth_that_is_none_is_seen_before_anything_starts(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(
+        "{name: x, output: run, capture: {static: a.mp4}, evaluate: {truth: truth.json}}"
+    )
+    (tmp_path / "a.mp4").write_bytes(b"x")
+    (tmp_path / "truth.json").write_text("[" * 60_000)
+    result = called("run . --until ingest", tmp_path)
+    assert result.returncode == BAD_INPUT and "evaluate.truth: " in result.stderr
+    assert "truth.json" in result.stderr and "[inputs-unusable]" in result.stderr
