@@ -40,7 +40,11 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
     problems = preflight(session) + _check_masks(config, scene_dir) + _check_mattes(config, scene_dir)
     problems += _check_dictionary(config)
     # sizes and tracks are known where clips are whole
-    return problems or _check_sound(config, session) + _check_given(config, scene_dir, session)
+    return problems or [
+        *_check_sound(config, session),
+        *_check_given(config, scene_dir, session),
+        *_check_photos(config, session),
+    ]
 
 
 def _check_truth(config: SceneConfig, scene_dir: Path) -> list[str]:
@@ -89,6 +93,13 @@ def _check_sound(config: SceneConfig, session: CaptureSession) -> list[str]:
         f"calibration.sync.method: audio, but there is no sound track in the clip of {', '.join(silent)}; set it to "
         "auto, flash or motion, or give capture.timestamps"
     ]
+
+
+def _check_photos(config: SceneConfig, session: CaptureSession) -> list[str]:
+    """Photos that are too large for the memory that is allowed."""
+    from devrf.pipelines.budget.raw_files import photos_too_large
+
+    return photos_too_large(config, session)
 
 
 def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -38,6 +38,7 @@ class _Lasting(io.TextIOWrapper):
 
     def __init__(self, stream: io.TextIOWrapper) -> None:
         stream.flush()
+        self._before = stream  # it would close what both write to when nobody holds it
         super().__init__(
             open(stream.fileno(), "wb", closefd=False),  # noqa: SIM115 (for the whole process)
             encoding=stream.encoding,
