@@ -120,6 +120,26 @@ def run(
 
 
 @app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the example and its run")] = Path("devrf-demo"),
+    until: Annotated[str | None, typer.Option(help="Stop after this stage")] = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Run the example session, which comes with the program: no camera and no GPU needed, some minutes."""
+    talk = talk_of(quiet, verbose)
+    from devrf.pipelines.demo import lay_out
+
+    with errors_told(talk):
+        scene = lay_out(talk, folder)
+    job = run_command.prepare(talk, scene, None, None, Choice(last=until))
+    with errors_told(talk):
+        run_command.check(job, job.standings(), device)
+    run_command.carry_out(job)
+
+
+@app.command()
 def batch(
     scenes: Annotated[list[Path], typer.Argument(help="scene.yaml files, or the folders that hold them")],
     engine: Annotated[
