@@ -149,9 +149,10 @@ def _look_at_clip(path: Path, count: int) -> Look:
 def _look_at_photos(folder: Path, count: int) -> Look:
     photos = list_pictures(folder)
     chosen = [photos[i] for i in np.unique(np.linspace(0, len(photos) - 1, count).round().astype(int))]
-    sizes, read = zip(*(_size_and_small(photo) for photo in chosen), strict=True)
+    read = [_size_and_small(photo) for photo in chosen]
+    sizes = [own for own, _ in read]
     size = max(dict.fromkeys(sizes), key=sizes.count)
-    pictures = tuple(picture for picture, own in zip(read, sizes, strict=True) if own == size)
+    pictures = tuple(picture for own, picture in read if own == size)
     notes = (f"photos of {len(set(sizes))} sizes",) if len(set(sizes)) > 1 else ()
     exif = probe_picture(chosen[0]).exif
     device = "" if exif is None else exif.device

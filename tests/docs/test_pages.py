@@ -19,7 +19,7 @@ from devrf.pipelines.config.load import load_scene
 
 DOCS = REPOSITORY / "docs"
 SCHEMA = REPOSITORY / "pipelines" / "config" / "scene.schema.json"
-OF_OTHERS = {"--find-links"}  # options of pip
+OF_OTHERS = {"--find-links", "--build-arg"}  # options of pip and docker
 CAPTURE: dict[str, Any] = {  # what a block of some keys is put into
     "name": "kuka",
     "capture": {
