@@ -3,6 +3,8 @@
 #   make test    format, lint, types, and the quick tests; those in a browser need Chromium (apt-get install chromium)
 # make test-full the same with every test: what continuous integration runs; WORKERS=4: as many tests at once
 # make venv      only make the environment; make clean: remove what these made
+# make wheel     a wheel in dist/, installed with what it needs into an environment of its own outside of the tree, and tried
+#                there; PYTHONS="python3.10 python3.13": with each of these
 # make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
 # make pages     docs/commands.md and docs/configuration.md anew, from the program
 
@@ -15,7 +17,9 @@ DEMO_OUT := $(DEMO)/runs
 WORKERS ?= 2
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo checks test test-full docs docs-serve pages venv clean
+PYTHONS ?= $(PYTHON)
+
+.PHONY: demo checks test test-full wheel docs docs-serve pages venv clean
 
 demo: $(VENV)/.installed
 	$(BIN)/devrf-pipeline run $(DEMO)/scene.yaml --preset tiny
@@ -30,6 +34,11 @@ test: checks
 
 test-full: checks
 	$(PYTEST)
+
+wheel: $(VENV)/.python
+	rm -rf build dist
+	$(BIN)/python -m pip wheel --disable-pip-version-check --quiet --no-deps --wheel-dir dist .
+	for python in $(PYTHONS); do .ci/wheel "$$python" dist/*.whl || exit 1; done
 
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

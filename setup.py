@@ -1,11 +1,16 @@
-"""The only thing pyproject.toml cannot say: five top-level folders install as devrf.*."""
+"""The only thing pyproject.toml cannot say: five top-level folders, and the example, install as devrf.*."""
 
 from setuptools import find_packages, setup
 
 DOMAINS = ("capture", "calibration", "flow", "reconstruct", "pipelines")
 INSIDE = [f"devrf.{d}.{p}" for d in DOMAINS for p in find_packages(d)]
+EXAMPLE = "devrf.example"  # for `devrf-pipeline demo`; files, and no code
 
 setup(
-    packages=["devrf", *(f"devrf.{d}" for d in DOMAINS), *INSIDE],
-    package_dir={"devrf": "src/devrf", **{f"devrf.{d}": d for d in DOMAINS}},
+    packages=["devrf", EXAMPLE, *(f"devrf.{d}" for d in DOMAINS), *INSIDE],
+    package_dir={
+        "devrf": "src/devrf",
+        EXAMPLE: "examples/waving-sheet",
+        **{f"devrf.{d}": d for d in DOMAINS},
+    },
 )

@@ -20,6 +20,9 @@ from devrf.capture.limits import TEXT_BYTES, check_bytes
 
 FEWEST_CENTRES = 3  # a similarity needs three points that are not on one line
 COLLINEAR = 1e-6  # second extent over first; below, the turn about the line is free
+ROUNDED = 1e-2  # |R R^T - I|; a truth may be written with a few digits
+FARTHEST_M = 1e5  # of a camera from the origin
+LARGEST_OFFSET_S, LARGEST_DRIFT_PPM = 1e10, 1e5  # times since 1970 have ten digits
 
 Pose = Float[np.ndarray, "4 4"]
 
@@ -64,20 +67,23 @@ def read_truth(path: Path) -> Truth:
     try:
         check_bytes(path, TEXT_BYTES)
         data = json.loads(path.read_text(encoding="utf-8-sig"))
+        if not isinstance(data, dict):
+            raise ValueError(f"it holds a {type(data).__name__}")
         static = {n: _pose(pose) for n, pose in enumerate(data.get("static") or [])}
         cams = data.get("cams") or {}
         return Truth(
             static=static,
             cameras={name: _pose(cam["pose"]) for name, cam in cams.items()},
             clocks={
-                name: Clock(float(cam["offset_s"]), float(cam.get("drift_ppm", 0.0)))
+                name: _clock(float(cam["offset_s"]), float(cam.get("drift_ppm", 0.0)))
                 for name, cam in cams.items()
                 if cam.get("offset_s") is not None
             },
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         expected = "expected static and cams with world_from_camera poses, see evaluate.truth"
-        raise InputError("file-damaged", f"{path}: not a ground truth ({error!r}); {expected}") from error
+        why = str(error) if isinstance(error, ValueError) else repr(error)
+        raise InputError("file-damaged", f"{path}: not a ground truth ({why}); {expected}") from error
 
 
 def read_masks(
@@ -220,7 +226,18 @@ def _pose(value: object) -> Pose:
     pose = np.array(value, dtype=np.float64)
     if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
         raise ValueError(f"a pose has shape {pose.shape}, expected 4 x 4 finite numbers")
+    R, farthest_m = np.clip(pose[:3, :3], -2, 2), np.abs(pose[:3, 3]).max()
+    if np.abs(R @ R.T - np.eye(3)).max() > ROUNDED or farthest_m > FARTHEST_M:
+        text = f"a pose has the rotation {pose[:3, :3].tolist()} and is {farthest_m:g} m away"
+        raise ValueError(f"{text}, expected an orthonormal matrix and at most {FARTHEST_M:g} m")
     return np.vstack([pose[:3], [0, 0, 0, 1.0]])
+
+
+def _clock(offset_s: float, drift_ppm: float) -> Clock:
+    if not (abs(offset_s) <= LARGEST_OFFSET_S and abs(drift_ppm) <= LARGEST_DRIFT_PPM):
+        text = f"a clock has offset_s {offset_s:g} and drift_ppm {drift_ppm:g}"
+        raise ValueError(f"{text}, expected at most {LARGEST_OFFSET_S:g} and {LARGEST_DRIFT_PPM:g}")
+    return Clock(offset_s, drift_ppm)
 
 
 def _is_line(points: Float[np.ndarray, "n 3"]) -> bool:

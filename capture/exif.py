@@ -13,6 +13,8 @@ from PIL import ExifTags, Image
 
 FULL_FRAME_DIAGONAL_MM = 43.2666
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # EXIF FocalPlaneResolutionUnit
+PNG_CHUNKS, PNG_CRC = 8, 4  # bytes: before the first chunk, and behind each
+MOST_TAGS = 10_000_000  # bytes; they hold a small picture at most
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,34 @@ class Exif:
 
 def read_exif(image: Image.Image) -> Exif:
     """Read the tags of an open picture (as stored, not turned upright)."""
-    exif = image.getexif()
+    exif = tags_of(image)
     words = [str(exif.get(tag, "")).strip(" \0") for tag in (ExifTags.Base.Make, ExifTags.Base.Model)]
     width, height = image.size
     return Exif(" ".join(filter(None, words)), _focal_px(exif, width, height), _place(exif), _exposure(exif))
+
+
+def tags_of(image: Image.Image) -> Image.Exif:
+    """The tags of a picture that was opened from a file, without decoding its pixels.
+
+    Tags of PNG may stand behind the pixels, where Pillow finds them by decoding all of it.
+    """
+    if image.format != "PNG":
+        return image.getexif()
+    if "exif" not in image.info and (found := _behind_the_pixels(image)) is not None:
+        image.info["exif"] = b"Exif\0\0" + found
+    return Image.Image.getexif(image)
+
+
+def _behind_the_pixels(image: Image.Image) -> bytes | None:
+    """Content of a PNG's eXIf chunk, by going from chunk to chunk."""
+    with open(getattr(image, "filename", ""), "rb") as file:
+        file.seek(PNG_CHUNKS)
+        while len(head := file.read(8)) == 8:
+            length, kind = int.from_bytes(head[:4], "big"), head[4:]
+            if kind == b"eXIf":
+                return file.read(min(length, MOST_TAGS))
+            file.seek(length + PNG_CRC, 1)
+    return None
 
 
 def exposure_stops(time_s: float | None, iso: float | None, aperture: float | None) -> float | None:

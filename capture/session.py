@@ -20,7 +20,7 @@ from devrf.capture.raw_compression import compression_of
 from devrf.capture.sampled import picture_times
 from devrf.capture.scene import Rest
 from devrf.capture.slow_motion import check_filmed_rate
-from devrf.capture.timestamps import FrameTimes, check_table, read_timestamps, table_factor
+from devrf.capture.timestamps import FrameTimes, check_indices, check_table, read_timestamps, table_factor
 from devrf.capture.video import VideoInfo, probe_video
 
 MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check
@@ -128,6 +128,8 @@ def _checked_table(
     times = read_timestamps(table, cameras)
     for name, own in times.items():
         clip_s = picture_times(cameras[name]).tolist() if name in clips else []
+        if name in clips:
+            check_indices(table, name, own, cameras[name], len(clip_s))
         check_table(table, name, own, table_factor(own, dict(enumerate(clip_s))))
     return times
 

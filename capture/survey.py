@@ -162,14 +162,20 @@ def _look_at_clip(path: Path, count: int) -> Look:
 def _look_at_photos(folder: Path, count: int) -> Look:
     photos = list_pictures(folder)
     chosen = [photos[i] for i in np.unique(np.linspace(0, len(photos) - 1, count).round().astype(int))]
-    read = [read_picture(photo)[:, :, :3] for photo in chosen]
-    sizes = [(picture.shape[1], picture.shape[0]) for picture in read]
+    read = [_size_and_small(photo) for photo in chosen]
+    sizes = [own for own, _ in read]
     size = max(dict.fromkeys(sizes), key=sizes.count)
-    pictures = tuple(small(picture) for picture, own in zip(read, sizes, strict=True) if own == size)
+    pictures = tuple(picture for own, picture in read if own == size)
     notes = (f"photos of {len(set(sizes))} sizes",) if len(set(sizes)) > 1 else ()
     exif = probe_picture(chosen[0]).exif
     device = "" if exif is None else exif.device
     return Look(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures)
+
+
+def _size_and_small(photo: Path) -> tuple[tuple[int, int], Picture]:
+    """A photo's width and height, and itself made small: one large photo is in memory at a time."""
+    picture = read_picture(photo)[:, :, :3]
+    return (picture.shape[1], picture.shape[0]), small(picture)
 
 
 def pictures_at(look: Look, end: End) -> list[Picture]:

@@ -17,6 +17,7 @@ from devrf.capture.media import check_file
 TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}  # of a second
 MOST_TIMES, LEAST_TIMES = 100.0, 1e-3  # a clip's own steps: no camera lies outside, another unit does
+MOST_FRAMES = 2**31  # of a clip; indices are whole numbers of 64 bits
 SAME_RATE = 1.2  # steps that differ by more are said
 
 
@@ -71,7 +72,7 @@ def read_timestamps(path: Path, cameras: Iterable[str]) -> dict[str, FrameTimes]
     for name in names:
         index = np.array(sorted(rows[name]))
         time_s = np.array([rows[name][i] for i in index.tolist()])
-        back = np.flatnonzero(np.diff(time_s) <= 0)
+        back = np.flatnonzero(time_s[1:] <= time_s[:-1])
         if len(back):
             i = int(back[0])
             a, b = (f"frame {index[n]} ({time_s[n]:.6f} s)" for n in (i, i + 1))
@@ -93,7 +94,7 @@ def table_factor(times: FrameTimes, clip_s: Mapping[int, float]) -> float | None
         for i, t in zip(times.index.tolist(), times.time_s.tolist(), strict=True)
         if i in clip_s
     ]
-    table, clip = np.diff(np.array(both).reshape(-1, 2), axis=0).T
+    table, clip = np.diff(np.array(both).reshape(-1, 2) / 2, axis=0).T  # halves, whose differences are finite
     rising = clip > 0
     return float(np.median(table[rising] / clip[rising])) if rising.any() else None
 
@@ -109,10 +110,24 @@ def check_table(path: Path, camera: str, times: FrameTimes, factor: float | None
         unit = min(UNITS, key=lambda u: abs(math.log(max(factor, 1.0) / u)))
         guess = f"time_s is in {UNITS[unit]}: divide it by {unit:.0f}, to have seconds" if factor > 1 else ""
         raise InputError("times-unit-wrong", f"{wrong}; {guess or 'time_s is in seconds: correct the table'}")
-    span_s = float(times.time_s[-1] - times.time_s[0])
+    span_s = float(times.time_s[-1]) - float(
+        times.time_s[0]
+    )  # not in numpy, which warns where it is infinite
     if span_s > CLIP_S:
         wrong = f"{path}: camera {camera}: its times are {span_s:.0f} s apart, at most {CLIP_S} s are read"
         raise InputError("times-too-long", f"{wrong}; time_s is in seconds: correct the table")
+
+
+def check_indices(table: Path, camera: str, times: FrameTimes, clip: Path, frames: int) -> None:
+    """Refuse a table none of whose frames a clip has; that it has some more, or fewer, is usual.
+
+    Raises:
+        InputError: Naming its first frame, and how many the clip has.
+    """
+    first = int(times.index[0])
+    if first >= frames:
+        wrong = f"{table}: camera {camera}: its first frame has index {first}, and {clip} has {frames} frames"
+        raise InputError("frames-not-in-clip", f"{wrong}; count frame_index from 0 in each clip")
 
 
 def table_faults(factor: float | None) -> list[Fault]:
@@ -135,7 +150,7 @@ def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:
     except (TypeError, ValueError):
         wrong = f"{where}: frame_index {row['frame_index']!r}, time_s {row['time_s']!r}"
         raise InputError("entry-wrong", f"{wrong}; expected a whole number and seconds") from None
-    if index < 0 or not np.isfinite(time_s):
-        text = f"{where}: frame_index {index}, time_s {time_s}; expected 0 or more, and finite"
+    if not 0 <= index < MOST_FRAMES or not np.isfinite(time_s):
+        text = f"{where}: frame_index {index:g}, time_s {time_s}; expected 0 or more, and finite"
         raise InputError("entry-wrong", text)
     return (row["camera"] or "").strip(), index, time_s

@@ -25,13 +25,14 @@ from devrf.pipelines.cli_options import (
 )
 from devrf.pipelines.cli_results import compare, export, render, report, view
 from devrf.pipelines.console import Talk
-from devrf.pipelines.disk_told import disk_told
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED, UNHEALTHY
+from devrf.pipelines.disk_told import disk_told, refused_by_system
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import dry_run
-from devrf.pipelines.runner.supervise import open_streams, supervised
+from devrf.pipelines.runner.supervise import supervised
 from devrf.pipelines.stages import stage_names
 from devrf.pipelines.status import print_status, status_dict
+from devrf.pipelines.streams import all_was_said, open_streams
 
 app = typer.Typer(
     help="From a field capture of a moving scene to novel views of it.",
@@ -116,6 +117,26 @@ def run(
         run_command.check(job, found, device)
     if not dry:
         run_command.carry_out(job)
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the example and its run")] = Path("devrf-demo"),
+    until: Annotated[str | None, typer.Option(help="Stop after this stage")] = None,
+    device: DeviceOption = "auto",
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Run the example session, which comes with the program: no camera and no GPU needed, some minutes."""
+    talk = talk_of(quiet, verbose)
+    from devrf.pipelines.demo import lay_out
+
+    with errors_told(talk):
+        scene = lay_out(talk, folder)
+    job = run_command.prepare(talk, scene, None, None, Choice(last=until))
+    with errors_told(talk):
+        run_command.check(job, job.standings(), device)
+    run_command.carry_out(job)
 
 
 @app.command()
@@ -257,16 +278,23 @@ def _command() -> None:
         app()
     except KeyboardInterrupt:
         sys.exit(STOPPED)
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(DONE)
     except OSError as error:
-        if error.filename is None or error.errno not in NO_PATH:
-            raise
-        wrong = f"{os.fsdecode(error.filename)}: cannot be looked at ({error.strerror})"
         talk = Talk()
-        talk.error(f"{wrong}; name another path, or make it one that this user may enter", "path-unusable")
-        sys.exit(BAD_INPUT)
+        if error.filename is not None and error.errno in NO_PATH:
+            wrong = f"{os.fsdecode(error.filename)}: cannot be looked at ({error.strerror})"
+            talk.error(
+                f"{wrong}; name another path, or make it one that this user may enter", "path-unusable"
+            )
+            sys.exit(BAD_INPUT)
+        refused = refused_by_system(error, Path.cwd())
+        if refused is None:
+            raise
+        talk.error(str(refused), refused.code)
+        sys.exit(FAILED)
+    except SystemExit as end:
+        if not all_was_said() and end.code in (DONE, None):
+            sys.exit(FAILED)
+        raise
 
 
 if __name__ == "__main__":

@@ -15,15 +15,16 @@ def check_inputs(config: SceneConfig, scene_dir: Path, stages: Collection[str]) 
     Raises:
         InputError: With everything that is wrong.
     """
+    problems = _check_truth(config, scene_dir)
     if not {"ingest", "scene"}.isdisjoint(stages):
         if config.dataset is None:
-            problems = check_raw_files(config, scene_dir)
+            problems += check_raw_files(config, scene_dir)
         else:
             from devrf.pipelines.configured_dataset import check_dataset
 
-            problems = check_dataset(config, scene_dir)
-        if problems:
-            raise InputError("inputs-unusable", "\n".join(problems))
+            problems += check_dataset(config, scene_dir)
+    if problems:
+        raise InputError("inputs-unusable", "\n".join(problems))
     if "flow" in stages and config.flow.method != "dis":  # DIS has nothing to be wrong
         from devrf.flow.estimator import create_estimator
 
@@ -43,7 +44,21 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
         *_check_sound(config, session),
         *_check_timecode(config, session),
         *_check_given(config, scene_dir, session),
+        *_check_photos(config, session),
     ]
+
+
+def _check_truth(config: SceneConfig, scene_dir: Path) -> list[str]:
+    """Whether the truth that all is compared with in the end can be read."""
+    if config.evaluate.truth is None:
+        return []
+    from devrf.calibration.truth import read_truth
+
+    try:
+        read_truth(config.path(scene_dir, config.evaluate.truth))
+    except DevrfError as error:
+        return [f"evaluate.truth: {error}"]
+    return []
 
 
 def _check_dictionary(config: SceneConfig) -> list[str]:
@@ -91,6 +106,13 @@ def _check_timecode(config: SceneConfig, session: CaptureSession) -> list[str]:
     clips = session.cameras.items() if len(session.cameras) > 1 else ()
     without = [name for name, path in clips if read_recorded(path).timecode_s is None]
     return [f"capture.timestamps: {no_timecode(without)}"] if without else []
+
+
+def _check_photos(config: SceneConfig, session: CaptureSession) -> list[str]:
+    """Photos that are too large for the memory that is allowed."""
+    from devrf.pipelines.budget.raw_files import photos_too_large
+
+    return photos_too_large(config, session)
 
 
 def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -58,9 +58,7 @@ def test_version_is_said_once() -> None:
 
 
 def test_module_and_console_script_are_the_same_program() -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "devrf.pipelines.cli", "--version"], capture_output=True, text=True
-    )
+    result = subprocess.run([sys.executable, "-m", "devrf", "--version"], capture_output=True, text=True)
     assert result.stdout.strip() == f"devrf {devrf.__version__}"
 
 

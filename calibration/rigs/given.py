@@ -23,6 +23,10 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 LARGEST_RIG_M = 50.0
 # A principal point farther off the middle belongs to another picture size (of a size unsaid).
 CENTRE_SHARE = 0.25
+LEAST_FOCAL, MOST_FOCAL = 0.02, 1000.0  # of the longer side: beyond any fisheye, and a telescope's
+FARTHEST_CENTRE = 2.0  # of a principal point from the middle, in pictures; lenses that shift have half of one
+MOST_DISTORTION = 1e6  # long lenses have coefficients of hundreds
+FARTHEST = 1e9  # of the world's origin from a camera: a thousand kilometres in millimetres
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ def read_given(
     fitted: dict[str, FoundCamera] = {}
     for name in names:
         fitted[name], note = _fitted(name, found.cameras[chosen[name]], sizes[name], where)
+        _check_plausible(name, fitted[name], sizes[name], where)
         notes += [note] if note else []
     intrinsics = {
         name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()
@@ -223,6 +228,23 @@ def _scale(
     text = f"taken as {guess}: the cameras are up to {apart * METRES[guess]:.3g} m apart"
     scale = Scale(True, f"given calibration ({found.format}, taken as {guess})", METRES[guess], None)
     return scale, GivenNote("unit of the given calibration", text, remedy)
+
+
+def _check_plausible(name: str, camera: FoundCamera, size: tuple[int, int], where: str) -> None:
+    """Refuse what no camera has: a number that was damaged, or is in another unit."""
+    longer, focal = max(size), camera.K[[0, 1], [0, 1]]
+    wrong, pose = None, camera.cam_from_world
+    if not (focal.min() >= LEAST_FOCAL * longer and focal.max() <= MOST_FOCAL * longer):
+        wrong = f"focal lengths {focal[0]:g} and {focal[1]:g} px of pictures of {size[0]}x{size[1]}"
+    elif np.abs(camera.K[:2, 2] / size - 0.5).max() > FARTHEST_CENTRE:
+        wrong = f"its principal point at {camera.K[0, 2]:g}, {camera.K[1, 2]:g} px, far outside of {size[0]}x{size[1]}"
+    elif np.abs(camera.distortion).max() > MOST_DISTORTION:
+        wrong = f"distortion {camera.distortion.tolist()}"
+    elif pose is not None and np.abs(pose[:, 3]).max() > FARTHEST:
+        wrong = f"the translation {pose[:, 3].tolist()}"
+    if wrong is not None:
+        text = f"{where}: camera '{name}' has {wrong}; expected what a camera can have; calibrate it again"
+        raise InputError("camera-implausible", text)
 
 
 def _check_apart(cameras: Mapping[str, RigCamera], where: str) -> None:

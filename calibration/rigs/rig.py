@@ -134,6 +134,8 @@ def read_rig(path: Path) -> Rig:
             float(s.get("factor", 1.0)),
             s.get("std"),
         )
+        if not 0 < scale.factor < float("inf"):
+            raise ValueError(f"scale.factor is {scale.factor:g}, expected a finite number above 0")
         return Rig(cameras, scale, data.get("route", "given"))
     except OSError as error:
         text = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"

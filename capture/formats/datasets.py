@@ -113,6 +113,13 @@ def read_dataset(
         raise CaptureError("folder-missing", f"data set {folder}: no such folder; check dataset.path")
     notes = [] if notes is None else notes
     found = READERS[dataset_format](folder, notes)
+    inside = folder.resolve()
+    outside = [f.path for f in (*found.static, *found.dynamic) if inside not in f.path.resolve().parents]
+    if outside:
+        count = len(found.static) + len(found.dynamic)
+        notes.append(
+            f"{len(outside)} of {count} pictures lie outside of {folder}, the first is {outside[0]}: exports copy them"
+        )
     check_sizes(found.dynamic)
     if frame_stride > 1 and any(f.flow is not None for f in found.dynamic):
         notes.append(

@@ -5,6 +5,7 @@ length: their pictures are undistorted to a common pinhole camera. Looks are app
 of the same format is replaced if it holds nothing else; any other folder that holds something is left alone.
 """
 
+import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -88,20 +89,51 @@ def new_folder(folder: Path, dataset_format: str) -> Iterator[Path]:
     if new.exists() and not (new / MARKER).is_file() and any(new.iterdir()):
         wrong = f"--out {folder}: {new} is in the way, where no export has begun"
         raise InputError("folder-exists", f"{wrong}; move it away, or name another folder")
-    shutil.rmtree(new, ignore_errors=True)
+    if new.exists():
+        with _held(new, folder):  # not that of an export that is being written
+            shutil.rmtree(new, ignore_errors=True)
     new.mkdir()
+    with _held(new, folder):
+        try:
+            (new / MARKER).write_text(f"{dataset_format}\n")
+            yield new
+            names = [os.fsencode(name) for name in _files(new)]
+            (new / MARKER).write_bytes(b"\n".join([dataset_format.encode(), *names, b""]))
+            check_target(folder, dataset_format)  # what came meanwhile
+            if folder.exists():
+                shutil.rmtree(folder)
+            new.rename(folder)
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+
+
+@contextmanager
+def _held(new: Path, folder: Path) -> Iterator[None]:
+    """A folder that this process alone writes into, by the kernel's lock on it; where a disk knows none, by nothing.
+
+    Raises:
+        InputError: Another export has it.
+    """
+    busy = InputError(
+        "folder-busy", f"--out {folder}: another export is writing there; wait for it, or name another folder"
+    )
     try:
-        (new / MARKER).write_text(f"{dataset_format}\n")
-        yield new
-        names = [os.fsencode(name) for name in _files(new)]
-        (new / MARKER).write_bytes(b"\n".join([dataset_format.encode(), *names, b""]))
-        check_target(folder, dataset_format)  # what came meanwhile
-        if folder.exists():
-            shutil.rmtree(folder)
-        new.rename(folder)
-    except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
-        raise
+        handle = os.open(new, os.O_RDONLY)
+    except FileNotFoundError:
+        raise busy from None
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise busy from None
+        except OSError:
+            pass
+        if not (new.exists() and os.path.samestat(os.fstat(handle), new.stat())):
+            raise busy
+        yield
+    finally:
+        os.close(handle)
 
 
 def check_target(folder: Path, dataset_format: str) -> None:

@@ -1,5 +1,6 @@
-"""docs/configuration.md, from the schema of scene.yaml: `python docs/site/configuration.py [FILE]`."""
+"""docs/configuration.md and the JSON schema, from that of scene.yaml: `python docs/site/configuration.py [FILE]`."""
 
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 import pydantic
 
 PAGE = Path(__file__).resolve().parents[1] / "configuration.md"
+SCHEMA = PAGE.parents[1] / "pipelines" / "config" / "scene.schema.json"
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
 MORE = {  # key or section -> page that says more
     "capture.timestamps": "formats.md#timestamps-table",
     "capture.board": "field.md#init",
@@ -45,12 +48,18 @@ errors, all reported at once before anything starts. `--set a.b=value` overrides
 """
 
 
-def main(page: Path) -> None:
-    """Write the page."""
+def main(page: Path, json_schema: Path) -> None:
+    """Write the page, and the schema for editors."""
     pydantic.BaseModel.model_config["use_attribute_docstrings"] = True  # before the models are made
     from devrf.pipelines.config.scene import SceneConfig
 
     schema = SceneConfig.model_json_schema()
+    whole = {
+        "$schema": DRAFT,
+        "title": "scene.yaml of devrf",
+        **{k: v for k, v in schema.items() if k != "title"},
+    }
+    json_schema.write_text(json.dumps(whole, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     page.write_text("\n".join([HEAD, *tables("", schema, schema["$defs"])]), encoding="utf-8")
 
 
@@ -147,4 +156,7 @@ def more(key: str) -> str:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PAGE)
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]), Path(sys.argv[1]).with_name(SCHEMA.name))
+    else:
+        main(PAGE, SCHEMA)

@@ -8,6 +8,7 @@ written, relative to the file (`SceneConfig.path`). Reading the file, overrides 
 
 import os
 import re
+import unicodedata
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -438,10 +439,16 @@ class SceneConfig(_Section):
 
     @staticmethod
     def path(scene_dir: Path, value: str) -> Path:
-        """A path of the configuration, which is relative to the folder of scene.yaml."""
-        return Path(
-            os.path.realpath(scene_dir / Path(value).expanduser())
-        )  # `resolve` fails on a loop of links
+        """A path of the configuration, which is relative to the folder of scene.yaml.
+
+        Accents can be written in two ways that look the same, and macOS stores its own: what is there counts.
+        """
+        ways = dict.fromkeys((value, *(unicodedata.normalize(form, value) for form in ("NFC", "NFD"))))
+        paths = [
+            Path(os.path.realpath(scene_dir / Path(way).expanduser()))  # `resolve` fails on a loop of links
+            for way in ways
+        ]
+        return next(filter(os.path.lexists, paths), paths[0])
 
     @property
     def folder_name(self) -> str:

@@ -12,6 +12,8 @@ from devrf.pipelines.config.words import near_file
 LARGEST_BYTES = 250_000  # a large scene.yaml has 5 000; yaml reads 100 000 a second
 MOST_VALUES = 20_000  # with aliases written out: nine lines of them can stand for a thousand million values
 
+MOST_BITS = 4096  # of a whole number; Python prints 4300 digits, which are 14 000
+
 
 class _Loader(yaml.SafeLoader):
     """SafeLoader that refuses duplicate keys and reads 1e-3 as a number."""
@@ -40,6 +42,20 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict:
 
 
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
+
+
+def _construct_whole(loader: _Loader, node: yaml.ScalarNode) -> int:
+    """A whole number that Python can print: hexadecimal and sexagesimal digits come in thousands, too."""
+    value = loader.construct_yaml_int(node)
+    if value.bit_length() > MOST_BITS:
+        raise yaml.MarkedYAMLError(
+            problem=f"a whole number of {value.bit_length()} bits; none needs more than {MOST_BITS}",
+            problem_mark=node.start_mark,
+        )
+    return value
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _construct_whole)
 
 
 def read_yaml(path: Path) -> dict:

@@ -1,5 +1,6 @@
 """`devrf-pipeline init DIR`: look at what a crew brought home, write a commented scene.yaml, say what is missing."""
 
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -32,8 +33,11 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
     Raises:
         InputError: There is no such folder, a scene.yaml is there already, or nothing in the folder can be used.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError("folder-missing", f"{folder}: no such folder; name the folder with the raw files")
+    if not os.access(folder, os.R_OK | os.X_OK):
+        text = f"{folder}: may not be read; make it readable for this user, or copy it"
+        raise InputError("folder-unreadable", text)
     path = folder / SCENE
     if path.exists() and not force:
         text = f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"

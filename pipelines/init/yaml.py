@@ -3,26 +3,35 @@
 import json
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 from devrf.calibration.boards.spec import BoardSpec
+from devrf.pipelines import config
 from devrf.pipelines.init.found import Roles, Seen
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")  # what YAML reads as text without quotes ...
 WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))  # ... but for these
 OF_BOARD = {"charuco": "squares", "chessboard": "inner corners", "aruco_grid": "markers"}
-HEAD = """# Written by `devrf-pipeline init` from what the clips show; every key is in docs/configuration.md.
+SCHEMA = Path(config.__file__).with_name("scene.schema.json")  # written by `make pages`
+HEAD = """# yaml-language-server: $schema={schema}
+# Written by `devrf-pipeline init` from what the clips show; every key is in docs/configuration.md.
 # Paths are relative to this file. `devrf-pipeline check` looks at it before anything runs.
 """
 
 
 def scene_yaml(name: str, roles: Roles, preset: str) -> str:
     """The whole file of a capture."""
-    return HEAD + "\n".join(_lines(name, roles, preset)) + "\n"
+    return _head() + "\n".join(_lines(name, roles, preset)) + "\n"
 
 
 def dataset_yaml(name: str, dataset_format: str) -> str:
     """The file beside a finished data set."""
-    return f"{HEAD}name: {_text(name)}\ndataset: {{format: {dataset_format}, path: .}}\n"
+    return f"{_head()}name: {_text(name)}\ndataset: {{format: {dataset_format}, path: .}}\n"
+
+
+def _head() -> str:
+    """Its first line tells editors by which schema to complete and check what is typed."""
+    return HEAD.format(schema=SCHEMA.as_uri())
 
 
 def _lines(name: str, roles: Roles, preset: str) -> Iterator[str]:

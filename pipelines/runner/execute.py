@@ -16,6 +16,7 @@ from devrf.capture.errors import DevrfError, OutOfTime
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
+from devrf.pipelines.disk_told import refused_by_system
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
 from devrf.pipelines.logs import Events, log_file
 from devrf.pipelines.runner.failure import explain, first_line, is_no_memory, unexpected
@@ -105,6 +106,8 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
         elif is_no_memory(error):
             what = f"not enough memory to go on ({first_line(error)}); close other programs, then run again"
             run.talk.error(what, "no-memory")
+        elif (refused := refused_by_system(error, run.run_dir)) is not None:
+            run.talk.error(f"{refused}: finished stages are kept", refused.code)
         else:
             run.talk.error(unexpected(run, error), "unexpected")
         return FAILED

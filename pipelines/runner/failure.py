@@ -5,6 +5,7 @@ import logging
 import traceback
 
 from devrf.capture.errors import DevrfError, HealthError, OutOfTime
+from devrf.pipelines.disk_told import refused_by_system
 from devrf.pipelines.exit_codes import FAILED, UNHEALTHY
 from devrf.pipelines.logs import LOG_FILE
 from devrf.pipelines.runner.run import Run
@@ -51,6 +52,9 @@ def explain(
     if isinstance(error, SystemExit):
         what = f"{name}: a library ended the program (exit {error.code}); see devrf.log in {run.run_dir}"
         return FAILED, "library-ended-program", what
+    refused = refused_by_system(error, run.run_dir)
+    if refused is not None:
+        return FAILED, refused.code, f"{name}: {refused}: finished stages are kept"
     if run.talk.loudness == "verbose":
         run.talk.err.print(trace, markup=False)
     return FAILED, "unexpected", f"{name}: {unexpected(run, error)}"

@@ -15,6 +15,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,8 +86,9 @@ class Lock:
             return
         self._released.set()
         self._beats.join(1.0)  # at once, unless a server does not answer
-        if _holder(self._path) == self._me:
-            self._path.unlink(missing_ok=True)
+        with suppress(OSError):  # the disk is gone, or read-only now: the lock is a dead one's soon
+            if _holder(self._path) == self._me:
+                self._path.unlink(missing_ok=True)
         self._kernels.release()
         self._me = None
 

@@ -43,26 +43,10 @@ CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.
 _link: int | None = None  # in the child: where it tells the parent what it does
 
 
-def open_streams() -> None:
-    """Where input, output or errors are closed (`>&-`, some service managers), let them lead nowhere.
-
-    Else the next file that is opened would take their place.
-    """
-    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
-        try:
-            os.fstat(number)
-        except OSError:
-            nowhere = os.open(os.devnull, os.O_RDWR)
-            if nowhere != number:
-                os.dup2(nowhere, number)
-                os.close(nowhere)
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode))
-
-
 def supervised(work: Callable[[], None]) -> None:
     """Do a command's work in a child process. Returns in the child only; the parent ends with the exit code."""
     if sys.platform != "linux":
+        _hear_ctrl_c()
         return work()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, a child's exit code would be lost
     asked = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP)
@@ -89,12 +73,19 @@ def supervised(work: Callable[[], None]) -> None:
     global _link
     _link = write
     try:
+        _hear_ctrl_c()
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # a Ctrl-C that came meanwhile is heard here
         work()
     except KeyboardInterrupt:
         sys.exit(STOPPED)
     finally:
         _hear_no_more()
+
+
+def _hear_ctrl_c() -> None:
+    """As Python does, which `devrf.__main__` has changed while it loads; not where it is to be ignored."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _hear_no_more() -> None:

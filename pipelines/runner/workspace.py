@@ -11,6 +11,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from devrf.capture.durable import sync, sync_tree
@@ -204,5 +205,6 @@ def _is_checkpoint(path: Path) -> bool:
 
 def _remove(folder: Path) -> None:
     """Remove a folder, the stamp first: what is left of it by a kill counts as nothing."""
-    (folder / STAMP).unlink(missing_ok=True)
+    with suppress(OSError):  # what cannot be removed is the next run's
+        (folder / STAMP).unlink()
     shutil.rmtree(folder, ignore_errors=True)

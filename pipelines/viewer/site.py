@@ -100,6 +100,10 @@ class Site:
         self._closed.set()
         self._wanted.set()
         self._thumbnails.end()
+        threading.excepthook = lambda what: logger.debug(
+            "after the end: %s", what.exc_value
+        )  # viser's threads
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # and tasks, of visitors that are cut off
         self.server.stop()
         self._thread.join(ENDING_S)
         return not self._thread.is_alive()

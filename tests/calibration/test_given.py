@@ -1,5 +1,6 @@
 """A calibration people own, fitted to a capture: names, picture sizes, unit of length; what is refused."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,35 @@ def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path
     assert any("640x480" in n.text for n in given.notes)
     with refused("principal-point-outside", "320, 240", "320x240", kind=InputError):
         read(tmp_path / "intri.yml", size=(320, 240))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("K", [[1e308, 0, 320], [0, 500, 240], [0, 0, 1]]),
+        ("K", [[500, 0, 320], [0, 1e-308, 240], [0, 0, 1]]),
+        ("K", [[500, 0, 1e308], [0, 500, 240], [0, 0, 1]]),
+        ("distortion", [1e300, 0, 0, 0, 0]),
+        ("cam_from_world", [[1, 0, 0, 1e300], [0, 1, 0, 0], [0, 0, 1, 2]]),
+    ],
+)
+def test_what_no_camera_has_is_refused(tmp_path: Path, key: str, value: list) -> None:
+    own_rig(tmp_path / "rig.json")
+    content = json.loads((tmp_path / "rig.json").read_text())
+    content["cameras"]["cam1"][key] = value
+    (tmp_path / "rig.json").write_text(json.dumps(content))
+    with refused("camera-implausible", "rig.json", "'cam1'", kind=InputError):
+        read(tmp_path / "rig.json")
+
+
+@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
+def test_a_scale_that_is_none_is_refused(tmp_path: Path, factor: float) -> None:
+    own_rig(tmp_path / "rig.json")
+    content = json.loads((tmp_path / "rig.json").read_text())
+    content["scale"]["factor"] = factor
+    (tmp_path / "rig.json").write_text(json.dumps(content))
+    with refused("file-damaged", "scale.factor", kind=InputError):
+        read(tmp_path / "rig.json")
 
 
 def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:

@@ -152,7 +152,24 @@ def test_read_truth(tmp_path):
     truth = read_truth(path)
     np.testing.assert_allclose(truth.static[0], pose)
     assert truth.clocks["cam0"] == Clock(0.5, 3.0)
-    path.write_text('{"static": [[1, 2]]}')
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [1],
+        "text",
+        {"static": [[1, 2]]},
+        {"static": [np.zeros((4, 4)).tolist()]},
+        {"static": [np.full((4, 4), 1e308).tolist()]},
+        {"cams": {"cam0": {"pose": [[1, 0, 0, 1e300], [0, 1, 0, 0], [0, 0, 1, 0]]}}},
+        {"cams": {"cam0": {"pose": np.eye(4).tolist(), "offset_s": float("inf")}}},
+        {"cams": {"cam0": {"pose": np.eye(4).tolist(), "offset_s": 0, "drift_ppm": -1e6}}},
+    ],
+)
+def test_what_is_no_truth_is_refused(tmp_path, content):
+    path = tmp_path / "ground_truth.json"
+    path.write_text(json.dumps(content))
     with refused("file-damaged", "ground_truth.json", kind=InputError):
         read_truth(path)
 

@@ -14,7 +14,7 @@ from tests.refused import refused
 from devrf.capture.camera import Camera, undistort
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
-from devrf.capture.formats.export import MARKER
+from devrf.capture.formats.export import MARKER, new_folder
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
@@ -279,3 +279,32 @@ def test_formats_at_rest_need_a_sweep(odd_scene: Scene, tmp_path: Path):
     for name in ("colmap", "llff", "blender", "devrf"):
         with refused("rest-missing", name, kind=CaptureError):
             write_dataset(name, replace(odd_scene, static=(), points=None), tmp_path / "out")
+
+
+def test_two_exports_into_one_folder_at_once(tmp_path: Path) -> None:
+    """The second is refused and harms nothing; what a killed one left is cleared away."""
+    with new_folder(tmp_path / "out", "ply") as new:
+        (new / "a.ply").write_text("a")
+        with refused("folder-busy", tmp_path / "out", kind=InputError), new_folder(tmp_path / "out", "ply"):
+            pass
+        assert (new / "a.ply").is_file()
+    (tmp_path / ".new-out").mkdir()
+    (tmp_path / ".new-out" / MARKER).write_text("ply\n")
+    with new_folder(tmp_path / "out", "ply") as new:
+        (new / "b.ply").write_text("b")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [MARKER, "b.ply", "out"]
+
+
+def test_pictures_outside_of_a_data_set_are_named(odd_scene: Scene, tmp_path: Path) -> None:
+    write_dataset("nerfstudio", odd_scene, tmp_path / "set")
+    notes: list[str] = []
+    read_dataset("nerfstudio", tmp_path / "set", notes=notes)
+    before = len(notes)
+    picture = next((tmp_path / "set").rglob("*.png"))
+    picture.rename(tmp_path / "elsewhere.png")
+    picture.symlink_to(tmp_path / "elsewhere.png")
+    notes.clear()
+    read_dataset("nerfstudio", tmp_path / "set", notes=notes)
+    assert len(notes) == before + 1 and any(
+        text.startswith("1 of ") and "elsewhere" in text for text in notes
+    )

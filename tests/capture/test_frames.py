@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, PngImagePlugin
 from tests.refused import refused
 
 from devrf.capture.clips import Keep, extract_clip
@@ -206,3 +206,23 @@ def test_real_photos(data_dir, tmp_path):
     assert len(frames.used) == 50 and (frames.width, frames.height) == (540, 960)
     exif = probe_picture(list_pictures(data_dir / "sceaux_castle" / "images")[0]).exif
     assert exif is not None and exif.focal_px == pytest.approx(1452.94, rel=0.03)  # K.txt
+
+
+@pytest.mark.parametrize("behind", [False, True], ids=["before the pixels", "behind the pixels"])
+def test_tags_of_png_are_read_without_decoding(tmp_path, behind, monkeypatch):
+    """exiftool and others put the chunk of tags behind the pixels."""
+    image, path = Image.new("RGB", (40, 30)), tmp_path / "a.png"
+    exif = image.getexif()
+    exif[0x0112], exif[0x010F] = 6, "Maker"
+    image.save(path, exif=exif)
+    data = path.read_bytes()
+    if behind:
+        at = data.index(b"eXIf") - 4
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        data = data[:at] + data[end:-12] + data[at:end] + data[-12:]  # IEND is the last
+        path.write_bytes(data)
+    monkeypatch.setattr(Image.Image, "load", lambda image: pytest.fail("decoded"))
+    monkeypatch.setattr(PngImagePlugin.PngImageFile, "load", lambda image: pytest.fail("decoded"))
+    info = probe_picture(path)
+    assert (info.width, info.height, info.turned) == (30, 40, True)
+    assert info.exif is not None and info.exif.device == "Maker"

@@ -7,7 +7,7 @@ from tests.refused import refused
 from devrf.capture.errors import InputError
 from devrf.capture.pictures import probe_picture, write_picture
 from devrf.capture.session import CaptureSession, preflight
-from devrf.capture.timestamps import read_timestamps
+from devrf.capture.timestamps import check_table, read_timestamps
 from devrf.capture.video import probe_video
 
 TABLE = "camera,frame_index,time_s\n"
@@ -99,6 +99,7 @@ def test_raw_photos_are_looked_into(tmp_path):
         ("cam0,0,nan\n", ("entry-wrong", "line 2", "nan")),
         ("cam0,-1,1.0\n", ("entry-wrong", "line 2", "-1")),
         ("cam0,0\n", ("entry-wrong", "line 2", "None")),
+        (f"cam0,{10**30},1.0\n", ("entry-wrong", "line 2", "1e+30")),
         ("cam1,0,1.0\n", ("camera-missing", "camera cam0", "cam1")),
     ],
 )
@@ -107,6 +108,25 @@ def test_wrong_tables_of_times(tmp_path, rows, refusal):
     path.write_text(TABLE + rows)
     with refused(*refusal, kind=InputError):
         read_timestamps(path, ["cam0"])
+
+
+@pytest.mark.parametrize("rows", ["cam0,0,0.0\ncam0,1,17e8\n", "cam0,0,-1e308\ncam0,7,1e308\n"])
+def test_times_farther_apart_than_any_recording(tmp_path, rows):
+    path = tmp_path / "t.csv"
+    path.write_text(TABLE + rows)
+    times = read_timestamps(path, ["cam0"])["cam0"]
+    with refused("times-too-long", "camera cam0", "14400", kind=InputError):
+        check_table(path, "cam0", times, None)
+
+
+def test_indices_that_a_clip_has_not(make_clip, pictures, tmp_path):
+    """A table with some rows too many is usual; one that has none of a clip's frames counts them otherwise."""
+    clip, times = make_clip("cam0.mp4", pictures), tmp_path / "t.csv"
+    for first, problems in ((0, 0), (len(pictures) - 1, 0), (len(pictures), 1), (1000, 1)):
+        times.write_text(TABLE + "".join(f"cam0,{first + n},{n / 10}\n" for n in range(50)))
+        found = preflight(CaptureSession(cameras={"cam0": clip}, timestamps=times))
+        assert len(found) == problems
+        assert all(f"index {first}" in text and f"{len(pictures)} frames" in text for text in found)
 
 
 def test_table_of_times_in_any_order_with_more_columns(tmp_path):

@@ -1,5 +1,6 @@
 """What the pages promise is there: links, commands, options, keys; what the program writes of itself is current."""
 
+import json
 import re
 import subprocess
 import sys
@@ -17,7 +18,8 @@ from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
 
 DOCS = REPOSITORY / "docs"
-OF_OTHERS = {"--find-links"}  # options of pip
+SCHEMA = REPOSITORY / "pipelines" / "config" / "scene.schema.json"
+OF_OTHERS = {"--find-links", "--build-arg"}  # options of pip and docker
 CAPTURE: dict[str, Any] = {  # what a block of some keys is put into
     "name": "kuka",
     "capture": {
@@ -59,6 +61,25 @@ def test_the_page_is_current(name: str, command: list[str], tmp_path: Path) -> N
     subprocess.run([sys.executable, *command, tmp_path / name], check=True, capture_output=True)
     same = (DOCS / name).read_text(encoding="utf-8") == (tmp_path / name).read_text(encoding="utf-8")
     assert same, f"docs/{name} is not what the program says: `make pages` writes it again"
+
+
+def test_the_schema_for_editors_is_current(tmp_path: Path) -> None:
+    command = [sys.executable, DOCS / "site" / "configuration.py", tmp_path / "page.md"]
+    subprocess.run(command, check=True, capture_output=True)
+    now, kept = tmp_path / SCHEMA.name, json.loads(SCHEMA.read_text(encoding="utf-8"))
+    assert json.loads(now.read_text(encoding="utf-8")) == kept, "`make pages` writes it again"
+    assert kept["properties"]["preset"]["description"] and kept["additionalProperties"] is False
+
+
+def test_the_schema_takes_the_example_and_no_slip(tmp_path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    example = yaml.safe_load((DOCS.parent / "examples/waving-sheet/scene.yaml").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(example, schema)
+    for slip in ({"presett": "tiny"}, {"preset": "slow"}, {"reconstruct": {"resolution": "high"}}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**example, **slip}, schema)
 
 
 def test_what_the_page_of_keys_says() -> None:

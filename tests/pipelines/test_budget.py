@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from devrf.capture.video_writer import write_video
 from devrf.pipelines.budget import at_once, raw_files
 from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.at_once import BASE, fitting, flow_at_once, registered_at_once, swept_at_once
-from devrf.pipelines.budget.raw_files import ingested_at_once
+from devrf.pipelines.budget.raw_files import ingested_at_once, photos_too_large
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import coarser_rows
@@ -161,3 +162,18 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
     assert 1024 * kilobytes < 0.5e9 and len(pictures) > 40
     in_hand, _, said, same = ingested("free")
     assert "instead" not in said and in_hand > 8 and same == pictures
+
+
+def test_a_photo_that_does_not_fit_is_named(tmp_path: Path) -> None:
+    """The largest counts, by its header; its pixels are not there at all."""
+    write_picture(tmp_path / "a.png", np.zeros((8, 12, 3), np.uint8))
+    header = bytearray((tmp_path / "a.png").read_bytes())
+    header[16:24] = (10_000).to_bytes(4, "big") * 2
+    header[29:33] = zlib.crc32(header[12:29]).to_bytes(4, "big")
+    (tmp_path / "b.png").write_bytes(header)
+    session = CaptureSession(static=tmp_path)
+    config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s"}, "budget": {"memory_gb": 1}})
+    (problem,) = photos_too_large(config, session)
+    assert all(words in problem for words in ("b.png", "10000x10000", "1.4 GB", "budget.memory_gb"))
+    (tmp_path / "b.png").unlink()
+    assert photos_too_large(config, session) == []

@@ -219,6 +219,8 @@ def test_names_become_cameras_and_the_file_is_what_run_takes(tmp_path: Path) -> 
     path = tmp_path / "scene.yaml"
     path.write_text(scene_yaml("on", roles, "tiny"))
     config = load_scene(path, check_files=False)
+    schema = path.read_text().splitlines()[0].removeprefix("# yaml-language-server: $schema=file://")
+    assert Path(schema).name == "scene.schema.json" and Path(schema).is_file()
     assert config.name == "on" and config.capture is not None
     assert config.capture.static == "walk/a: 1.mp4" and config.capture.rest == "auto"
     assert set(config.capture.cameras.values()) == set(cameras)

@@ -155,6 +155,8 @@ def fail(error: BaseException) -> Callable[[StageContext], None]:
         (OutOfTime("out-of-time", "step 2"), FAILED, "[out-of-time]"),
         (OSError(errno.ENOSPC, "No space left on device"), FAILED, "[disk-full]"),
         (RuntimeError("write: No space left on device"), FAILED, "[disk-full]"),
+        (OSError(errno.EFBIG, "File too large"), FAILED, "[system-refused]"),
+        (PermissionError(errno.EROFS, "Read-only", "/usb/x"), FAILED, "second: /usb/x: "),
         (MemoryError(), FAILED, "[no-memory]"),
         (ZeroDivisionError("division"), FAILED, "[unexpected]"),
         (SystemExit(3), FAILED, "[library-ended-program]"),
@@ -171,6 +173,17 @@ def test_a_failure_keeps_what_was_there(
     assert (folder / "run/second/sub/result.txt").read_text() == "second"  # the old result
     assert not list((folder / "run").glob(".new-*"))
     assert executed(folder, "reconstruct.rays=200") == ["second", "third"]
+
+
+def test_a_run_folder_that_is_moved_away_while_it_works(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    """The next run, where the folder is now, has what was finished."""
+
+    def moves(context: StageContext) -> None:
+        (folder / "run").rename(folder / "moved")
+
+    assert execute(job(folder, small_stages(second=moves))) == FAILED
+    assert "[system-refused]" in capsys.readouterr().err
+    assert executed(folder, "output=moved") == ["second", "other", "third"]
 
 
 def test_an_error_before_the_first_stage_leaves_its_trace(

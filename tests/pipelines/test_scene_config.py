@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -283,3 +284,11 @@ def test_devices_pipes_and_loops_are_no_files(folder: Path) -> None:
     for name, named in (("pipe", " pipe"), ("/dev/zero", " device"), ("loop", "symbolic link")):
         (found,) = mistakes(folder, GOOD, (f"capture.static={name}",))
         assert f"capture.static: '{name}'" in found and named in found
+
+
+@pytest.mark.parametrize("forms", [("NFC", "NFD"), ("NFD", "NFC")])
+def test_accents_that_are_written_in_another_way(folder: Path, forms: tuple[str, str]) -> None:
+    typed, stored = (unicodedata.normalize(form, "café.mp4") for form in forms)
+    (folder / stored).write_bytes(b"x")
+    config = load(folder, GOOD, (f"capture.static={typed}",))
+    assert config.capture is not None and config.path(folder, str(config.capture.static)).name == stored

@@ -1,6 +1,9 @@
 """Models survive the disk, and what is not a model is refused by name."""
 
+import errno
 import os
+import subprocess
+import sys
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +60,19 @@ def _model(background: str = "shell", deferred: bool = False, seed: int = 0) -> 
     motion = MotionField.still(AABB, 3, 5, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
     motion.backward[1:] += 0.1 * torch.randn(motion.backward[1:].shape, generator=g)
     return DynamicModel(RestModel(canonical, shell, background, 0.3, 9.0, {}), motion)
+
+
+def test_a_disk_that_takes_no_such_file_is_the_systems_error(tmp_path: Path) -> None:
+    """The library tells of it in words of its own."""
+    code = (
+        "import resource, sys, torch; from pathlib import Path\n"
+        "from devrf.reconstruct.tensor_file import save_tensors\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "try: save_tensors(Path(sys.argv[1]), {'a': torch.zeros(10_000)}, {})\n"
+        "except OSError as error: sys.exit(error.errno)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.safetensors")], check=False)
+    assert ended.returncode == errno.EFBIG
 
 
 def test_files_have_the_rights_that_the_umask_leaves(tmp_path: Path) -> None:
