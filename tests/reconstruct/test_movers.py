@@ -13,6 +13,8 @@ from tests.reconstruct.deaths import until_done
 
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
+from devrf.flow.dis import DisFlow
+from devrf.pipelines.health.training import mover_rows
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
@@ -23,6 +25,10 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
+from devrf.reconstruct.tracking.find import Found
+from devrf.reconstruct.tracking.follow import Tracks
+from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.train_deformation import train_deformation
 from devrf.reconstruct.train_movers import train_movers
 
 TURN = np.array([0.2, -0.3, 0.4])
@@ -113,7 +119,7 @@ def test_gradients_are_those_of_differences(rest: RestModel) -> None:
     brighter = float(light.grid.grad.sum())
     with torch.no_grad():
         before = float(loss())
-        light.grid += 0.01
+        light.grid.add_(0.01)
         assert float(loss()) - before == pytest.approx(0.01 * brighter, rel=0.05)
 
 
@@ -142,7 +148,7 @@ def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
     movers.shifts[1:, 0, 2] = torch.tensor([0.1, 0.25])
     light = Shading.none(own.aabb, 0.0, 1.0, torch.device("cpu"))
     with torch.no_grad():
-        light.grid += torch.linspace(-0.3, 0.3, light.grid.shape[2])[:, None, None]
+        light.grid.add_(torch.linspace(-0.3, 0.3, light.grid.shape[2])[:, None, None])
     light.requires_grad_(False)
     model = DynamicModel.of_movers(
         rest, replace(rest, canonical=stands), replace(movers, shading=light), 3, 0.0
@@ -223,3 +229,46 @@ def test_killed_it_goes_on_bit_for_bit(
     assert torch.equal(once.stands.canonical.features, again.stands.canonical.features)
     assert once.movers.shading is not None and again.movers.shading is not None
     assert torch.equal(once.movers.shading.grid, again.movers.shading.grid)
+
+
+@pytest.fixture
+def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
+    """What `find_movers` finds is decided by the test: the whole ball, and how far it goes until time 1."""
+
+    def decide(travel: np.ndarray) -> None:
+        model = whole(rest, travel)
+        assert model.movers is not None and model.in_motion is not None
+        times = np.array([0.0, 0.5, 1.0])
+        xyz = RADIUS * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
+        tracks = Tracks(times, xyz + times[:, None, None] * travel, 0)
+        surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
+        found = Found(surface, tracks, np.zeros(3, int), model.in_motion.canonical, model.movers)
+        monkeypatch.setattr("devrf.reconstruct.train_deformation.trackable", lambda scene, rest: True)
+        monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: found)
+
+    return decide
+
+
+def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: RestModel, tracked) -> None:
+    tracked(TRAVEL)
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow())
+    assert model.movers is not None and model.in_motion is not None and model.motion is not None
+    assert metrics["parts"] == 1 and metrics["points"] == 3 and metrics["keys"] == 3
+    assert metrics["largest_motion"] == pytest.approx(np.linalg.norm(TRAVEL))
+    assert metrics["movers_gain_db"] > 5 and metrics["decisions"] == []
+    (row,) = mover_rows(metrics)
+    assert row.verdict == "ok"
+    assert "late_camera" not in metrics
+
+
+def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
+    tracked(np.array([0.0, 0.0, -1.5]))  # out of the picture
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow())
+    assert model.movers is None and model.motion is not None
+    assert len(metrics["decisions"]) == 1 and "movers" in metrics["decisions"][0]
+    assert list(mover_rows(metrics)) == []
+
+
+def test_shading_that_does_the_work_of_motion_is_said() -> None:
+    (row,) = mover_rows({"movers_gain_db": 4.0, "movers_unshaded_gain_db": 1.0})
+    assert row.verdict == "warn" and row.value == pytest.approx(75.0)
