@@ -67,7 +67,10 @@ def whole(rest: RestModel, travel: np.ndarray, turn: np.ndarray | None = None) -
     return DynamicModel.of_movers(rest, replace(rest, canonical=stands), movers, 5, 0.0)
 
 
-def test_parts_that_do_not_move_look_as_at_rest(rest: RestModel) -> None:
+@pytest.mark.parametrize("deferred", [False, True])
+def test_parts_that_do_not_move_look_as_at_rest(rest: RestModel, deferred: bool) -> None:
+    rest = replace(rest, canonical=copy.copy(rest.canonical))
+    rest.canonical.deferred = deferred
     stands, own, labels = halves(rest)
     model = DynamicModel.of_movers(rest, replace(rest, canonical=stands), still(own, labels), 3, 0.0)
     camera = look_at(np.array([1.5, 2.0, 0.7]))
