@@ -86,8 +86,10 @@ def coloured(views: Sequence[SeenView], surface: Surface, field: Field) -> Float
 
 
 def resting(model: DynamicModel) -> DynamicModel:
-    """The scene at rest with the colours that it has in motion."""
-    rest = model.rest if model.in_motion is None else replace(model.in_motion, shell=model.rest.shell)
+    """The scene at rest with the colours that it has in motion; with movers those at rest, which their layers share."""
+    if model.in_motion is None or model.movers is not None:
+        return DynamicModel(model.rest, chunk=model.chunk)
+    rest = replace(model.in_motion, shell=model.rest.shell)
     return DynamicModel(rest, chunk=model.chunk)
 
 
