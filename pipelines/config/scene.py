@@ -350,7 +350,8 @@ class ReconstructConfig(_Section):
     canonical_iterations: int | None = Field(default=None, ge=1, le=10_000_000)
     """Iterations of the scene at rest; those of its coarse model in proportion."""
     motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
-    """Iterations per key time of the motion field, over all levels; fine-tuning's keep their proportion to them."""
+    """Iterations per key time of the motion field, over all levels; those of fine-tuning and of movers keep their
+    proportion to them."""
     fine_tuning_iterations: int | None = Field(default=None, ge=0, le=1_000_000)
     """Iterations in which the scene at rest, as it looks in motion, follows the moving pictures too; where given,
     they are kept whatever they gain; 0: none."""
