@@ -20,7 +20,6 @@ from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions, MotionOptions
 from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.still_picture import MOST_BYTES
-from devrf.reconstruct.tracking.rigid import MOST as MOST_PARTS
 
 # Measured on a CPU as differences of peaks between trainings that differ in one size (Linux, torch 2.13, warp 1.17).
 IMPORTED = 310e6  # of libraries, when all is imported
@@ -233,9 +232,9 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         "samples": 0,
         "checkpoint": vertices * _checkpoint_bytes(1, CHANNELS - 1),
     }
-    movers = common | {  # both layers with gradient and moments, and how far vertices are from each part
+    movers = common | {  # both layers with gradient and moments
         "sweep": _picture_bytes(size, size.still_pixels, size.still_lenses),
-        "models": rest + vertices * (2 * (TRAINED * CHANNELS + VERTEX) + MOST_PARTS),
+        "models": rest + 2 * vertices * (TRAINED * CHANNELS + VERTEX),
         "samples": o.together_rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o, o.stepsize)),
     }
     phases = [reading, beginning, motion, *([tuning, writing] if o.fine_tuning else [])]

@@ -86,7 +86,7 @@ class Movers:
     shading: Shading | None = None
     _volumes: list[Volume | None] | None = field(default=None, repr=False)
     _middles: np.ndarray | None = field(default=None, repr=False)
-    _distances: list[Tensor] | None = field(default=None, repr=False)
+    _distances: list[tuple[Tensor, Tensor]] | None = field(default=None, repr=False)
 
     @property
     def parts(self) -> int:
@@ -209,13 +209,27 @@ class Movers:
     def _away(self, part: int, x_rest: Float[Tensor, "n 3"]) -> UInt8[Tensor, " n"]:
         """Voxels from resting points to a part, at most REACH."""
         if self._distances is None:
-            self._distances = [distance(self.labels == m + 1) for m in range(self.parts)]
+            self._distances = [self._distance(m + 1) for m in range(self.parts)]
+        first, away = self._distances[part]
         lo, hi = self.canonical.aabb.to(x_rest)
         last = torch.tensor(self.canonical.shape, device=x_rest.device) - 1
-        at = ((x_rest - lo) / (hi - lo) * last).round()
-        inside = ((at >= 0) & (at <= last)).all(-1)
-        at = torch.minimum(at.clamp(min=0), last).long()
-        return torch.where(inside, self._distances[part][tuple(at.unbind(-1))], REACH)
+        at = ((x_rest - lo) / (hi - lo) * last).round().long() - first
+        end = torch.tensor(away.shape, device=x_rest.device)
+        inside = ((at >= 0) & (at < end)).all(-1)
+        at = torch.where(inside[:, None], at, 0)
+        return torch.where(inside, away[tuple(at.unbind(-1))], REACH)
+
+    def _distance(self, part: int) -> tuple[Int[Tensor, "3"], UInt8[Tensor, "A B C"]]:
+        """Voxels to a part around it, and the first vertex of where they are known."""
+        own = self.labels == part
+        at = own.nonzero()
+        if not len(at):
+            nowhere = torch.full((1, 1, 1), REACH, dtype=torch.uint8, device=own.device)
+            return torch.zeros(3, dtype=torch.int64, device=own.device), nowhere
+        last = torch.tensor(own.shape, device=own.device) - 1
+        lo, hi = (at.amin(0) - REACH).clamp(min=0), torch.minimum(at.amax(0) + REACH, last)
+        cut = tuple(slice(int(a), int(b) + 1) for a, b in zip(lo, hi, strict=True))
+        return lo, distance(own[cut].contiguous())
 
     def volumes(self) -> list[Volume | None]:
         """What the march needs to know of each part: its own voxels and those next to them; None where it is empty."""
