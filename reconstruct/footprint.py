@@ -52,6 +52,9 @@ AROUND = 5 * (4 * 4 + 1)  # and of its surroundings, which have (192 / 112)^3 = 
 FIELD_VERTEX = 2 * 3 * 4  # of both motion fields, per key time
 READ = 2  # times a scene at rest, while it is unpacked
 
+TRACKED, TRACKED_CAMERA = 150e6, 30e6  # of OpenCV and points; of the pictures of a camera that are remembered
+MLP_WIDTH = 64  # of the presets that track
+
 SAMPLES_PER_RAY = 16  # in motion; of solid things fewer count, of things still translucent these (measured)
 SAMPLES_PER_RAY_AT_REST = 40  # in fine-tuning, whose steps are half as long
 KEYS_IN_WINDOW = 5  # of a field too large for a GPU: around a key all that its pictures touch
@@ -232,10 +235,12 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         "samples": 0,
         "checkpoint": vertices * _checkpoint_bytes(1, CHANNELS - 1),
     }
-    movers = common | {  # both layers with gradient and moments
+    per_sample = SAMPLE + SAMPLE_PER_UNIT * MLP_WIDTH
+    movers = common | {  # both layers as they were found, and with gradient and moments
+        "tracking": TRACKED + TRACKED_CAMERA * size.cameras,
         "sweep": _picture_bytes(size, size.still_pixels, size.still_lenses),
-        "models": rest + 2 * vertices * (TRAINED * CHANNELS + VERTEX),
-        "samples": o.together_rays * (SAMPLES_PER_RAY_AT_REST * SAMPLE + _steps_bytes(o, o.stepsize)),
+        "models": rest + 2 * vertices * ((TRAINED + 4) * CHANNELS + VERTEX),
+        "samples": o.together_rays * (SAMPLES_PER_RAY_AT_REST * per_sample + _steps_bytes(o, o.stepsize)),
     }
     phases = [reading, beginning, motion, *([tuning, writing] if o.fine_tuning else [])]
     phases += [movers] if o.together and not size.plain else []
