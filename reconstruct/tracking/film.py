@@ -92,12 +92,19 @@ class Film:
         )  # fmt: skip
 
 
+def standing_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
+    """Pictures of the training cameras that stand and have enough of them."""
+    return {
+        name: frames
+        for name, frames in clips(scene).items()
+        if len(frames) >= FEWEST_PICTURES and stands(frames)
+    }
+
+
 def films(scene: Scene, estimator: FlowEstimator) -> list[Film]:
     """Of each fixed training camera; what stands is not known yet: no depth, and black plates."""
     out = []
-    for name, frames in clips(scene).items():
-        if len(frames) < FEWEST_PICTURES or not stands(frames):
-            continue
+    for name, frames in standing_clips(scene).items():
         whole = frames[0].camera
         scale = min(1.0, SIDE / max(whole.width, whole.height))
         camera = whole.scaled(scale)

@@ -20,7 +20,7 @@ from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.still_picture import plate
-from devrf.reconstruct.tracking.film import Film, films
+from devrf.reconstruct.tracking.film import Film, films, standing_clips
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.moving_points import moving_points
@@ -61,7 +61,7 @@ def trackable(scene: Scene, rest: RestModel) -> bool:
     """Whether movers can be tracked: a rest that clips show, seen by fixed cameras before real surroundings."""
     if scene.rest_time is None or rest.canonical.ndc is not None or scene.background != "shell":
         return False
-    return len(films(scene, _no_flow())) >= FEWEST_CAMERAS
+    return len(standing_clips(scene)) >= FEWEST_CAMERAS
 
 
 def find_movers(
@@ -102,8 +102,8 @@ def find_movers(
         tracks = follow_both_ways(
             moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
         )
-        kept = {"times": torch.from_numpy(tracks.times), "xyz": torch.from_numpy(tracks.xyz)}
-        checkpoint.write(Saved(1, kept, {"rest": tracks.rest, "log": log.state()}))
+        tensors = {"times": torch.from_numpy(tracks.times), "xyz": torch.from_numpy(tracks.xyz)}
+        checkpoint.write(Saved(1, tensors, {"rest": tracks.rest, "log": log.state()}))
     voxel = rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
@@ -186,15 +186,3 @@ def _while_moving(tracks: Tracks, surface: Surface, voxel: float) -> Float[np.nd
     away = np.linalg.norm(tracks.xyz - surface.xyz, axis=-1)
     moved = np.percentile(away, 100 * (1 - MOVING_SHARE), axis=1) > STILL * voxel
     return tracks.xyz[moved] if moved.any() else tracks.xyz
-
-
-def _no_flow() -> FlowEstimator:
-    """For films that are only counted."""
-
-    class Nothing:
-        name, parallel = "none", True
-
-        def estimate(self, image0: np.ndarray, image1: np.ndarray) -> np.ndarray:
-            return np.zeros((*image0.shape[:-1], 2), np.float32)
-
-    return Nothing()

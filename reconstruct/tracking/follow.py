@@ -30,6 +30,7 @@ CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
 HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
 FEWEST_SEEN = 20  # points, of which a camera says something
 LEARN_EVERY = 4  # moments
+MOST_MOMENTS = 300  # of a long clip, of which not every picture is looked at
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ def follow_both_ways(
     gap = min(float(np.median(np.diff(film.times))) for film in films)
     last = max(float(film.times[-1]) for film in films)
     first = min(float(film.times[0]) for film in films)
+    gap = max(gap, (last - first) / MOST_MOMENTS)
     after, before = (
         max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
     )
