@@ -11,7 +11,7 @@ from devrf.reconstruct.geometry.seen import look, poses
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.rest_model import RestModel
 
-SPACING = 1.5  # voxels between points
+SPACING = 1.2  # voxels between points: with 1.5 small things are lost
 
 
 @dataclass(frozen=True)
