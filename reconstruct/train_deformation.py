@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from devrf.capture.errors import ReconstructError
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
@@ -102,17 +103,22 @@ def _movers(
     if found is None:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
     tracking_s = time.monotonic() - start
-    trained = train_movers(
-        boxed,
-        rest,
-        found.stands,
-        found.movers,
-        options,
-        device,
-        lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
-        checkpoint.part("movers"),
-    )
     parts = found.movers.parts
+    try:
+        trained = train_movers(
+            boxed,
+            rest,
+            found.stands,
+            found.movers,
+            options,
+            device,
+            lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
+            checkpoint.part("movers"),
+        )
+    except ReconstructError as error:
+        if error.code != "training-diverged":
+            raise
+        return Decision("movers", "none", f"{parts} rigid parts", str(error))
     gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
     if trained.unshaded_gain_db < LEAST_GAIN_DB:
         reason = f"{parts} rigid parts gained {gains}, expected {LEAST_GAIN_DB} without"

@@ -40,7 +40,7 @@ FOG = 0.004  # opacity of a step, of what could stand where movers are
 ZONE = 2  # voxels around movers in which it could
 OCCUPANCY_EVERY = 50  # iterations
 LOG_EVERY = 50
-AT_ONCE = 1 << 13  # held-back rays
+AT_ONCE, HELD_EVERY = 1 << 13, 4  # held-back rays; pictures of which one is asked
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ class _Recipe:
         """Mean squared errors of rays held back: if nothing moved, as it is, without shading."""
         still = DynamicModel(self.rest)
         sums = torch.zeros(3, dtype=torch.float64)
-        batch = self.held_back.rays_of(torch.arange(len(self.rays), device=self.device))
+        batch = self.held_back.rays_of(torch.arange(0, len(self.rays), HELD_EVERY, device=self.device))
         assert batch is not None  # some pixel of many pictures is held back
         for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
             some = self.rays.at(frame, pixel)

@@ -18,6 +18,7 @@ from devrf.pipelines.health.training import mover_rows
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.guard import diverged
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
 from devrf.reconstruct.movers import Movers, render_layered
@@ -275,3 +276,15 @@ def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: R
 def test_shading_that_does_the_work_of_motion_is_said() -> None:
     (row,) = mover_rows({"movers_gain_db": 4.0, "movers_unshaded_gain_db": 1.0})
     assert row.verdict == "warn" and row.value == pytest.approx(75.0)
+
+
+def test_movers_whose_training_diverges_give_way_to_a_field(
+    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def runs_away(*arguments: object) -> None:
+        raise diverged("the loss")
+
+    tracked(TRAVEL)
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", runs_away)
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow())
+    assert model.movers is None and "training diverged" in metrics["decisions"][0]
