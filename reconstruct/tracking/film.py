@@ -4,7 +4,6 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
@@ -122,6 +121,8 @@ def sampled(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def fetched(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The same at pixels whose centres are at whole numbers."""
+    import cv2  # only what tracks needs it
+
     rows = -(-len(at) // ROW)  # OpenCV has a limit for the length of rows
     if not rows:
         return np.zeros((0, *values.shape[2:]), np.float32)
@@ -134,6 +135,8 @@ def fetched(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def round_trip(flow: np.ndarray, back: np.ndarray) -> np.ndarray:
     """By how many pixels one misses where one started, there and back [h, w]."""
+    import cv2
+
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in flow.shape[1::-1]))
     there = cv2.remap(
         back, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -143,6 +146,8 @@ def round_trip(flow: np.ndarray, back: np.ndarray) -> np.ndarray:
 
 def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
     """By a Gaussian of a standard deviation in pixels; 0: as it is."""
+    import cv2
+
     return cv2.GaussianBlur(picture, (0, 0), sigma) if sigma > 0 else picture
 
 
