@@ -26,9 +26,9 @@ from devrf.reconstruct.check_rest import (
     voxel_width,
 )
 from devrf.reconstruct.displacement import Displacement, displacement, textured_blocks
-from devrf.reconstruct.pictures import clips, spread, stands
+from devrf.reconstruct.pictures import spread
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.still_picture import FEWEST_PICTURES, plate
+from devrf.reconstruct.still_picture import plate, standing_clips
 
 LEAST_KNOWN = 0.02  # of the picture, for an error that means something
 MOMENTS = 3  # pictures before and after the one at rest: clocks are seldom wrong by more
@@ -86,7 +86,7 @@ def check_plates(
     """
     scene = scene.in_box_frame()
     render = render or renderer_at_rest(rest)
-    standing = {n: c for n, c in clips(scene).items() if len(c) >= FEWEST_PICTURES and stands(c)}
+    standing = standing_clips(scene)
     if scene.background != "shell" or not standing:
         return {}, []
     held_out = spread([frame for frame in scene.static if frame.split == "test"], HELD_OUT)

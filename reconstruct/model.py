@@ -5,7 +5,7 @@ background). Surroundings do not move, so a camera that stands still needs them 
 """
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -135,30 +135,33 @@ class DynamicModel:
         self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"], times: Float[Tensor, " R"]
     ) -> Seen:
         """What rays see in the box, each at its own time in [0, 1]; `chunk` at a time."""
-        parts = []
+        rgb, left, depth = torch.zeros_like(rays_o), torch.ones_like(times), torch.zeros_like(times)
+        for part, seen in self._parts_at(rays_o, rays_d, times):
+            rgb[part], left[part], depth[part] = seen.rgb, seen.left, seen.depth
+        return Seen(rgb, left, depth)
+
+    def _parts_at(
+        self, rays_o: Tensor, rays_d: Tensor, times: Tensor
+    ) -> Iterator[tuple[Tensor, Layered | Moved]]:
+        """Numbers of some of the rays, and what they see."""
         if self.movers is not None:
             moments, frame = times.unique(return_inverse=True)
             placed = self.movers.placed(moments)
             for part in torch.arange(len(times), device=times.device).split(self.chunk):
                 middle = torch.full_like(times[part], 0.5)
-                parts.append((part, _layered(self, placed, frame[part], rays_o[part], rays_d[part], middle)))
-        else:
-            assert self.motion is not None  # asked of models with motion only
-            motion, rest = self.motion, self.in_motion or self.rest
-            tau = motion.tau(times)
-            interval = tau.long().clamp(max=motion.keys - 2)
-            for first in interval.unique().tolist():
-                window = motion.window(first, first + 1, rays_o.device)
-                mine = (interval == first).nonzero()[:, 0]
-                live = live_distance(rest, window, (tau[mine] - first).unique(), 1)
-                for part in mine.split(self.chunk):
-                    at, middle = (tau[part] - first).contiguous(), torch.full_like(tau[part], 0.5)
-                    seen = render_moved(rest, window, live, rays_o[part], rays_d[part], at, middle)
-                    parts.append((part, seen))
-        rgb, left, depth = torch.zeros_like(rays_o), torch.ones_like(times), torch.zeros_like(times)
-        for part, seen in parts:
-            rgb[part], left[part], depth[part] = seen.rgb, seen.left, seen.depth
-        return Seen(rgb, left, depth)
+                yield part, _layered(self, placed, frame[part], rays_o[part], rays_d[part], middle)
+            return
+        assert self.motion is not None  # asked of models with motion only
+        motion, rest = self.motion, self.in_motion or self.rest
+        tau = motion.tau(times)
+        interval = tau.long().clamp(max=motion.keys - 2)
+        for first in interval.unique().tolist():
+            window = motion.window(first, first + 1, rays_o.device)
+            mine = (interval == first).nonzero()[:, 0]
+            live = live_distance(rest, window, (tau[mine] - first).unique(), 1)
+            for part in mine.split(self.chunk):
+                at, middle = (tau[part] - first).contiguous(), torch.full_like(tau[part], 0.5)
+                yield part, render_moved(rest, window, live, rays_o[part], rays_d[part], at, middle)
 
     def around_camera(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
         """Surroundings of all pixels of a camera, row by row; remembered. `between` as `render_layers`'."""

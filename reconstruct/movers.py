@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -52,14 +52,12 @@ class Layered(NamedTuple):
         rgb: Colour of the box alone.
         left: Transmittance of the box.
         depth: Weighted distance of what is seen in the box.
-        moving: How much of it is a mover.
         weights, colours, ray_id: Of the samples that have a colour; no colours where they are deferred.
     """
 
     rgb: Float[Tensor, "R 3"]
     left: Float[Tensor, " R"]
     depth: Float[Tensor, " R"]
-    moving: Float[Tensor, " R"]
     weights: Float[Tensor, " S"]
     colours: Float[Tensor, "S 3"] | None
     ray_id: Int[Tensor, " S"]
@@ -222,13 +220,10 @@ class Movers:
     def _distance(self, part: int) -> tuple[Int[Tensor, "3"], UInt8[Tensor, "A B C"]]:
         """Voxels to a part around it, and the first vertex of where they are known."""
         own = self.labels == part
-        at = own.nonzero()
-        if not len(at):
+        if not bool(own.any()):
             nowhere = torch.full((1, 1, 1), REACH, dtype=torch.uint8, device=own.device)
             return torch.zeros(3, dtype=torch.int64, device=own.device), nowhere
-        last = torch.tensor(own.shape, device=own.device) - 1
-        lo, hi = (at.amin(0) - REACH).clamp(min=0), torch.minimum(at.amax(0) + REACH, last)
-        cut = tuple(slice(int(a), int(b) + 1) for a, b in zip(lo, hi, strict=True))
+        lo, _, cut = _around(own, REACH)
         return lo, distance(own[cut].contiguous())
 
     def volumes(self) -> list[Volume | None]:
@@ -246,16 +241,13 @@ class Movers:
         own = grown(self.labels == part)
         if not bool(own.any()):
             return None
-        at = own.nonzero()
-        last = torch.tensor(k.shape, device=at.device) - 1
-        lo, hi = (at.amin(0) - 1).clamp(min=0), torch.minimum(at.amax(0) + 1, last)
-        cut = tuple(slice(int(a), int(b) + 1) for a, b in zip(lo, hi, strict=True))
+        lo, hi, cut = _around(own, 1)
         density = torch.where(own[cut], k.density[cut][..., 0], EMPTY).contiguous()
         alpha = 1 - torch.exp(-k.interval * F.softplus(density + k.shift))
         occupied = grown(alpha > k.alpha_threshold) & own[cut]
         low, high = k.aabb
-        step = (high - low) / last.cpu()
-        box = torch.stack([low + lo.cpu() * step, low + hi.cpu() * step])
+        step = (high - low) / (torch.tensor(k.shape) - 1)
+        box = low + torch.stack([lo, hi]).cpu() * step
         return Volume(
             density,
             distance(occupied),
@@ -266,6 +258,14 @@ class Movers:
             k.alpha_threshold,
             k.weight_threshold,
         )
+
+
+def _around(own: Bool[Tensor, "X Y Z"], margin: int) -> tuple[Tensor, Tensor, tuple[slice, ...]]:
+    """First and last vertex of the box of some vertices with a margin, and how it is cut out of a grid."""
+    at = own.nonzero()
+    last = torch.tensor(own.shape, device=own.device) - 1
+    lo, hi = (at.amin(0) - margin).clamp(min=0), torch.minimum(at.amax(0) + margin, last)
+    return lo, hi, tuple(slice(a, b + 1) for a, b in zip(lo.tolist(), hi.tolist(), strict=True))
 
 
 def render_layered(
@@ -300,7 +300,7 @@ def render_layered(
     alpha = alpha.index_put((moved,), movers.canonical.alpha(x[moved], grads[2]))
     weights, left = composite_weights(alpha, offsets)
     with torch.no_grad():
-        of_movers = accumulate(weights, torch.stack([t, (part > 0).float()], 1), ray_id, rays)
+        depth = accumulate(weights, t[:, None], ray_id, rays)[:, 0]
     counts = (weights.detach() > COUNTS).nonzero()[:, 0]
     x, ray_id, t, part, samples_d = (values[counts] for values in (x, ray_id, t, part, samples_d))
     weights = weights[counts]
@@ -320,7 +320,7 @@ def render_layered(
         if light is not None:
             colours = colours * torch.exp(light)[:, None]
         rgb = accumulate(weights, colours, ray_id, rays)
-    return Layered(rgb, left, of_movers[:, 0], of_movers[:, 1], weights, colours, ray_id)
+    return Layered(rgb, left, depth, weights, colours, ray_id)
 
 
 def _deferred(

@@ -11,9 +11,8 @@ import torch
 from jaxtyping import UInt8
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.pictures import clips, stands
 from devrf.reconstruct.rays import RayBatch, RaySet
-from devrf.reconstruct.still_picture import FEWEST_PICTURES, plate
+from devrf.reconstruct.still_picture import plate, standing_clips
 
 SHARE = 0.2  # of the rays of an iteration
 
@@ -23,8 +22,7 @@ def plates(scene: Scene, device: str) -> tuple[RaySet | None, dict[str, float]]:
 
     Where nothing is seen beside the subject (a plain background) and of cameras that move there are none.
     """
-    found = clips(scene) if scene.background == "shell" else {}
-    standing = {name: clip for name, clip in found.items() if len(clip) >= FEWEST_PICTURES and stands(clip)}
+    standing = standing_clips(scene) if scene.background == "shell" else {}
     if not standing:
         return None, {}
     kept: dict[str, np.ndarray] = {}

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, UInt8
 from scipy.ndimage import binary_opening, gaussian_filter, maximum_filter
 
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.reconstruct.pictures import spread, stands
+from devrf.reconstruct.pictures import clips, spread, stands
 
 MOST_PICTURES, FEWEST_PICTURES = 61, 5  # of a plate
 MOST_BYTES = 1 << 28  # of a plate's pictures: 43 of 1920 x 1080
@@ -48,6 +48,15 @@ class StillPicture:
         """Where a picture of the same camera shows something else, and a little around."""
         blurred = gaussian_filter(picture - self.picture, (BLUR_PX, BLUR_PX, 0))
         return maximum_filter(np.abs(blurred).max(axis=-1) > DIFFERENCE, size=2 * REACH_PX + 1)
+
+
+def standing_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
+    """Pictures of the training cameras that stand and have enough of them for a plate, by camera."""
+    return {
+        name: frames
+        for name, frames in clips(scene).items()
+        if len(frames) >= FEWEST_PICTURES and stands(frames)
+    }
 
 
 def still_picture(scene: Scene, frames: Sequence[PosedFrame]) -> StillPicture | None:

@@ -5,8 +5,9 @@ stands; else, and where that explains too little, motion is a field (`train_moti
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,27 +59,25 @@ def train_deformation(
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
     reference: str | None = None,
-    estimator: FlowEstimator | None = None,
+    estimator: Callable[[], FlowEstimator] | None = None,
 ) -> tuple[DynamicModel, dict[str, Any]]:
     """The scene at rest with its motion, and what was measured.
 
     Arguments and errors as `train_motion`'s, and `reference`: the camera whose clock is everyone's; without one no late
-    camera is looked for; `estimator`: of optical flow; without one nothing is tracked.
+    camera is looked for; `estimator`: makes one of optical flow where something is tracked; without it nothing is.
     """
+    searched = reference if options.find_late_camera else None
     reason = None
     if options.together and estimator is not None and trackable(scene, rest):
-        found = _movers(scene, rest, options, device, progress, checkpoint, estimator)
+        track = partial(
+            _movers, rest=rest, options=options, device=device, progress=progress, estimator=estimator()
+        )
+        found = track(scene, checkpoint=checkpoint)
         if not isinstance(found, Decision):
-            late = None
-            if reference is not None and options.find_late_camera:
-                late = _late_for(found[0], scene, rest, options, device, reference)
-            if late is None:
-                return found
-            return _with_late_movers(
-                scene, rest, options, device, progress, checkpoint, estimator, found, late
-            )
+            late = None if searched is None else _late_for(found[0], scene, rest, options, device, searched)
+            return found if late is None else _with_late_movers(scene, track, checkpoint, found, late)
         reason = found
-    model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch, reference)
+    model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch, searched)
     if reason is not None:
         metrics["decisions"].append(str(reason))
     return model, metrics
@@ -158,20 +157,15 @@ def _late_for(
 
 def _with_late_movers(
     scene: Scene,
-    rest: RestModel,
-    options: MotionOptions,
-    device: str,
-    progress: Progress,
+    track: Callable[..., tuple[DynamicModel, dict[str, Any]] | Decision],
     checkpoint: Checkpoint,
-    estimator: FlowEstimator,
     before: tuple[DynamicModel, dict[str, Any]],
     late: tuple[str, float],
 ) -> tuple[DynamicModel, dict[str, Any]]:
     """Movers with the clock of one camera moved, if these explain pixels held back better; else as before."""
     name, pictures = late
     offset_s = pictures * picture_gap_s(clips(scene)[name])
-    moved = moved_by(scene, name, offset_s)
-    again = _movers(moved, rest, options, device, progress, checkpoint.part("late"), estimator)
+    again = track(moved_by(scene, name, offset_s), checkpoint=checkpoint.part("late"))
     if isinstance(again, Decision):
         return before
     (model, metrics), (other, measured) = before, again
@@ -190,10 +184,9 @@ def _field(
     progress: Progress,
     checkpoint: Checkpoint,
     watch: Watch | None,
-    reference: str | None,
+    searched: str | None,
 ) -> tuple[DynamicModel, dict[str, Any]]:
-    """Motion as a field, then the scene at rest as it looks in motion."""
-    searched = reference if options.find_late_camera else None
+    """Motion as a field, then the scene at rest as it looks in motion; `searched`: whose clock is everyone's."""
     share, check = MOTION if options.fine_tuning or searched is not None else 1.0, _CheckedOnce()
     motion, metrics = train_motion(
         scene,

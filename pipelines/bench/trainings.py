@@ -144,7 +144,7 @@ class Bench:
                 checkpoint,
                 watch,
                 reference,
-                create_estimator("dis") if options.together and scene.background == "shell" else None,
+                partial(create_estimator, "dis"),
             )
             files = save_deformation(folder, trained)
             model = load_deformation(folder, rest, device)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from functools import partial
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
@@ -45,7 +46,7 @@ def run(context: StageContext) -> None:
         context.progress,
         checkpoint,
         reference=reference_camera(context.run_dir),
-        estimator=flow_estimator(context),
+        estimator=partial(flow_estimator, context),
     )
     save_deformation(context.out, model)
     for line in metrics["decisions"]:

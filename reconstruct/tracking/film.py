@@ -1,7 +1,7 @@
 """The pictures that one fixed camera took of the moving scene, at the size at which motion is tracked."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,12 +9,15 @@ from jaxtyping import Float32, UInt8
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.flow.consistency import both_ways
 from devrf.flow.estimator import FlowEstimator
-from devrf.reconstruct.pictures import clips, stands
-from devrf.reconstruct.still_picture import FEWEST_PICTURES
+from devrf.reconstruct.still_picture import standing_clips
 
 SIDE = 512  # pixels: the longest side of pictures that are tracked; finer ones gain less than they cost
-REMEMBERED = 12  # pictures of a film, and as many filtered ones
+PICTURES, SHARP = (
+    64,
+    3,
+)  # of a film that are remembered: those that points were first seen in are asked again and again
 # Of the high-pass: standard deviations at a longest side of 640 pixels, and what keeps the logarithm finite.
 FINE_PX, COARSE_PX, DARK, REFERENCE_SIDE = 0.7, 6.0, 0.05, 640
 ROW = 1024  # points that are looked up in a row
@@ -28,7 +31,6 @@ class Film:
     """One camera's pictures in the order of their times, read when they are asked for.
 
     Attributes:
-        name: Of the camera.
         camera: At the size of tracking, in the box frame.
         frames: Its pictures.
         times: Of the pictures, in the scene's time of [0, 1]; negative, in falling order, where time runs back.
@@ -38,7 +40,6 @@ class Film:
         plate: What stands, as the camera shows it [h, w, 3]; the model's picture where it never does.
     """
 
-    name: str
     camera: Camera
     frames: Sequence[PosedFrame]
     times: np.ndarray
@@ -52,19 +53,14 @@ class Film:
 
     def picture(self, n: int) -> Picture:
         """RGB in [0, 1]."""
-        if n not in self._pictures:
-            self._pictures[n] = load_image(self.frames[n], self.scale, self.background)
-            while len(self._pictures) > REMEMBERED:
-                self._pictures.popitem(last=False)
-        return self._pictures[n].astype(np.float32) / 255
+        read = _remembered(
+            self._pictures, n, PICTURES, lambda: load_image(self.frames[n], self.scale, self.background)
+        )
+        return read.astype(np.float32) / 255
 
     def sharp(self, n: int) -> Picture:
         """`high_pass` of a picture."""
-        if n not in self._sharp:
-            self._sharp[n] = self.high_pass(self.picture(n))
-            while len(self._sharp) > REMEMBERED:
-                self._sharp.popitem(last=False)
-        return self._sharp[n]
+        return _remembered(self._sharp, n, SHARP, lambda: self.high_pass(self.picture(n)))
 
     def high_pass(self, picture: Picture) -> Picture:
         """Contrast in the logarithm of brightness: without shading, which is no motion, and without noise."""
@@ -74,9 +70,8 @@ class Film:
 
     def flow(self, one: Picture, other: Picture) -> tuple[np.ndarray, np.ndarray]:
         """Flow between two high-pass pictures, and by how many pixels the flow back misses."""
-        grey = [_grey(picture) for picture in (one, other)]
-        flow, back = self.estimator.estimate(*grey), self.estimator.estimate(*grey[::-1])
-        return flow, round_trip(flow, back)
+        flow, missed, _ = both_ways(self.estimator, _grey(one), _grey(other))
+        return flow, missed
 
     def nearest(self, time: float, within: float) -> int | None:
         """The picture taken next to a time, if that is near enough."""
@@ -86,31 +81,22 @@ class Film:
     def backwards(self) -> "Film":
         """The same, run from its end to its beginning."""
         return Film(
-            self.name, self.camera, self.frames[::-1], -self.times[::-1], self.scale, self.background,
+            self.camera, self.frames[::-1], -self.times[::-1], self.scale, self.background,
             self.estimator, self.depth, self.plate,
         )  # fmt: skip
-
-
-def standing_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
-    """Pictures of the training cameras that stand and have enough of them."""
-    return {
-        name: frames
-        for name, frames in clips(scene).items()
-        if len(frames) >= FEWEST_PICTURES and stands(frames)
-    }
 
 
 def films(scene: Scene, estimator: FlowEstimator) -> list[Film]:
     """Of each fixed training camera; what stands is not known yet: no depth, and black plates."""
     out = []
-    for name, frames in standing_clips(scene).items():
+    for frames in standing_clips(scene).values():
         whole = frames[0].camera
         scale = min(1.0, SIDE / max(whole.width, whole.height))
         camera = whole.scaled(scale)
         size = (camera.height, camera.width)
         times = np.array([f.time for f in frames], dtype=float)
         depth, plate = np.full(size, np.inf), np.zeros((*size, 3), np.float32)
-        out.append(Film(name, camera, frames, times, scale, scene.background, estimator, depth, plate))
+        out.append(Film(camera, frames, times, scale, scene.background, estimator, depth, plate))
     return out
 
 
@@ -133,22 +119,23 @@ def fetched(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return out.reshape(rows * ROW, *values.shape[2:])[: len(at)]
 
 
-def round_trip(flow: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """By how many pixels one misses where one started, there and back [h, w]."""
-    import cv2
-
-    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in flow.shape[1::-1]))
-    there = cv2.remap(
-        back, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.linalg.norm(flow + there, axis=-1)
-
-
 def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
     """By a Gaussian of a standard deviation in pixels; 0: as it is."""
     import cv2
 
     return cv2.GaussianBlur(picture, (0, 0), sigma) if sigma > 0 else picture
+
+
+def _remembered(
+    kept: OrderedDict[int, np.ndarray], n: int, most: int, make: Callable[[], np.ndarray]
+) -> np.ndarray:
+    """What is kept of number `n`, or made now; those that were asked for longest ago go."""
+    if n not in kept:
+        kept[n] = make()
+        if len(kept) > most:
+            kept.popitem(last=False)
+    kept.move_to_end(n)
+    return kept[n]
 
 
 def _grey(high: Picture) -> UInt8[np.ndarray, "h w 3"]:

@@ -19,8 +19,8 @@ from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.still_picture import plate
-from devrf.reconstruct.tracking.film import Film, films, standing_clips
+from devrf.reconstruct.still_picture import plate, standing_clips
+from devrf.reconstruct.tracking.film import Film, films
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.moving_points import moving_points
@@ -35,7 +35,7 @@ SOLID = 0.5  # opacity of what stands from which it hides what is behind
 STILL, MOVING_SHARE = (
     0.75,
     0.05,
-)  # voxels; moments at which fewer points have moved by this say nothing of parts
+)  # voxels; share of the points that have moved by so much when moments say anything
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,13 @@ def find_movers(
     log = TrainingLog("cpu", 1)
     saved = checkpoint.found(log)
     if saved is not None and saved.tensors["xyz"].shape[1] == len(moving):
-        times, xyz = (saved.tensors[name].numpy() for name in ("times", "xyz"))
-        tracks = Tracks(times, xyz, saved.numbers["rest"])
+        tracks = Tracks(*(saved.tensors[name].numpy() for name in ("times", "xyz")))
     else:
         tracks = follow_both_ways(
             moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
         )
         tensors = {"times": torch.from_numpy(tracks.times), "xyz": torch.from_numpy(tracks.xyz)}
-        checkpoint.write(Saved(1, tensors, {"rest": tracks.rest, "log": log.state()}))
+        checkpoint.write(Saved(1, tensors, {"log": log.state()}))
     voxel = rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
@@ -133,7 +132,6 @@ def movers_of(
     rotations, shifts = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
     own = copy.copy(canonical)
     own.density = torch.where(region[..., None], canonical.density, EMPTY)
-    own.features = canonical.features.clone()
     own.rebuild_occupancy()
     of_vertex = torch.zeros(canonical.shape, dtype=torch.uint8, device=canonical.density.device)
     places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()

@@ -23,8 +23,11 @@ from devrf.reconstruct.tracking.solve import Pulls, step
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.templates import Templates
 
-ROUNDS, STEPS = 2, 2  # predictions drawn anew; Gauss-Newton steps of each
-SIGMAS = ((2.5, 1.2), (1.2, 0.0))  # pixels by which pictures are blurred in each round
+SIGMAS = (
+    (2.5, 1.2),
+    (1.2, 0.0),
+)  # pixels by which pictures are blurred, each time the prediction is drawn anew
+STEPS = 2  # of Gauss-Newton, of each
 LEAST_SIGMA = 0.7  # of a picture that is not blurred, as a weight
 CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
 HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
@@ -40,12 +43,10 @@ class Tracks:
     Attributes:
         times: Moments in the scene's time of [0, 1], rising and evenly spaced [t].
         xyz: Positions [t, p, 3], in the box frame.
-        rest: Number of the moment from which they were followed.
     """
 
     times: Float[np.ndarray, " t"]
     xyz: Float[np.ndarray, "t p 3"]
-    rest: int
 
 
 def follow_both_ways(
@@ -73,7 +74,7 @@ def follow_both_ways(
     )
     done = 0
 
-    def tell(_: float) -> None:
+    def tell() -> None:
         nonlocal done
         done += 1
         progress(done / (after + before))
@@ -82,7 +83,7 @@ def follow_both_ways(
     back = [film.backwards() for film in films]
     earlier = _follow(surface, graph, back, -rest_time + gap * np.arange(before + 1), tell)
     xyz = np.concatenate([earlier[:0:-1], later]).astype(np.float32)
-    return Tracks(rest_time + gap * np.arange(-before, after + 1), xyz, before)
+    return Tracks(rest_time + gap * np.arange(-before, after + 1), xyz)
 
 
 def _follow(
@@ -90,7 +91,7 @@ def _follow(
     graph: Graph,
     films: Sequence[Film],
     times: Float[np.ndarray, " t"],
-    tell: Callable[[float], object],
+    tell: Callable[[], object],
 ) -> Float[np.ndarray, "t p 3"]:
     side_by_side = all(film.estimator.parallel for film in films)
     with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
@@ -102,7 +103,7 @@ def _followed(
     graph: Graph,
     films: Sequence[Film],
     times: Float[np.ndarray, " t"],
-    tell: Callable[[float], object],
+    tell: Callable[[], object],
     pool: ThreadPoolExecutor,
 ) -> Float[np.ndarray, "t p 3"]:
     pose = before = Pose.rest(len(graph.nodes))
@@ -150,7 +151,7 @@ def _followed(
             for shot in shots:
                 xyz = was + shot.share * (now - was)
                 shot.templates.learn(shot.n, Sight(shot.film, xyz, normals, surface.spacing))
-        tell(time)
+        tell()
     return np.stack(out)
 
 
@@ -176,7 +177,7 @@ class _Sum:
 
     def all(self) -> Pulls:
         """What all of them want."""
-        return Pulls(np.arange(len(self.gradient)), self.hessian, self.gradient)
+        return Pulls(self.hessian, self.gradient)
 
 
 @dataclass

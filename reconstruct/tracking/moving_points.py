@@ -14,11 +14,11 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 from scipy.spatial import KDTree
 
 from devrf.reconstruct.pictures import spread
+from devrf.reconstruct.still_picture import MOST_PICTURES
 from devrf.reconstruct.tracking.film import Film, blurred, sampled
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.surface import Surface
 
-MOST_PICTURES = 61
 LOWEST = 5  # pictures by which a point's own noise is known; of fewer than 25, one in five
 CHANGED, CHANGED_RAW = 0.045, 0.06  # of the full range; brightness made equal, and as it is
 BLUR_PX, LIGHT_PX = 1.0, 2.0  # of colours; of brightness
@@ -56,10 +56,13 @@ def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray
 
     NaN where the camera did not see it at rest.
     """
+    out = np.full((2, len(surface)), np.nan)
+    at_rest = film.nearest(rest_time, float(np.diff(film.times).max()))
+    if at_rest is None:
+        return out
     sight = Sight(film, surface.xyz, surface.normals, surface.spacing)
     seen = np.flatnonzero(sight.seen)
-    at = sight.at[seen]
-    before = film.picture(int(np.argmin(np.abs(film.times - rest_time))))
+    at, before = sight.at[seen], film.picture(at_rest)
     colour, light = sampled(blurred(before, BLUR_PX), at), sampled(blurred(before.mean(-1), LIGHT_PX), at)
     apart: list[list[np.ndarray]] = [[], []]
     for n in spread(range(len(film.times)), MOST_PICTURES):
@@ -69,7 +72,6 @@ def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray
         gain = gain.clip(DARKER, BRIGHTER)
         apart[0].append(np.abs(now / gain[:, None] - colour).max(1) * np.minimum(1, gain))
         apart[1].append(np.abs(now - colour).max(1))
-    out = np.full((2, len(surface)), np.nan)
     if len(seen):
         for row, changes, least in zip(out, apart, (CHANGED, CHANGED_RAW), strict=True):
             stack = np.stack(changes)

@@ -1,7 +1,5 @@
 """Which surface points a camera sees: points are drawn as small squares, the nearest one counts."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from devrf.reconstruct.tracking.film import Film
@@ -37,12 +35,8 @@ class Sight:
         self.pixel = pixel
 
 
-class _Drawn(NamedTuple):
-    ids: np.ndarray
-    depth: np.ndarray
-
-
-def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> _Drawn:
+def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """The point at each pixel, -1 where there is none or what stands hides it, and its depth."""
     camera = film.camera
     width, height = camera.width, camera.height
     near = np.isfinite(at).all(1) & (z > 0)
@@ -68,4 +62,4 @@ def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> _Drawn:
         depth[on] = z[ids[on]]
         hidden = film.depth.reshape(-1) < depth - BEHIND
         ids[hidden] = -1
-    return _Drawn(ids.reshape(height, width), depth.reshape(height, width))
+    return ids.reshape(height, width), depth.reshape(height, width)

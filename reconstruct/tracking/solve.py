@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
@@ -16,11 +16,10 @@ LONGEST_STEP, LARGEST_TURN = 0.08, 0.5  # box units, radians
 
 
 class Pulls(NamedTuple):
-    """What pictures want of points: the quadratic x^T H x / 2 + b^T x of their moves."""
+    """What pictures want of all points: the quadratic x^T H x / 2 + b^T x of their moves; 0 where nothing is wanted."""
 
-    points: Int[np.ndarray, " m"]
-    hessian: Float[np.ndarray, "m 3 3"]
-    gradient: Float[np.ndarray, "m 3"]
+    hessian: Float[np.ndarray, "p 3 3"]
+    gradient: Float[np.ndarray, "p 3"]
 
 
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
@@ -51,10 +50,9 @@ def _data(
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], np.ndarray]:
     """Rows of the points' quadratics: three a point, by the root of its Hessian."""
     trace = np.trace(pulls.hessian, axis1=1, axis2=2)
-    kept = trace > 1e-6
-    points, hessian = pulls.points[kept], pulls.hessian[kept]
-    root = np.linalg.cholesky(hessian + np.eye(3) * (1e-6 * trace[kept, None, None] + 1e-9))
-    residual = np.linalg.solve(root, pulls.gradient[kept][..., None])[..., 0]
+    points = np.flatnonzero(trace > 1e-6)
+    root = np.linalg.cholesky(pulls.hessian[points] + np.eye(3) * (1e-6 * trace[points, None, None] + 1e-9))
+    residual = np.linalg.solve(root, pulls.gradient[points][..., None])[..., 0]
     by_node = np.einsum("pji,pkjc->pikc", root, graph.derivative(pose, points))  # the transposed root
     row = np.arange(3 * len(points)).reshape(-1, 3)
     column = 6 * graph.followed[points][:, :, None] + np.arange(6)

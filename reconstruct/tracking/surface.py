@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.geometry.cloud import point_cloud
+from devrf.reconstruct.geometry.cloud import Cloud, point_cloud
 from devrf.reconstruct.geometry.seen import look, poses
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.rest_model import RestModel
@@ -15,19 +15,13 @@ SPACING = 1.2  # voxels between points: with 1.5 small things are lost
 
 
 @dataclass(frozen=True)
-class Surface:
-    """Surface points at rest, in the box frame.
+class Surface(Cloud):
+    """Surface points at rest.
 
     Attributes:
-        xyz: Positions.
-        normals: Unit normals, outwards.
-        rgb: Colours of the model in [0, 1].
         spacing: Their distance from one another.
     """
 
-    xyz: Float[np.ndarray, "n 3"]
-    normals: Float[np.ndarray, "n 3"]
-    rgb: Float[np.ndarray, "n 3"]
     spacing: float
 
     def __len__(self) -> int:

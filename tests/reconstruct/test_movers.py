@@ -244,7 +244,7 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         assert model.movers is not None and model.in_motion is not None
         times = np.array([0.0, 0.5, 1.0])
         xyz = RADIUS * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-        tracks = Tracks(times, xyz + times[:, None, None] * travel, 0)
+        tracks = Tracks(times, xyz + times[:, None, None] * travel)
         surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
         found = Found(surface, tracks, np.zeros(3, int), model.in_motion.canonical, model.movers)
         monkeypatch.setattr("devrf.reconstruct.train_deformation.trackable", lambda scene, rest: True)
@@ -255,7 +255,7 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
 
 def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: RestModel, tracked) -> None:
     tracked(TRAVEL)
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow())
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None and model.in_motion is not None and model.motion is not None
     assert metrics["parts"] == 1 and metrics["points"] == 3 and metrics["keys"] == 3
     assert metrics["largest_motion"] == pytest.approx(np.linalg.norm(TRAVEL))
@@ -267,7 +267,7 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
 
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
     tracked(np.array([0.0, 0.0, -1.5]))  # out of the picture
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow())
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and model.motion is not None
     assert len(metrics["decisions"]) == 1 and "movers" in metrics["decisions"][0]
     assert list(mover_rows(metrics)) == []
@@ -286,5 +286,5 @@ def test_movers_whose_training_diverges_give_way_to_a_field(
 
     tracked(TRAVEL)
     monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", runs_away)
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow())
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and "training diverged" in metrics["decisions"][0]
