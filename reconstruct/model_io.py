@@ -330,9 +330,14 @@ def _kind(path: Path) -> str:
     """What a file says that it holds; nothing where it cannot be read, which `_load` says."""
     try:
         with safe_open(str(path), framework="pt", device="cpu") as file:
-            return str(json.loads((file.metadata() or {}).get("devrf", "{}")).get("kind", ""))
+            return str(_meta(file).get("kind", ""))
     except (SafetensorError, ValueError, RecursionError, OSError, AttributeError):
         return ""
+
+
+def _meta(file: Any) -> Any:
+    """What an open file says of its tensors."""
+    return json.loads((file.metadata() or {}).get("devrf", "{}"))
 
 
 def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -340,7 +345,7 @@ def _load(path: Path, kind: str, device: str) -> tuple[dict[str, Tensor], dict[s
         raise ReconstructError("file-missing", f"{path}: no model here; run the stage that makes it")
     try:
         with safe_open(str(path), framework="pt", device=device) as file:
-            meta = json.loads((file.metadata() or {}).get("devrf", "{}"))
+            meta = _meta(file)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             if not isinstance(meta, dict):
                 raise ValueError("its metadata are no names with values")

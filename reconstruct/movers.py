@@ -30,6 +30,7 @@ FARTHEST = 1e4  # box units: farther than any sample
 
 Grads = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
 """Buffers for the gradient: density and features of what stands, then of what moves."""
+NO_GRADS: Grads = (None, None, None, None)
 
 
 class Placed(NamedTuple):
@@ -277,7 +278,7 @@ def render_layered(
     rays_d: Float[Tensor, "R 3"],
     near: float,
     jitter: Float[Tensor, " R"],
-    grads: Grads = (None, None, None, None),
+    grads: Grads = NO_GRADS,
 ) -> Layered:
     """Colours of rays through what stands and what moves; differentiable in both and in the shading.
 

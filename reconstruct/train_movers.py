@@ -22,7 +22,7 @@ from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.model import Around, DynamicModel
-from devrf.reconstruct.movers import Layered, Movers, Placed, render_layered
+from devrf.reconstruct.movers import NO_GRADS, Grads, Layered, Movers, Placed, render_layered
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
@@ -142,8 +142,8 @@ class _Recipe:
             parameter.requires_grad_(True)
         self.stands, own = _own(stands, net), _own(movers.canonical, net)
         times = movers.times
-        light = Shading.none(own.aabb, float(times[0]), float(times[-1]), own.density.device)
-        self.movers = replace(movers, canonical=own, shading=light)
+        self.shading = Shading.none(own.aabb, float(times[0]), float(times[-1]), own.density.device)
+        self.movers = replace(movers, canonical=own, shading=self.shading)
         self.guard = Guard()
         self._begin()
 
@@ -164,8 +164,7 @@ class _Recipe:
             "movers features": GridTrainer(own.features),
         }
         self.net = torch.optim.Adam(stands.net.parameters(), 0.0, BETAS, EPS)
-        assert self.movers.shading is not None
-        self.light = torch.optim.Adam(self.movers.shading.parameters(), 0.0, BETAS)
+        self.light = torch.optim.Adam(self.shading.parameters(), 0.0, BETAS)
         self._look()
 
     def _look(self) -> None:
@@ -186,20 +185,11 @@ class _Recipe:
                 self.rays, self.changing, self.options.together_rays, 1.0, chosen, self.generator
             )
         )
-        grids = list(self.grids.values())
-        jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
-        seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
-        around = self.around.at(batch.frame, batch.pixel)
-        parts = _losses(around, seen, batch)
-        assert self.movers.shading is not None
-        loss = parts["mse"] + ENTROPY * parts["entropy"] + PER_POINT * parts["per_point"]
+        parts = self._losses(batch, self.around.at(batch.frame, batch.pixel))
         batch = self.sweep.draw(round(SWEEP * self.options.together_rays), self.generator)
         batch = replace(batch, frame=torch.full_like(batch.frame, len(self.rays)))
-        jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
-        seen = self._seen(batch, jitter, self.movers, tuple(grid.grad[0] for grid in grids))
-        still = _losses(self.at_rest.around(batch.rays_o, batch.rays_d), seen, batch)
-        loss = loss + SWEEP * (still["mse"] + ENTROPY * still["entropy"] + PER_POINT * still["per_point"])
-        (loss + self.movers.shading.penalty()).backward()
+        still = self._losses(batch, self.at_rest.around(batch.rays_o, batch.rays_d))
+        (_weighted(parts) + SWEEP * _weighted(still) + self.shading.penalty()).backward()
         decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.options.together)
         for name, grid in self.grids.items():
             grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
@@ -210,10 +200,18 @@ class _Recipe:
             optimiser.zero_grad()
         return parts
 
-    def _seen(
-        self, batch: RayBatch, jitter: Tensor, movers: Movers, grads: tuple[Tensor | None, ...] = (None,) * 4
-    ) -> Layered:
-        assert len(grads) == 4
+    def _losses(self, batch: RayBatch, around: Around) -> dict[str, Tensor]:
+        """Of rays before their surroundings; their gradient goes to the grids."""
+        density, features, own_density, own_features = (grid.grad[0] for grid in self.grids.values())
+        jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
+        seen = self._seen(batch, jitter, self.movers, (density, features, own_density, own_features))
+        return {
+            "mse": rendering_loss(around.compose(seen.rgb, seen.left), batch.rgb),
+            "entropy": entropy_loss(seen.left),
+            "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
+        }
+
+    def _seen(self, batch: RayBatch, jitter: Tensor, movers: Movers, grads: Grads = NO_GRADS) -> Layered:
         return render_layered(
             self.stands, movers, self.placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
             grads,
@@ -221,24 +219,22 @@ class _Recipe:
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        assert self.movers.shading is not None
         tensors = {"generator": self.generator.get_state()}
         tensors |= net_state(self.stands.net, self.net) | grids_state(self.grids)
         light = self.light.state_dict()["state"].get(0, {})
         tensors |= {f"light {name}": value for name, value in light.items()}
-        tensors["light"] = self.movers.shading.grid.detach()
+        tensors["light"] = self.shading.grid.detach()
         return tensors, {"guard": self.guard.state()}
 
     def take_up(self, saved: Saved) -> int:
         """Go on from a `state`, at a point at which the next step looks; returns the iterations behind it."""
         done, tensors, numbers = saved
-        assert self.movers.shading is not None
         take_up_grids(self.grids, tensors)
         take_up_net(self.stands.net, self.net, tensors)
         self.generator.set_state(tensors["generator"])
         self.guard.take_up(numbers["guard"])
         with torch.no_grad():
-            self.movers.shading.grid.copy_(tensors["light"])
+            self.shading.grid.copy_(tensors["light"])
         names = ("step", "exp_avg", "exp_avg_sq")
         if "light step" in tensors:
             light = {name: tensors[f"light {name}"] for name in names}
@@ -259,16 +255,14 @@ class _Recipe:
             mine.features.copy_(begun.features)
             mine.distance = begun.distance
         self.stands.net.load_state_dict(stands.net.state_dict())
-        assert self.movers.shading is not None
         with torch.no_grad():
-            self.movers.shading.grid.zero_()
+            self.shading.grid.zero_()
         self._begin()
 
     def finish(self) -> None:
         """No more training."""
         self._look()
-        assert self.movers.shading is not None
-        for parameter in (*self.stands.net.parameters(), *self.movers.shading.parameters()):
+        for parameter in (*self.stands.net.parameters(), *self.shading.parameters()):
             parameter.requires_grad_(False)
 
     @torch.no_grad()
@@ -291,12 +285,8 @@ class _Recipe:
         return values[0], values[1], values[2]
 
 
-def _losses(around: Around, seen: Layered, batch: RayBatch) -> dict[str, Tensor]:
-    return {
-        "mse": rendering_loss(around.compose(seen.rgb, seen.left), batch.rgb),
-        "entropy": entropy_loss(seen.left),
-        "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
-    }
+def _weighted(parts: dict[str, Tensor]) -> Tensor:
+    return parts["mse"] + ENTROPY * parts["entropy"] + PER_POINT * parts["per_point"]
 
 
 def _own(canonical: Canonical, net: torch.nn.Module) -> Canonical:
