@@ -44,7 +44,9 @@ class Heard:
     steep: list[Float[np.ndarray, " kinds"]] = field(default_factory=list)
 
     def add(self, values: Float[np.ndarray, "channels n"]) -> None:
-        """Listen to a block."""
+        """Listen to a block; one with another number of channels than those before is left out."""
+        if self.power and len(self.power[0]) != 1 + len(values):
+            return
         both = np.concatenate([values.mean(axis=0, keepdims=True), values])
         self.power.append(np.square(both).mean(axis=1))
         self.steep.append(
@@ -56,22 +58,20 @@ def choose(tracks: list[Heard]) -> Choice:
     """The channel in which most is to be heard, where the mean of the first track's channels will not do."""
     found = [(n, heard) for n, heard in enumerate(tracks) if heard.power]
     loud = [n for n, heard in found if np.mean(heard.power, axis=0).max() > SILENCE_RMS**2]
-    track = loud[0] if loud else found[0][0] if found else 0
-    other = (
-        f"track {track + 1} of {len(tracks)}, because nothing is to be heard in those before" if track else ""
-    )
     if not loud:
         return Choice()
+    track = loud[0]
     heard = tracks[track]
     power, steep = np.mean(heard.power, axis=0), np.mean(heard.steep, axis=0)
     clear = _clearness(np.array(heard.steep))
     channel = 1 + int(np.argmax(np.where(power[1:] > SILENCE_RMS**2, clear[1:], -1.0)))
-    which = f"channel {channel} of {len(power) - 1}"
+    where = f"track {track + 1} of {len(tracks)}"
+    which = f"channel {channel} of {len(power) - 1}" + (f" in {where}" if track else "")
     if len(power) > 2 and steep[0] < CANCELLED * steep[1:].max() and power[0] < CANCELLED * power[1:].max():
         return Choice(track, channel - 1, f"{which}, because the channels cancel in their mean")
     if len(power) > 2 and steep[0] < LOW * power[0] and clear[channel] > CLEARER * clear[0]:
         return Choice(track, channel - 1, f"{which}, because hum hides it in the mean of all")
-    return Choice(track, None, other)
+    return Choice(track, None, f"{where}, because nothing is to be heard in those before" if track else "")
 
 
 def _clearness(steep: Float[np.ndarray, "blocks kinds"]) -> Float[np.ndarray, " kinds"]:

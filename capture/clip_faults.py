@@ -44,13 +44,12 @@ class Repeats:
         # Of each frame: index, whether it is the same as the one before, whether something moved.
         self._frames: list[tuple[int, bool, bool]] = []
         self._last: UInt8[np.ndarray, "h w"] | None = None
-        self._first = 0
 
     def add(self, index: int, grey: UInt8[np.ndarray, "h w"]) -> None:
         """Look at frame `index`."""
         last, self._last = self._last, grey
         if last is None:
-            self._first = index
+            self._frames.append((index, False, False))
             return
         difference = cv2.absdiff(grey, last)
         moved = bool(np.count_nonzero(difference > MOVED_LEVEL) > MOVED_SHARE * difference.size)
@@ -59,7 +58,8 @@ class Repeats:
     def frames(self, empty: Sequence[int] = ()) -> list[int]:
         """Their indices; how a clip gets from `empty` frames to the others is no movement."""
         left_out = set(empty)
-        seen = [f for n, f in enumerate(self._frames) if not left_out & {f[0], self._before(n)}]
+        before = [self._frames[max(0, n - 1)][0] for n in range(len(self._frames))]
+        seen = [f for f, b in zip(self._frames, before, strict=True) if not left_out & {f[0], b}]
         same = np.array([same for _, same, _ in seen], dtype=bool)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
         found: list[int] = []
@@ -68,10 +68,6 @@ class Repeats:
             if inside and end - start <= LONGEST_REPEAT and seen[start - 1][2] and seen[end][2]:
                 found += [index for index, _, _ in seen[start:end]]
         return found
-
-    def _before(self, n: int) -> int:
-        """Index of the frame before the n-th that was compared with one."""
-        return self._frames[n - 1][0] if n else self._first
 
 
 def repeats_fault(repeated: list[int], count: int) -> Fault:

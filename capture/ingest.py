@@ -100,7 +100,7 @@ def write_frames(
         clocked = role in SOUND_ROLES
         frames = _with_clock_cues(got, sounds.get(name), path, whole) if clocked else got.frames
         cameras[name] = replace(frames, faults=(*frames.faults, *chapter_faults(path)))
-        if role in SOUND_ROLES:
+        if clocked:
             np.save(out / "motion" / f"{name}.npy", got.courses.motion)
             np.save(out / "brightness" / f"{name}.npy", got.courses.brightness)
         if got.light is not None:

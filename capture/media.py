@@ -60,6 +60,18 @@ def origin_s(container: InputContainer) -> float:
     return 0.0
 
 
+def tag(container: InputContainer, name: str) -> str | None:
+    """A tag of the file, or of the first of its streams that has it; None without."""
+    holders = (container.metadata, *(stream.metadata for stream in container.streams))
+    return next((tags[name] for tags in holders if name in tags), None)
+
+
+def mean_fps(container: InputContainer, path: Path) -> float | None:
+    """Announced mean rate of the pictures of `video_stream`, or None; errors as of it."""
+    rate = video_stream(container, path).average_rate
+    return float(rate) if rate else None
+
+
 def video_stream(container: InputContainer, path: Path, threads: int | None = None) -> VideoStream:
     """The stream of the largest pictures, the first of several; its decoder refuses pictures that are too large.
 

@@ -40,7 +40,7 @@ class Packets:
 
 
 def scan_packets(path: Path) -> Packets:
-    """Read the packets of a clip's first video stream.
+    """Read the packets of a clip's pictures: of the stream that `video_stream` takes.
 
     Raises:
         InputError: If the file is not a video.

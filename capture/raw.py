@@ -235,9 +235,8 @@ def check_unpacks(path: Path) -> None:
 def _damaged(path: Path, error: Exception) -> DevrfError:
     import rawpy
 
-    if isinstance(
-        error, rawpy.LibRawFileUnsupportedError
-    ):  # it opened, so it is the way its pixels are stored
+    # It opened, so it is the way its pixels are stored.
+    if isinstance(error, rawpy.LibRawFileUnsupportedError):
         words = compression_words(path) or "a way that it does not name"
         wrong = f"{path}: compressed by {words}, which LibRaw does not read"
         remedy = (

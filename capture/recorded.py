@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from devrf.capture.frames import Fault
-from devrf.capture.media import open_media
+from devrf.capture.media import mean_fps, open_media, tag
 from devrf.capture.timecode_track import timecode_rate
 
 TIMECODE = re.compile(r"(\d{2}):(\d{2}):(\d{2})([:;.])(\d{2,3})")
@@ -33,7 +33,8 @@ class Recorded:
     Attributes:
         created_s: Creation time, seconds since 1970 UTC; None where the file has none.
         timecode_s: Timecode of the first frame, seconds of the day; None where the file has none.
-        timecode_fps: Frames that the timecode counts in a second: its own track's rate, else that of the pictures.
+        timecode_fps: Frames that the timecode counts in a second: its own track's rate, else the usual one next to the
+            pictures'.
     """
 
     created_s: float | None = None
@@ -42,16 +43,17 @@ class Recorded:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """What a media file says of when it was recorded.
+    """What a clip says of when it was recorded.
 
     Raises:
-        InputError: If the file is missing or not a media file.
+        InputError: If the file is missing or not a video.
     """
     with open_media(path) as container:
-        tags = [dict(container.metadata), *(dict(stream.metadata) for stream in container.streams)]
-        fps = next((float(s.average_rate) for s in container.streams.video if s.average_rate), None)
-    created = next((t["creation_time"] for t in tags if "creation_time" in t), None)
-    code = next((t["timecode"] for t in tags if "timecode" in t), None)
+        created, code, fps = (
+            tag(container, "creation_time"),
+            tag(container, "timecode"),
+            mean_fps(container, path),
+        )
     fps = None if code is None else timecode_rate(path) or _counted(fps)
     code_s = timecode_s(code, fps) if code is not None and fps else None
     return Recorded(_epoch(created), code_s, fps if code_s is not None else None)

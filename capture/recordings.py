@@ -14,10 +14,7 @@ from devrf.capture.frames import Fault
 from devrf.capture.recorded import read_recorded
 from devrf.capture.video import probe_video
 
-CHAPTERS = (
-    re.compile(r"(G[HXLS])(\d{2})(\d{4})"),
-    re.compile(r"(GP)(\d{2})(\d{4})"),
-)  # kind, chapter, recording
+CHAPTER = re.compile(r"(G[HXLSP])(\d{2})(\d{4})")  # kind, chapter, recording
 FIRST_OF_OLD = re.compile(r"GOPR(\d{4})")
 NUMBERED = re.compile(r"(.*?)(\d+)")
 CARD_BYTES = (0.93 * 2**32, 2.0**32)  # of FAT; cameras stop somewhat before the end
@@ -32,9 +29,9 @@ LIVE_S = 4.0  # the clip that a phone takes with a photo lasts up to three secon
 
 def chapters(path: Path) -> list[Path]:
     """All files of the recording that a clip belongs to, in order; the clip alone where it is whole."""
-    found = [p for p in _named_alike(path) if p != path]
-    if found:
-        return sorted([path, *found], key=lambda p: (_chapter(p) or ("", 0))[1])
+    alike = _named_alike(path)
+    if len(alike) > 1:
+        return alike
     before, after = [path], [path]
     while (previous := _neighbour(before[0], -1)) is not None and _continues(previous, before[0]):
         before.insert(0, previous)
@@ -88,20 +85,18 @@ def _chapter(path: Path) -> tuple[str, int] | None:
     first = FIRST_OF_OLD.fullmatch(path.stem.upper())
     if first:
         return f"GP{first[1]}", 0
-    for pattern in CHAPTERS:
-        found = pattern.fullmatch(path.stem.upper())
-        if found:
-            return found[1] + found[3], int(found[2])
-    return None
+    found = CHAPTER.fullmatch(path.stem.upper())
+    return (found[1] + found[3], int(found[2])) if found else None
 
 
 def _named_alike(path: Path) -> list[Path]:
-    """Chapters of the same recording by their names, beside a clip."""
+    """A clip and the chapters of the same recording beside it, by their names, in order; none by another name."""
     own = _chapter(path)
     if own is None:
         return []
-    beside = (p for p in path.parent.iterdir() if p.suffix.lower() == path.suffix.lower())
-    return [p for p in beside if (_chapter(p) or ("", 0))[0] == own[0]]
+    beside = [p for p in path.parent.iterdir() if p.suffix.lower() == path.suffix.lower()]
+    numbers = {p: found[1] for p in beside if (found := _chapter(p)) is not None and found[0] == own[0]}
+    return sorted(numbers, key=numbers.__getitem__)
 
 
 def _neighbour(path: Path, step: int) -> Path | None:

@@ -127,8 +127,9 @@ def _checked_table(
     """The times of a table that fits the clips, as far as these can be read."""
     times = read_timestamps(table, cameras)
     for name, own in times.items():
-        clip_s = picture_times(cameras[name]).tolist() if name in clips else []
+        clip_s: list[float] = []
         if name in clips:
+            clip_s = picture_times(cameras[name]).tolist()
             check_indices(table, name, own, cameras[name], len(clip_s))
         check_table(table, name, own, table_factor(own, dict(enumerate(clip_s))))
     return times
@@ -169,13 +170,12 @@ def _check_folder(path: Path) -> list[Path]:
             probe_picture(picture)
         except DevrfError as error:
             broken.append(error)
-    raws = [picture for picture in pictures if is_raw(picture)]
-    if not broken:
-        for raw in {compression_of(raw): raw for raw in reversed(raws)}.values():  # the first of each kind
-            check_unpacks(raw)
     if broken:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise InputError(broken[0].code, f"{broken[0]}{more}")
+    raws = [picture for picture in pictures if is_raw(picture)]
+    for raw in {compression_of(raw): raw for raw in reversed(raws)}.values():  # the first of each kind
+        check_unpacks(raw)
     return pictures
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.capture.frames import Fault
-from devrf.capture.media import open_media
+from devrf.capture.media import mean_fps, open_media, tag
 
 FILMED_FPS = "com.android.capture.fps"  # tag of phones: pictures a second while filming
 SAME_RATE = 1.2  # rates and lengths that differ by more are not the same
@@ -12,16 +12,19 @@ LEAST_APART_S = 1.0  # of lengths: sound that starts late or ends early by less 
 WHOLE = 0.02  # a factor this near to a whole number is one
 
 
+def is_one(factor: float) -> bool:
+    """Whether a factor between two rates, or two lengths, says nothing."""
+    return 1 / SAME_RATE <= factor <= SAME_RATE
+
+
 def filmed_factor(path: Path) -> float | None:
     """How many times slower a clip plays than it was filmed, where its tags say; None where they do not.
 
     Raises:
-        InputError: If it is missing or not a media file.
+        InputError: If it is missing or not a video.
     """
     with open_media(path) as container:
-        tags = [container.metadata, *(stream.metadata for stream in container.streams)]
-        said = next((t[FILMED_FPS] for t in tags if FILMED_FPS in t), None)
-        fps = next((float(s.average_rate) for s in container.streams.video if s.average_rate), None)
+        said, fps = tag(container, FILMED_FPS), mean_fps(container, path)
     try:
         return None if said is None or not fps else float(said) / fps
     except ValueError:
@@ -35,13 +38,13 @@ def check_filmed_rate(path: Path) -> None:
         InputError: Naming the factor, and what makes the times true.
     """
     factor = filmed_factor(path)
-    if factor is None or factor <= 0 or 1 / SAME_RATE <= factor <= SAME_RATE:
+    if factor is None or factor <= 0 or is_one(factor):
         return
     wrong = f"{path}: filmed {factor:.3g} times as fast as it plays ({FILMED_FPS}), so its times are not true"
-    remedy = (
-        f"`ffmpeg -itsscale {1 / factor:.6g} -i IN.mp4 -map 0:v -c copy OUT.mp4` makes them so, without sound"
+    raise InputError(
+        "clip-slow-motion",
+        f"{wrong}; {_scaled(1 / factor)} makes them so, without sound; or give capture.timestamps",
     )
-    raise InputError("clip-slow-motion", f"{wrong}; {remedy}; or give capture.timestamps")
 
 
 def length_faults(pictures_s: float, sound_s: float) -> list[Fault]:
@@ -49,17 +52,22 @@ def length_faults(pictures_s: float, sound_s: float) -> list[Fault]:
     if min(pictures_s, sound_s) <= 0 or abs(pictures_s - sound_s) < LEAST_APART_S:
         return []
     factor = pictures_s / sound_s
-    if 1 / SAME_RATE <= factor <= SAME_RATE:
+    if is_one(factor):
         return []
     slow = round(factor) >= 2 and abs(factor / round(factor) - 1) < WHOLE
     found = f"{pictures_s:.2f} s of pictures, {sound_s:.2f} s of sound"
     if slow:
         remedy = (
-            f"Slow motion has such a factor: `ffmpeg -itsscale {1 / factor:.4g} -i IN.mp4 -map 0:v -c copy OUT.mp4` "
-            "makes its times true, without sound; as it is, its clock by sound is wrong."
+            f"Slow motion has such a factor: {_scaled(1 / factor)} makes its times true, without sound; as it is, its "
+            "clock by sound is wrong."
         )
     else:
         remedy = (
             "One of the two was cut or lost: copy the camera's own file again; clocks by sound need both."
         )
     return [Fault("length of pictures and sound", f"{found}: a factor of {factor:.3g}", remedy)]
+
+
+def _scaled(factor: float) -> str:
+    """The command that makes all times of a clip so many times as long."""
+    return f"`ffmpeg -itsscale {factor:.6g} -i IN.mp4 -map 0:v -c copy OUT.mp4`"

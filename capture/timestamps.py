@@ -13,12 +13,12 @@ from devrf.capture.errors import InputError
 from devrf.capture.frames import Fault
 from devrf.capture.limits import CLIP_S, TEXT_BYTES, check_bytes
 from devrf.capture.media import check_file
+from devrf.capture.slow_motion import is_one
 
 TIMESTAMP_COLUMNS = ("camera", "frame_index", "time_s")
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}  # of a second
 MOST_TIMES, LEAST_TIMES = 100.0, 1e-3  # a clip's own steps: no camera lies outside, another unit does
 MOST_FRAMES = 2**31  # of a clip; indices are whole numbers of 64 bits
-SAME_RATE = 1.2  # steps that differ by more are said
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def check_indices(table: Path, camera: str, times: FrameTimes, clip: Path, frame
 
 def table_faults(factor: float | None) -> list[Fault]:
     """What to say where a table's steps are not those of the clip, though both may be right: slow motion."""
-    if factor is None or 1 / SAME_RATE <= factor <= SAME_RATE:
+    if factor is None or is_one(factor):
         return []
     like = f"slow motion, {1 / factor:.3g} times" if factor < 1 else "a time lapse"
     return [

@@ -18,21 +18,22 @@ from devrf.capture.video_colour import LUMA_SHARES, colour_matrix, hdr_transfer,
 
 PLANES_420 = frozenset(("yuv420p", "yuvj420p"))
 JFIF = 5
+AS_STORED = Upright()
 MIDDLE = 128
 
 
-def jpeg_of(picture: av.VideoFrame, quality: int, upright: Upright | None = None) -> bytes | None:
+def jpeg_of(picture: av.VideoFrame, quality: int, upright: Upright = AS_STORED) -> bytes | None:
     """The picture as JPEG with halved colour; None where its planes are not 4:2:0 in bytes.
 
     Args:
         picture: As decoded.
         quality: 1 to 100.
-        upright: What makes it upright; None for nothing.
+        upright: What makes it upright.
     """
     planes = jfif_planes(picture)
     if planes is None:
         return None
-    turned = [np.ascontiguousarray(p if upright is None else upright.apply(p)) for p in planes]
+    turned = [np.ascontiguousarray(upright.apply(p)) for p in planes]
     return simplejpeg.encode_jpeg_yuv_planes(*turned, quality=quality)
 
 

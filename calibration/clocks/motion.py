@@ -133,10 +133,11 @@ def _root(energy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
 def _without_ends(energy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """The energy without what only happens as a file begins or ends: exposure that settles, a fade, a torn picture."""
     inner = energy[END_PICTURES:-END_PICTURES]
-    most, usual = END_TIMES * float(inner.max(initial=0.0)), float(np.median(inner)) if len(inner) else 0.0
+    if not len(inner):  # all of the clip is its ends
+        return energy
     ends = np.ones(len(energy), bool)
     ends[END_PICTURES:-END_PICTURES] = False
-    return np.where(ends & (energy > most), usual, energy)
+    return np.where(ends & (energy > END_TIMES * inner.max()), np.median(inner), energy)
 
 
 def _on_grid(

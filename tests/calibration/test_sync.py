@@ -189,6 +189,13 @@ def test_periodic_motion_is_refused():
     assert found is not None and not found.accepted
 
 
+def test_a_short_clip_is_not_taken_for_its_ends():
+    time_s = np.arange(15) / 25
+    clip = np.stack([time_s, 1 + np.exp(-(((time_s - 0.3) / 0.06) ** 2))], axis=1)
+    found = motion_delay(clip, clip)
+    assert found is not None and found.delay_s == pytest.approx(0.0, abs=0.5 / 25)
+
+
 def test_a_pair_that_contradicts_the_others_is_dropped():
     """One camera's microphone lags: all its pairs agree with each other. One wrong pair alone does not."""
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.audio import Sound, _place, read_sound, read_wav, write_wav
+from devrf.capture.audio_channels import Heard, choose
 
 
 def clicks(rate_hz: int, times_s: list[float], duration_s: float) -> np.ndarray:
@@ -108,3 +109,12 @@ def test_the_channel_in_which_something_is_to_be_heard(tmp_path, tracks, expecte
     sound = read_sound(track_file(tmp_path / "a.mkv", *tracks))
     assert sound is not None and bool(sound.taken) == bool(named) and sound.taken.startswith(named)
     np.testing.assert_allclose(sound.samples, expected, atol=2e-4)
+
+
+def test_blocks_of_another_number_of_channels_do_not_choose():
+    """Broadcasts change from two channels to six in the middle."""
+    heard, values = Heard(), microphone()[None]
+    for block in (np.concatenate([values, -values]), np.repeat(values, 6, axis=0)):
+        heard.add(block.astype(np.float32))
+    choice = choose([Heard(), heard])
+    assert choice.channel == 0 and choice.why.startswith("channel 1 of 2 in track 2 of 2")
