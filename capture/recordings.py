@@ -16,7 +16,7 @@ from devrf.capture.video import probe_video
 
 CHAPTER = re.compile(r"(G[HXLSP])(\d{2})(\d{4})")  # kind, chapter, recording
 FIRST_OF_OLD = re.compile(r"GOPR(\d{4})")
-NUMBERED = re.compile(r"(.*?)(\d+)")
+NUMBERED = re.compile(r"(.*?)(\d{4,})")  # as cameras count; `cam1` and `cam2` are two of them
 CARD_BYTES = (0.93 * 2**32, 2.0**32)  # of FAT; cameras stop somewhat before the end
 AT_ONCE_S = 1.0  # created in whole seconds; nobody stops and starts a camera so fast
 NEXT_FRAME_S = 0.1  # by timecode

@@ -49,6 +49,12 @@ def recording(path: Path, start_s: float, pictures: int) -> Path:
     return path
 
 
+def test_cameras_that_somebody_numbered_are_no_chapters(tmp_path):
+    parts = [recording(tmp_path / "cam1.mp4", 0.0, 100), recording(tmp_path / "cam2.mp4", 4.0, 25)]
+    for part in parts:
+        assert chapters(part) == [part]
+
+
 @pytest.mark.parametrize(
     "names", [("C0001.MP4", "C0002.MP4"), ("MVI_0009.MP4", "MVI_0010.MP4"), ("00000.MP4", "00001.MP4")]
 )
