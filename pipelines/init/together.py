@@ -33,21 +33,21 @@ def sort_clips(folder: Path, material: Material) -> Sorted:
     out = Sorted()
     photos = [photo for listed in (*material.photos.values(), material.unreadable) for photo in listed]
     live: list[Path] = []
-    later: set[Path] = set()
+    later: dict[Path, Path] = {}  # chapter -> the first of its recording
     for clip in material.clips:
         name, width, duration_s = clip.relative_to(folder).as_posix(), *_size(clip)
         copied = small_copy_of(clip, material.clips)
-        parts = chapters(clip)
         if is_of_photo(clip, photos, duration_s):
             live.append(clip)
         elif copied is not None and width <= SMALLER * _size(copied)[0]:
             out.left[name] = f"a small copy (proxy) of {copied.relative_to(folder).as_posix()}"
         elif clip in later:
-            out.left[name] = f"a later chapter of {parts[0].name}"
+            out.left[name] = f"a later chapter of {later[clip].name}"
         else:
             out.clips.append(clip)
+            parts = chapters(clip)
             if len(parts) > 1:
-                later.update(parts)
+                later.update(dict.fromkeys(parts, parts[0]))
                 names = ", ".join(part.name for part in parts)
                 out.doubts.append(
                     f"{name}: {names} are chapters of one recording, and only the first is used. Join them in "

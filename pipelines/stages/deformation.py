@@ -45,7 +45,7 @@ def run(context: StageContext) -> None:
         context.progress,
         checkpoint,
         reference=reference_camera(context.run_dir),
-        estimator=flow_estimator(context),
+        estimator=flow_estimator(context.config, context.scene_dir, context.device),
     )
     save_deformation(context.out, model)
     for line in metrics["decisions"]:
