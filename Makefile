@@ -6,7 +6,7 @@
 # make wheel     a wheel in dist/, installed with what it needs into an environment of its own outside of the tree, and tried
 #                there; PYTHONS="python3.10 python3.13": with each of these
 # make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
-# make pages     docs/commands.md and docs/configuration.md anew, from the program
+# make pages     docs/commands.md, docs/configuration.md and the JSON schema of scene.yaml anew, from the program
 
 PYTHON ?= python3
 VENV ?= .venv

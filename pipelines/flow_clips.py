@@ -1,10 +1,14 @@
 """The clips whose flow is needed, whether it is there already, and who finds it."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.estimator import FlowEstimator, create_estimator
-from devrf.pipelines.stage import StageContext
+
+if TYPE_CHECKING:
+    from devrf.pipelines.config.scene import SceneConfig
 
 
 def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
@@ -26,8 +30,7 @@ def time_of(frame: PosedFrame) -> float:
     return float(frame.time_s if frame.time_s is not None else frame.time or 0.0)
 
 
-def flow_estimator(context: StageContext) -> FlowEstimator:
+def flow_estimator(config: "SceneConfig", scene_dir: Path, device: str = "cpu") -> FlowEstimator:
     """The estimator that scene.yaml names."""
-    flow = context.config.flow
-    weights = context.config.path(context.scene_dir, flow.weights) if flow.weights else None
-    return create_estimator(flow.method, weights, context.device)
+    weights = config.path(scene_dir, config.flow.weights) if config.flow.weights else None
+    return create_estimator(config.flow.method, weights, device)

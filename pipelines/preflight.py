@@ -26,10 +26,9 @@ def check_inputs(config: SceneConfig, scene_dir: Path, stages: Collection[str]) 
     if problems:
         raise InputError("inputs-unusable", "\n".join(problems))
     if "flow" in stages and config.flow.method != "dis":  # DIS has nothing to be wrong
-        from devrf.flow.estimator import create_estimator
+        from devrf.pipelines.flow_clips import flow_estimator
 
-        weights = config.path(scene_dir, config.flow.weights) if config.flow.weights else None
-        create_estimator(config.flow.method, weights)
+        flow_estimator(config, scene_dir)
 
 
 def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:

@@ -18,12 +18,12 @@ from devrf.capture.errors import InputError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.progress import Progress
 from devrf.capture.scene import Scene
-from devrf.flow.estimator import create_estimator
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row, publish
 from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.exit_codes import DONE
+from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
@@ -144,7 +144,7 @@ class Bench:
                 checkpoint,
                 watch,
                 reference,
-                partial(create_estimator, "dis"),
+                partial(flow_estimator, self.run.config, self.run.scene_dir, device),
             )
             files = save_deformation(folder, trained)
             model = load_deformation(folder, rest, device)

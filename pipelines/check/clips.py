@@ -14,7 +14,7 @@ from devrf.capture.ingest import MAX_SWEEP_FRAMES
 from devrf.capture.photo_folders import list_pictures, unread_faults
 from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
-from devrf.capture.recorded import rate_faults, read_recorded
+from devrf.capture.recorded import Recorded, rate_faults, read_recorded
 from devrf.capture.recordings import chapter_faults
 from devrf.capture.sampled import read_runs
 from devrf.capture.scene import Rest
@@ -56,11 +56,9 @@ def planned_frames(
     used = set(range(look.count) if role != "sweep" else _sweep_pictures(look).tolist())
     times = look.times_s.tolist() or [None] * look.count
     faults = [] if true is None else table_faults(table_factor(true, dict(enumerate(look.times_s.tolist()))))
-    if not look.is_clip:
-        faults += unread_faults(look.path)
-    else:
-        faults += chapter_faults(look.path)
-        faults += rate_faults(read_recorded(look.path).timecode_fps, seen.fps_mean)
+    recorded = read_recorded(look.path) if look.is_clip else Recorded()
+    faults += chapter_faults(look.path) if look.is_clip else unread_faults(look.path)
+    faults += rate_faults(recorded.timecode_fps, seen.fps_mean)
     if sound is not None and true is None:
         faults += length_faults(look.duration_s, sound.end_s - sound.start_s)
     return CameraFrames(
@@ -77,6 +75,9 @@ def planned_frames(
         level=look.level,
         audio_start_s=None if sound is None else sound.start_s,
         missing_frames=seen.missing_frames,
+        created_s=recorded.created_s,
+        timecode_s=recorded.timecode_s,
+        timecode_fps=recorded.timecode_fps,
         notes=(*look.notes, *seen.notes),
         faults=tuple(faults),
     )

@@ -7,7 +7,6 @@ from devrf.capture.audio import Sound
 from devrf.capture.courses import read_courses
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames
-from devrf.capture.recorded import read_recorded
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.clock import REFUSED_BELOW, REMEDY
@@ -26,14 +25,13 @@ def clock_rows(
     settings, table = config.calibration.sync, session.timestamps is not None
     times = {name: sync.used_times(frames) for name, frames in moving.items()}
     spans = {name: (float(t[0]), float(t[-1])) for name, t in times.items()}
-    recorded = {name: read_recorded(session.cameras[name]) for name in moving}
 
     def solve(seconds: float) -> SyncResult:
         clips = session.cameras.items() if seconds else ()
         courses = {name: read_courses(path, seconds) for name, path in clips}
         brightness = {n: Brightness(c.brightness[:, 0], c.brightness[:, 1:]) for n, c in courses.items()}
         motion = {n: c.motion for n, c in courses.items()}
-        extras = Extras(brightness, recorded, settings.av_lag_s, settings.readout_s)
+        extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s)
         return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
 
     try:

@@ -46,7 +46,7 @@ def run(context: StageContext) -> None:
         context.progress,
         checkpoint,
         reference=reference_camera(context.run_dir),
-        estimator=partial(flow_estimator, context),
+        estimator=partial(flow_estimator, context.config, context.scene_dir, context.device),
     )
     save_deformation(context.out, model)
     for line in metrics["decisions"]:

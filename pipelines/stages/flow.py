@@ -36,7 +36,7 @@ def run(context: StageContext) -> None:
     scene = read_scene(context.run_dir / "scene")
     clips = training_clips(scene)
     brought = is_brought(clips)
-    estimator = None if brought else flow_estimator(context)
+    estimator = None if brought else flow_estimator(context.config, context.scene_dir, context.device)
     pixels = max(frame.camera.width * frame.camera.height for frames in clips.values() for frame in frames)
     side_by_side = estimator is None or estimator.parallel
     at_once = flow_at_once(context, pixels) if side_by_side else 1

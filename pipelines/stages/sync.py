@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -49,6 +49,11 @@ def run(context: StageContext) -> None:
     context.health.extend(health(frames.moving, result))
 
 
+def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
+    """What the files say of when they begin."""
+    return {n: Recorded(c.created_s, c.timecode_s, c.timecode_fps) for n, c in cameras.items()}
+
+
 def _solve(
     cameras: dict[str, CameraFrames], frames: FrameSet, context: StageContext, progress: Progress
 ) -> SyncResult:
@@ -58,7 +63,7 @@ def _solve(
     brightness = read_brightness(folder, frames)
     extras = Extras(
         {n: Brightness(b[:, 0], b[:, 1:]) for n, b in brightness.items() if n in cameras and len(b) > 1},
-        {n: Recorded(c.created_s, c.timecode_s, c.timecode_fps) for n, c in cameras.items()},
+        recorded(cameras),
         config.av_lag_s,
         config.readout_s,
     )

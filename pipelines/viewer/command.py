@@ -1,7 +1,6 @@
 """`devrf-pipeline view`: walk through a scene in a browser, also while it is being trained."""
 
 import errno
-import logging
 import os
 import socket
 import threading
@@ -71,9 +70,6 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int, names: Collect
             talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
             threading.Event().wait()
         finally:
-            # What threads and tasks of visitors meet who are cut off now is nobody's concern.
-            threading.excepthook = lambda met: None
-            logging.getLogger("asyncio").setLevel(logging.CRITICAL)
             if not site.close():
                 os._exit(STOPPED)  # Python would crash where it took itself apart beside native code
 

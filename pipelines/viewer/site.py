@@ -97,13 +97,12 @@ class Site:
         Returns:
             Whether it is: compiling kernels and learning how sure pictures are take longer, and cannot be broken off.
         """
+        # What threads and tasks of visitors meet who are cut off now is nobody's concern.
+        threading.excepthook = lambda met: logger.debug("after the end: %s", met.exc_value)
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         self._closed.set()
         self._wanted.set()
         self._thumbnails.end()
-        threading.excepthook = lambda what: logger.debug(
-            "after the end: %s", what.exc_value
-        )  # viser's threads
-        logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # and tasks, of visitors that are cut off
         self.server.stop()
         self._thread.join(ENDING_S)
         return not self._thread.is_alive()

@@ -151,7 +151,7 @@ class Counted(DisFlow):
 
 def test_a_run_that_was_stopped_finds_only_missing_pairs(context: StageContext, monkeypatch):
     def use(estimator: Counted) -> Counted:
-        monkeypatch.setattr(flow, "flow_estimator", lambda context: estimator)
+        monkeypatch.setattr(flow, "flow_estimator", lambda *of: estimator)
         return estimator
 
     use(Counted(2 * 5))  # cam1 comes first in the file: its two pairs and a gap, then three of cam0's four
@@ -166,14 +166,14 @@ def test_a_run_that_was_stopped_finds_only_missing_pairs(context: StageContext, 
 
 
 def test_pairs_of_another_method_are_not_taken_over(context: StageContext, monkeypatch):
-    monkeypatch.setattr(flow, "flow_estimator", lambda context: Counted(2 * 3))
+    monkeypatch.setattr(flow, "flow_estimator", lambda *of: Counted(2 * 3))
     with pytest.raises(KeyboardInterrupt):
         flow.run(context)
     config = context.config.model_copy(
         update={"flow": context.config.flow.model_copy(update={"method": "raft"})}
     )
     fresh = Counted(1000)
-    monkeypatch.setattr(flow, "flow_estimator", lambda context: fresh)
+    monkeypatch.setattr(flow, "flow_estimator", lambda *of: fresh)
     made_from = {"config": {"flow.method": "raft"}}
     flow.run(replace(context, config=config, made_from=made_from))
     assert fresh.asked == 2 * 6  # all pairs of both cameras but the gap
@@ -192,7 +192,7 @@ def test_no_pair_crosses_from_one_camera_to_another(context: StageContext, monke
             seen.append((int(image0[0, 0, 0]), int(image1[0, 0, 0])))
             return super().estimate(image0, image1)
 
-    monkeypatch.setattr(flow, "flow_estimator", lambda context: Watched(1000))
+    monkeypatch.setattr(flow, "flow_estimator", lambda *of: Watched(1000))
     flow.run(context)
     forth = seen[::2]  # the other half asks back
     assert forth == [(200 + n, 199 + n) for n in (11, 12)] + [(60 + n, 59 + n) for n in (11, 12, 13, 14)]
