@@ -207,7 +207,7 @@ def simulate(
     scene: Annotated[
         str | None,
         typer.Option(
-            help="What moves. session: sheet (default) or column; "
+            help="What moves. session: sheet (default), column, blocks, figure, plant, leaving, rod and others; "
             "devrf, devrf-forward: vehicle, robot, flower, glove or arm (default: vehicle; forward: flower)"
         ),
     ] = None,

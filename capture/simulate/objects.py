@@ -1,10 +1,14 @@
-"""Objects that deform: a sheet, whole or cut into strips, and a soft column; those that change are in `changing.py`."""
+"""Objects that deform: a sheet, whole or cut into strips, and a soft column.
+
+Those that change are in `changing.py`, those of several bodies in `bodies.py`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from devrf.capture.simulate.bodies import blocks, figure, leaving, plant, rod
 from devrf.capture.simulate.changing import appearing, ease, parting, tumbling
 from devrf.capture.simulate.scenes import PRINT, WOOD, Mesh, MovingObject, box, texture
 from devrf.capture.simulate.session_options import SessionOptions
@@ -128,4 +132,9 @@ OBJECTS = {
     "appearing": ObjectKind("a ball that is not there at rest and grows out of nothing", appearing),
     "parting": ObjectKind("a block that splits into two halves, which move apart", parting),
     "tumbling": ObjectKind("a block that turns over and shows the side that it stood on", tumbling),
+    "blocks": ObjectKind("a block that pushes another, and that one a ball", blocks),
+    "figure": ObjectKind("a person who walks", figure),
+    "plant": ObjectKind("a flower on a table that bends over and rises again", plant),
+    "leaving": ObjectKind("a small aircraft that leaves the pictures and comes back", leaving),
+    "rod": ObjectKind("a thin rod that swings", rod),
 }

@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.simulate.mitsuba import ShapeMaker, load_mitsuba, perspective
@@ -96,8 +96,7 @@ class Renderer:
 
     def _picture(self, camera: Camera, shapes: list[Any], seed: int, light: dict[str, Any]) -> np.ndarray:
         mi, lens = self._mi, self._lens(camera)
-        K = np.array([[lens.focal, 0, lens.width / 2], [0, lens.focal, lens.height / 2], [0, 0, 1.0]])
-        fine_camera = Camera(lens.width, lens.height, K, camera.cam_from_world)
+        fine_camera = lens.pinhole(camera)
         samples = {"type": "independent", "sample_count": self._spp}
         scene = mi.load_dict(
             {
@@ -134,6 +133,11 @@ class _Lens:
     focal: float
     maps: np.ndarray  # [SUBPIXELS H, SUBPIXELS W, 2], OpenCV's pixel convention, float32
 
+    def pinhole(self, camera: Camera) -> Camera:
+        """The ideal camera where `camera` stands."""
+        K = np.array([[self.focal, 0, self.width / 2], [0, self.focal, self.height / 2], [0, 0, 1.0]])
+        return Camera(self.width, self.height, K, camera.cam_from_world)
+
 
 def _make_lens(camera: Camera) -> _Lens:
     ideal = ideal_coordinates(camera, SUBPIXELS)
@@ -141,6 +145,16 @@ def _make_lens(camera: Camera) -> _Lens:
     half = np.ceil(np.abs(ideal).reshape(-1, 2).max(axis=0) * focal) + 2
     maps = ideal * focal + half - 0.5  # OpenCV's remap has pixel centres at whole numbers
     return _Lens(2 * int(half[0]), 2 * int(half[1]), focal, maps.astype(np.float32))
+
+
+def wide_pinhole(camera: Camera) -> Camera:
+    """An ideal camera in the same place that sees all the camera sees, finer."""
+    return _make_lens(camera).pinhole(camera)
+
+
+def sampled_through(camera: Camera, seen: Bool[np.ndarray, "fine_h fine_w"]) -> Bool[np.ndarray, "h w"]:
+    """Which pixels of the camera are set in at least half of their area, of a picture by its `wide_pinhole`."""
+    return _gather(seen[..., None].astype(np.float32), _make_lens(camera).maps, SUBPIXELS)[..., 0] >= 0.5
 
 
 def ideal_coordinates(camera: Camera, subpixels: int) -> np.ndarray:

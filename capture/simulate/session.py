@@ -7,6 +7,7 @@ exposure. `simulate_session` writes
     static.mp4, cam0.mp4, ..., witness.mp4      pictures (H.264) with their own clocks' times, and sound (AAC)
     charuco_static.mp4, charuco_cam0.mp4, ...   the board before each camera alone
     ground_truth.json                           what is true; OpenCV's conventions, metres, seconds
+    witness_mask.npz, object_points.npz         where something moves in the witness's pictures; the object's way
     scene.yaml                                  ready for `devrf-pipeline run`
 
 `ground_truth.json` holds, besides what docs/formats.md promises: `sweep` (K, k1 of the moving camera), per
@@ -29,6 +30,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.simulate import sound as sound
 from devrf.capture.simulate.furniture import furnished
 from devrf.capture.simulate.mitsuba import load_mitsuba
+from devrf.capture.simulate.moved import MovedMasks, ways
 from devrf.capture.simulate.objects import OBJECTS, make_object
 from devrf.capture.simulate.renderer import Finish, Renderer
 from devrf.capture.simulate.rig import FixedCamera, board_pose, fixed_cameras, sweep_cameras
@@ -125,6 +127,7 @@ def simulate_session(
             work.board_clip(name, camera)
     truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed, code)
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
+    _write_motion(out, fixed[-1], thing, still, around.behind, options)
     path = out / "scene.yaml"
     path.write_text(scene_yaml(scene, fixed, options), encoding="utf-8")
     return path
@@ -153,6 +156,25 @@ def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: Se
     if options.strip_m and scene != "sheet":
         wrong = f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips"
         raise InputError("options-contradict", f"{wrong}, expected --scene sheet")
+
+
+def _write_motion(
+    out: Path,
+    witness: FixedCamera,
+    thing: MovingObject,
+    still: Sequence[Mesh],
+    behind: list[Mesh],
+    options: SessionOptions,
+) -> None:
+    """Where something moves in the witness's pictures, and where points of the object's surface are then."""
+    moments = [witness.true_time(float(t)) for t in witness.file_times_s]
+    masks = MovedMasks(witness.camera, [thing.rest, *behind], still)
+    objects = [object_at(thing, moment, options) for moment in moments]
+    moved = [
+        masks([mesh, *background_at(behind, t, options)]) for t, mesh in zip(moments, objects, strict=True)
+    ]
+    np.savez_compressed(out / f"{witness.name}_mask.npz", mask=np.stack(moved))
+    np.savez_compressed(out / "object_points.npz", times_s=np.array(moments), points_m=ways(objects))
 
 
 def _check_folder(out: Path) -> None:

@@ -106,6 +106,28 @@ def test_pictures_are_at_rest_until_the_motion_begins(session: Path) -> None:
         assert change[true_s > TINY.rest_s + 0.3].min() > 2 * at_rest.max()
 
 
+def test_masks_are_where_the_witness_pictures_change(session: Path) -> None:
+    times, pictures = _pictures(session / "witness.mp4")
+    masks = np.load(session / "witness_mask.npz")["mask"]
+    assert masks.shape == pictures.shape[:3] and masks.dtype == bool
+    camera = _truth(session)["cams"]["witness"]
+    true_s = camera["offset_s"] + (1 + 1e-6 * camera["drift_ppm"]) * times
+    assert not masks[true_s <= TINY.rest_s].any()
+    changed = np.abs(pictures[-1].astype(float) - pictures[0]).mean(-1)
+    assert masks[-1].mean() > 0.05 and changed[masks[-1]].mean() > 4 * changed[~masks[-1]].mean()
+
+
+def test_points_of_the_object_go_as_its_truth_says(session: Path) -> None:
+    with np.load(session / "object_points.npz") as points:
+        times_s, points_m = points["times_s"], points["points_m"]
+    thing = _truth(session)["object"]
+    assert points_m.shape == (len(times_s), 2000, 3)
+    way = np.linalg.norm(points_m[-1] - points_m[0], axis=-1)
+    near = int(np.argmin(np.abs(np.array(thing["times_s"]) - times_s[-1])))
+    sparse = np.linalg.norm(np.subtract(thing["points_m"][near], thing["points_m"][0]), axis=-1)
+    assert np.median(way) == pytest.approx(np.median(sparse), abs=0.06)
+
+
 def test_claps_are_heard_when_the_truth_says(session: Path) -> None:
     truth = _truth(session)
     for name, camera in truth["cams"].items():

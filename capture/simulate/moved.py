@@ -1,0 +1,46 @@
+"""What moves in truth: where a camera sees it, and the way of points on its surface."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from devrf.capture.camera import Camera
+from devrf.capture.simulate.renderer import sampled_through, wide_pinhole
+from devrf.capture.simulate.scenes import Mesh
+from devrf.capture.simulate.studio import Studio
+from devrf.capture.simulate.truth import corners_of
+
+MOVED_M = 0.005  # a triangle has moved whose corners are farther than this from where they rest
+POINTS = 2000  # of the surface, whose way is written
+
+
+class MovedMasks:
+    """Masks of what moves in one camera's pictures."""
+
+    def __init__(self, camera: Camera, rest: Sequence[Mesh], still: Sequence[Mesh]) -> None:
+        """`rest` are the meshes that can move, where they rest; `still` all others."""
+        self._camera, self._still = camera, list(still)
+        self._studio = Studio(spp=1)
+        self._corners = corners_of(rest)
+        self._at_rest = self._triangles(rest)
+
+    def __call__(self, now: Sequence[Mesh]) -> Bool[np.ndarray, "h w"]:
+        """Pixels that show, now or at rest, a surface that is now elsewhere than at rest."""
+        gone = (np.linalg.norm(corners_of(now) - self._corners, axis=-1) > MOVED_M).any(-1)
+        gone = np.append(gone, False)  # number -1: what stands
+        return sampled_through(self._camera, gone[self._triangles(now)]) | sampled_through(
+            self._camera, gone[self._at_rest]
+        )
+
+    def _triangles(self, moving: Sequence[Mesh]) -> Int[np.ndarray, "h w"]:
+        """Numbers of the triangles of `moving` in a picture without distortion; -1 where something else is seen."""
+        numbers = self._studio.stage([*moving, *self._still]).triangles(wide_pinhole(self._camera))
+        return np.where(numbers < len(self._corners), numbers, -1)
+
+
+def ways(meshes_at: Sequence[Mesh]) -> Float[np.ndarray, "times n 3"]:
+    """Where points of a surface are, at most `POINTS` of them: one mesh for every time."""
+    count = len(meshes_at[0].vertices)
+    chosen = np.linspace(0, count - 1, min(POINTS, count)).round().astype(int)
+    return np.stack([mesh.vertices[chosen] for mesh in meshes_at]).astype(np.float32)
