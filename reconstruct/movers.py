@@ -280,7 +280,7 @@ def render_layered(
     jitter: Float[Tensor, " R"],
     grads: Grads = NO_GRADS,
 ) -> Layered:
-    """Colours of rays through what stands and what moves; differentiable in both and in the shading.
+    """Colours of rays through what stands and what moves; differentiable in both, in `placed` and in the shading.
 
     Args:
         stands: What stands.
@@ -294,6 +294,8 @@ def render_layered(
     """
     rays = len(rays_o)
     x, ray_id, t, part, samples_d = _samples(stands, movers, placed, frame, rays_o, rays_d, near, jitter)
+    if placed.rotations.requires_grad:
+        x = _taken_back(x, part, placed, frame[ray_id], rays_o[ray_id] + t[:, None] * rays_d[ray_id])
     offsets = torch.zeros(rays + 1, dtype=torch.int64, device=x.device)
     torch.cumsum(torch.bincount(ray_id, minlength=rays), 0, out=offsets[1:])
     still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]
@@ -336,6 +338,23 @@ def _deferred(
     mean = sums[:, :-1] / opacity.clamp_min(FAINT)
     every = torch.arange(rays, device=rays_d.device)
     return opacity * stands.net(mean[:, :-1], rays_d, every) * torch.exp(mean[:, -1:])
+
+
+def _taken_back(
+    x: Float[Tensor, "s 3"],
+    part: Int[Tensor, " s"],
+    placed: Placed,
+    frame: Int[Tensor, " s"],
+    now: Float[Tensor, "s 3"],
+) -> Float[Tensor, "s 3"]:
+    """Where samples of parts rest, once more by `placed`, so that gradients reach it; the others as they are."""
+    moved = (part > 0).nonzero()[:, 0]
+    every = torch.cat([placed.rotations.flatten(2), placed.shifts], dim=2)
+    key = frame[moved] * every.shape[1] + part[moved] - 1
+    # gather's gradient adds up in the same order each time; that of an index does not.
+    mine = every.flatten(0, 1).gather(0, key[:, None].expand(-1, 12))
+    rested = torch.einsum("sij,si->sj", mine[:, :9].unflatten(1, (3, 3)), now[moved] - mine[:, 9:])
+    return x.index_put((moved,), rested)
 
 
 @torch.no_grad()

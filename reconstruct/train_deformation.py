@@ -125,6 +125,8 @@ def _movers(
     keys = min(len(found.tracks.times), options.keys or options.most_keys)
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, keys, boxed.rest_time)
     assert model.motion is not None
+    longest, part = found.longest_lost()
+    middle = np.append(found.surface.xyz[found.labels == part].mean(0), 1.0)
     metrics = trained.metrics | {
         "keys": keys,
         "grid": list(model.motion.backward.shape[1:4]),
@@ -132,6 +134,9 @@ def _movers(
         "largest_motion": float(np.linalg.norm(found.tracks.xyz - found.surface.xyz, axis=-1).max()),
         "parts": parts,
         "points": len(found.surface),
+        "lost_share": round(float(found.tracks.lost.mean()), 4),
+        "longest_lost": longest,
+        "longest_lost_at": (np.linalg.inv(scene.box_from_world) @ middle)[:3].round(3).tolist(),
         "movers_gain_db": round(trained.gain_db, 3),
         "movers_unshaded_gain_db": round(trained.unshaded_gain_db, 3),
         "tracking_s": round(tracking_s, 1),

@@ -1,8 +1,9 @@
-"""What stands and what moves, trained together on all pictures of the moving cameras, the motion known.
+"""What stands and what moves, trained together on all pictures of the moving cameras, and the motion corrected.
 
-What stood behind a mover was never seen at rest, nor were all of its faces; both are filled in here. Shading takes what
-light does meanwhile: without it cast shadows would be painted on what is filled in. Pictures of the scene at rest are
-still made of what the sweep has taught.
+What stood behind a mover was never seen at rest, nor were all of its faces; both are filled in here. Tracks compare
+high-pass pictures; here what all pictures say of the whole corrects where parts are. Shading takes what light does
+meanwhile: without it cast shadows would be painted on what is filled in. Pictures of the scene at rest are still made
+of what the sweep has taught.
 """
 
 import copy
@@ -17,6 +18,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
+from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grown
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
@@ -34,6 +36,7 @@ from devrf.reconstruct.training_state import grids_state, net_state, take_up_gri
 
 PICTURES = 16  # of which an iteration's rays are
 LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; all fall by 10
+LR_PLACES = 0.03  # voxels; the same
 SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weight
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
 FOG = 0.004  # opacity of a step, of what could stand where movers are
@@ -134,8 +137,8 @@ class _Recipe:
         self.sweep = RaySet(still, scene.image_scale, scene.background, device)
         self.at_rest = DynamicModel(rest)
         rest_time = torch.tensor([scene.rest_time or 0.0], device=self.rays.times.device)
-        parts = zip(movers.placed(self.rays.times), movers.at_rest(rest_time), strict=True)
-        self.placed = Placed(*(torch.cat(pair) for pair in parts))  # the last one is that of the sweep
+        self.in_sweep = movers.at_rest(rest_time)
+        self.corrections = Corrections(movers, self.rays.times)
         self.generator = torch.Generator().manual_seed(options.seed)
         net = copy.deepcopy(stands.net)
         for parameter in net.parameters():
@@ -165,6 +168,7 @@ class _Recipe:
         }
         self.net = torch.optim.Adam(stands.net.parameters(), 0.0, BETAS, EPS)
         self.light = torch.optim.Adam(self.shading.parameters(), 0.0, BETAS)
+        self.places = torch.optim.Adam(self.corrections.parameters(), 0.0, BETAS)
         self._look()
 
     def _look(self) -> None:
@@ -185,35 +189,39 @@ class _Recipe:
                 self.rays, self.changing, self.options.together_rays, 1.0, chosen, self.generator
             )
         )
-        parts = self._losses(batch, self.around.at(batch.frame, batch.pixel))
+        parts = self._losses(batch, self.corrections.placed(), self.around.at(batch.frame, batch.pixel))
         batch = self.sweep.draw(round(SWEEP * self.options.together_rays), self.generator)
-        batch = replace(batch, frame=torch.full_like(batch.frame, len(self.rays)))
-        still = self._losses(batch, self.at_rest.around(batch.rays_o, batch.rays_d))
+        batch = replace(batch, frame=torch.zeros_like(batch.frame))
+        still = self._losses(batch, self.in_sweep, self.at_rest.around(batch.rays_o, batch.rays_d))
         (_weighted(parts) + SWEEP * _weighted(still) + self.shading.penalty()).backward()
         decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.options.together)
         for name, grid in self.grids.items():
             grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
-        for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING)):
+        places = LR_PLACES * self.stands.voxel
+        for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING), (self.places, places)):
             for group in optimiser.param_groups:
                 group["lr"] = decay * rate
             optimiser.step()
             optimiser.zero_grad()
         return parts
 
-    def _losses(self, batch: RayBatch, around: Around) -> dict[str, Tensor]:
-        """Of rays before their surroundings; their gradient goes to the grids."""
+    def _losses(self, batch: RayBatch, placed: Placed, around: Around) -> dict[str, Tensor]:
+        """Of rays before their surroundings; their gradient goes to the grids and to where parts are."""
         density, features, own_density, own_features = (grid.grad[0] for grid in self.grids.values())
         jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
-        seen = self._seen(batch, jitter, self.movers, (density, features, own_density, own_features))
+        grads = density, features, own_density, own_features
+        seen = self._seen(batch, jitter, self.movers, placed, grads)
         return {
             "mse": rendering_loss(around.compose(seen.rgb, seen.left), batch.rgb),
             "entropy": entropy_loss(seen.left),
             "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
         }
 
-    def _seen(self, batch: RayBatch, jitter: Tensor, movers: Movers, grads: Grads = NO_GRADS) -> Layered:
+    def _seen(
+        self, batch: RayBatch, jitter: Tensor, movers: Movers, placed: Placed, grads: Grads = NO_GRADS
+    ) -> Layered:
         return render_layered(
-            self.stands, movers, self.placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
+            self.stands, movers, placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
             grads,
         )  # fmt: skip
 
@@ -221,9 +229,10 @@ class _Recipe:
         """Everything that the next iteration depends on."""
         tensors = {"generator": self.generator.get_state()}
         tensors |= net_state(self.stands.net, self.net) | grids_state(self.grids)
-        light = self.light.state_dict()["state"].get(0, {})
-        tensors |= {f"light {name}": value for name, value in light.items()}
-        tensors["light"] = self.shading.grid.detach()
+        for name, (value, optimiser) in self._small().items():
+            tensors[name] = value.detach()
+            of_optimiser = optimiser.state_dict()["state"].get(0, {})
+            tensors |= {f"{name} {key}": one for key, one in of_optimiser.items()}
         return tensors, {"guard": self.guard.state()}
 
     def take_up(self, saved: Saved) -> int:
@@ -233,13 +242,17 @@ class _Recipe:
         take_up_net(self.stands.net, self.net, tensors)
         self.generator.set_state(tensors["generator"])
         self.guard.take_up(numbers["guard"])
-        with torch.no_grad():
-            self.shading.grid.copy_(tensors["light"])
-        names = ("step", "exp_avg", "exp_avg_sq")
-        if "light step" in tensors:
-            light = {name: tensors[f"light {name}"] for name in names}
-            self.light.load_state_dict(self.light.state_dict() | {"state": {0: light}})
+        for name, (value, optimiser) in self._small().items():
+            with torch.no_grad():
+                value.copy_(tensors[name])
+            if f"{name} step" in tensors:
+                of_optimiser = {key: tensors[f"{name} {key}"] for key in ("step", "exp_avg", "exp_avg_sq")}
+                optimiser.load_state_dict(optimiser.state_dict() | {"state": {0: of_optimiser}})
         return done
+
+    def _small(self) -> dict[str, tuple[Tensor, torch.optim.Adam]]:
+        """What is learned beside grids and MLP, with its optimiser, by name."""
+        return {"light": (self.shading.grid, self.light), "places": (self.corrections.values, self.places)}
 
     def go_back(self, log: TrainingLog, stands: Canonical, movers: Movers, iteration: int) -> None:
         """To the beginning, with smaller steps.
@@ -257,10 +270,12 @@ class _Recipe:
         self.stands.net.load_state_dict(stands.net.state_dict())
         with torch.no_grad():
             self.shading.grid.zero_()
+            self.corrections.values.zero_()
         self._begin()
 
     def finish(self) -> None:
         """No more training."""
+        self.movers = self.corrections.applied(self.movers)
         self._look()
         for parameter in (*self.stands.net.parameters(), *self.shading.parameters()):
             parameter.requires_grad_(False)
@@ -269,6 +284,7 @@ class _Recipe:
     def held_errors(self) -> tuple[float, float, float]:
         """Mean squared errors of rays held back: if nothing moved, as it is, without shading."""
         still = DynamicModel(self.rest)
+        placed = self.movers.placed(self.rays.times)
         sums = torch.zeros(3, dtype=torch.float64)
         batch = self.held_back.rays_of(torch.arange(0, len(self.rays), HELD_EVERY, device=self.device))
         assert batch is not None  # some pixel of many pictures is held back
@@ -277,7 +293,7 @@ class _Recipe:
             around = self.around.at(frame, pixel)
             middle = torch.full_like(some.time, 0.5)
             for n, movers in ((1, self.movers), (2, self.movers.unshaded())):
-                seen = self._seen(some, middle, movers)
+                seen = self._seen(some, middle, movers, placed)
                 sums[n] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()
             seen = still.box_at_rest(some.rays_o, some.rays_d)
             sums[0] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()

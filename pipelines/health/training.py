@@ -53,6 +53,9 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
     ]
 
 
+LOST_PICTURES = 2.0  # in a row, of a part: a tenth of a second of most cameras
+
+
 @listed
 def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
     """Whether tracked parts explain what changes; none where motion is a field."""
@@ -66,6 +69,16 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
         warn_above=100 * MOSTLY_SHADED,
         remedy="Brightness that changes explains what motion should: keep lights still and people's shadows out of "
         "the pictures; look at the film whether things move as in the clips, and give what moves more texture.",
+    )
+    at = ", ".join(f"{x:.2f}" for x in metrics["longest_lost_at"])
+    yield row(
+        "longest time that a moving part is lost",
+        metrics["longest_lost"],
+        "pictures",
+        warn_above=LOST_PICTURES,
+        remedy=f"Pictures show something else where a part should be that rests around ({at}): it moves on with what is "
+        "around it there, which may be wrong. Film at a higher rate, with a shorter exposure and more light; give "
+        "what moves fast more texture, and let two cameras see it at all times.",
     )
 
 

@@ -56,6 +56,15 @@ class Found:
     stands: Canonical
     movers: Movers
 
+    def longest_lost(self) -> tuple[int, int]:
+        """For how many moments in a row pictures show something else where most of a part should be; which part."""
+        longest = 0, 0
+        for m in range(self.movers.parts):
+            lost = self.tracks.lost[:, self.labels == m].mean(1) > 0.5
+            runs = np.diff(np.flatnonzero(~np.r_[False, lost, False])) - 1
+            longest = max(longest, (int(runs.max()), m))
+        return longest
+
 
 def trackable(scene: Scene, rest: RestModel) -> bool:
     """Whether movers can be tracked: a rest that clips show, seen by fixed cameras before real surroundings."""
@@ -96,12 +105,12 @@ def find_movers(
     log = TrainingLog("cpu", 1)
     saved = checkpoint.found(log)
     if saved is not None and saved.tensors["xyz"].shape[1] == len(moving):
-        tracks = Tracks(*(saved.tensors[name].numpy() for name in ("times", "xyz")))
+        tracks = Tracks(*(saved.tensors[name].numpy() for name in ("times", "xyz", "lost")))
     else:
         tracks = follow_both_ways(
             moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
         )
-        tensors = {"times": torch.from_numpy(tracks.times), "xyz": torch.from_numpy(tracks.xyz)}
+        tensors = {name: torch.from_numpy(getattr(tracks, name)) for name in ("times", "xyz", "lost")}
         checkpoint.write(Saved(1, tensors, {"log": log.state()}))
     voxel = rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
@@ -112,7 +121,7 @@ def find_movers(
         moves[moves] = kept
         region = _region(rest.canonical, surface, moves)
         stands = _without(rest.canonical, region)
-        moving, tracks = moving.only(kept), replace(tracks, xyz=tracks.xyz[:, kept])
+        moving, tracks = moving.only(kept), tracks.only(kept)
     progress(1.0, f"{labels.max() + 1} rigid parts")
     return Found(moving, tracks, labels, stands, movers_of(rest.canonical, region, moving, tracks, labels))
 
@@ -126,8 +135,8 @@ def movers_of(
 ) -> Movers:
     """Parts with the rigid motions that explain their points' tracks."""
     motions = [
-        motion_of(surface.xyz[labels == m], tracks.xyz[:, labels == m].astype(float))
-        for m in range(labels.max() + 1)
+        motion_of(surface.xyz[mine], tracks.xyz[:, mine].astype(float), tracks.lost[:, mine])
+        for mine in (labels == m for m in range(labels.max() + 1))
     ]
     rotations, shifts = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
     own = copy.copy(canonical)

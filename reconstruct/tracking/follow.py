@@ -4,35 +4,49 @@ At each moment the graph's pose is predicted (constant velocity) and moved by Ga
 show: optical flow from the picture before, flow from the drawn prediction to the picture, and the brightness of
 high-pass pictures itself. Points are always compared with real pictures, mostly of the rest, so errors do not add up.
 Pictures count at their exact times: a point of a picture at time t lies on the way between the two moments around it.
+
+Where pictures show what stands behind instead of a node's points, the node is lost. It is looked for again from other
+guesses: where it was, and carried along by what is around it; until it is found it is carried along.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
 from devrf.capture.cores import usable_cores
 from devrf.reconstruct.tracking.film import Film, blurred, sampled
 from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls, step
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.templates import Templates
+from devrf.reconstruct.tracking.templates import LIKE_PX, Templates
 
 SIGMAS = (
     (2.5, 1.2),
     (1.2, 0.0),
 )  # pixels by which pictures are blurred, each time the prediction is drawn anew
+FARTHER = ((5.0, 2.5), (1.2, 0.0))  # the same where something is looked for again
 STEPS = 2  # of Gauss-Newton, of each
 LEAST_SIGMA = 0.7  # of a picture that is not blurred, as a weight
 CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
 HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
 FEWEST_SEEN = 20  # points, of which a camera says something
-LEARN_EVERY = 4  # moments
+FEWEST_CAMERAS = 2  # that show a moment: one says nothing of depth
+LEARN_EVERY, FARTHER_EVERY = 4, 4  # moments
+DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
+LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more another guess must bring
+FEWEST_LOST = 2  # nodes for which other guesses are tried
+AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
+TELLING = 1.0  # weight of points by which a node's likeness is known
+AROUND, FEWEST_AROUND = 3, 4  # rings of nodes by which a lost node is carried along; fewest nodes of these
 MOST_MOMENTS = 300  # of a long clip, of which not every picture is looked at
 
 
@@ -43,10 +57,16 @@ class Tracks:
     Attributes:
         times: Moments in the scene's time of [0, 1], rising and evenly spaced [t].
         xyz: Positions [t, p, 3], in the box frame.
+        lost: Whether pictures show something else there [t, p]: the position is a guess.
     """
 
     times: Float[np.ndarray, " t"]
     xyz: Float[np.ndarray, "t p 3"]
+    lost: Bool[np.ndarray, "t p"]
+
+    def only(self, kept: Bool[np.ndarray, " p"]) -> "Tracks":
+        """Of some of the points."""
+        return Tracks(self.times, self.xyz[:, kept], self.lost[:, kept])
 
 
 def follow_both_ways(
@@ -82,8 +102,8 @@ def follow_both_ways(
     later = _follow(surface, graph, films, rest_time + gap * np.arange(after + 1), tell)
     back = [film.backwards() for film in films]
     earlier = _follow(surface, graph, back, -rest_time + gap * np.arange(before + 1), tell)
-    xyz = np.concatenate([earlier[:0:-1], later]).astype(np.float32)
-    return Tracks(rest_time + gap * np.arange(-before, after + 1), xyz)
+    xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(earlier, later, strict=True))
+    return Tracks(rest_time + gap * np.arange(-before, after + 1), xyz.astype(np.float32), lost)
 
 
 def _follow(
@@ -92,49 +112,91 @@ def _follow(
     films: Sequence[Film],
     times: Float[np.ndarray, " t"],
     tell: Callable[[], object],
-) -> Float[np.ndarray, "t p 3"]:
+) -> tuple[Float[np.ndarray, "t p 3"], Bool[np.ndarray, "t p"]]:
     side_by_side = all(film.estimator.parallel for film in films)
     with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
-        return _followed(surface, graph, films, times, tell, pool)
+        follower = Follower(surface, graph, films, times, pool)
+        for moment in range(1, len(times)):
+            follower.go_on(moment)
+            tell()
+    return np.stack(follower.xyz), np.stack(follower.lost)
 
 
-def _followed(
-    surface: Surface,
-    graph: Graph,
-    films: Sequence[Film],
-    times: Float[np.ndarray, " t"],
-    tell: Callable[[], object],
-    pool: ThreadPoolExecutor,
-) -> Float[np.ndarray, "t p 3"]:
-    pose = before = Pose.rest(len(graph.nodes))
-    now = was = surface.xyz
-    out = [now]
-    gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    templates = [Templates(film, len(surface)) for film in films]
-    for known in templates:
-        n = known.film.nearest(times[0], gap)
-        if n is not None:
-            known.learn(n, Sight(known.film, now, surface.normals, surface.spacing), 1)
-    for moment, time in enumerate(times[1:], 1):
-        shots = []
-        for known in templates:
-            n = known.film.nearest(time, gap / 2 + 1e-9)
+class Follower:
+    """Where the graph is, moment by moment."""
+
+    def __init__(
+        self,
+        surface: Surface,
+        graph: Graph,
+        films: Sequence[Film],
+        times: Float[np.ndarray, " t"],
+        pool: ThreadPoolExecutor,
+    ) -> None:
+        self.surface, self.graph, self.times, self.pool = surface, graph, times, pool
+        self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
+        self.pose = self.before = Pose.rest(len(graph.nodes))
+        a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
+        self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
+        self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
+        self.xyz, self.lost = [surface.xyz], [np.zeros(len(surface), dtype=bool)]
+        self.templates = [Templates(film, len(surface)) for film in films]
+        for known in self.templates:
+            n = known.film.nearest(times[0], self.gap)
             if n is not None:
-                shots.append(_Shot(known, n, 1 + (float(known.film.times[n]) - time) / gap))
-        normals = graph.turned(pose, surface.normals)
-        flown = [shot for shot in shots if shot.n > 0]
-        shares = [1 + (float(s.film.times[s.n - 1]) - float(times[moment - 1])) / gap for s in flown]
-        _each(
-            pool.submit(shot.come, was + share * (now - was), normals, surface.spacing)
-            for shot, share in zip(flown, shares, strict=True)
-        )
-        expected = _ahead(before, pose)
+                known.learn(n, Sight(known.film, surface.xyz, surface.normals, surface.spacing), 1, 0.0)
+
+    def go_on(self, moment: int) -> None:
+        """To the next moment."""
+        graph, surface, shots = self.graph, self.surface, self.shots(moment)
+        self._come(shots, moment)
+        expected = self.carried(_ahead(self.before, self.pose), self.lost_nodes)
         found = expected
-        for sigmas in SIGMAS:
+        if len(shots) >= FEWEST_CAMERAS:
+            found = self.found(shots, expected, SIGMAS)
+            found = self._found_again(shots, found, expected, moment)
+        self.before, self.pose = self.pose, found
+        was, now = self.xyz[-1], graph.points(found)
+        self.xyz.append(now)
+        share = (graph.weights * self.lost_nodes[graph.followed]).sum(1)
+        self.lost.append(share > 0.5)
+        if moment % LEARN_EVERY == 0:
+            normals = graph.turned(found, surface.normals)
+            for shot in shots:
+                sight = Sight(shot.film, was + shot.share * (now - was), normals, surface.spacing)
+                sight.seen &= ~self.lost[-1]
+                shot.templates.learn(shot.n, sight)
+
+    def shots(self, moment: int) -> list["_Shot"]:
+        """The pictures around a moment."""
+        time, out = self.times[moment], []
+        for known in self.templates:
+            n = known.film.nearest(time, self.gap / 2 + 1e-9)
+            if n is not None:
+                out.append(_Shot(known, n, 1 + (float(known.film.times[n]) - time) / self.gap))
+        return out
+
+    def _come(self, shots: Sequence["_Shot"], moment: int) -> None:
+        """Where points come from the pictures before."""
+        now = self.xyz[-1]
+        was = self.xyz[-2] if len(self.xyz) > 1 else now
+        normals = self.graph.turned(self.pose, self.surface.normals)
+        begun = []
+        for shot in shots:
+            if shot.n > 0:
+                share = 1 + (float(shot.film.times[shot.n - 1]) - float(self.times[moment - 1])) / self.gap
+                at = was + share * (now - was)
+                begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, ~self.lost[-1]))
+        _each(begun)
+
+    def found(self, shots: Sequence["_Shot"], expected: Pose, rounds: Sequence[tuple[float, float]]) -> Pose:
+        """The pose that explains the pictures, near the one that is expected."""
+        graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
+        for sigmas in rounds:
             xyz = graph.points(found)
             normals = graph.turned(found, surface.normals)
             _each(
-                pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas)
+                self.pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas)
                 for shot in shots
             )
             for _ in range(STEPS):
@@ -143,16 +205,94 @@ def _followed(
                 for shot in shots:
                     shot.pull(now + shot.share * (xyz - now), pulls)
                 found = step(graph, found, expected, pulls.all())
-        before, pose = pose, found
-        was, now = now, graph.points(pose)
-        out.append(now)
-        if moment % LEARN_EVERY == 0:
-            normals = graph.turned(pose, surface.normals)
-            for shot in shots:
-                xyz = was + shot.share * (now - was)
-                shot.templates.learn(shot.n, Sight(shot.film, xyz, normals, surface.spacing))
-        tell()
-    return np.stack(out)
+        return found
+
+    def _found_again(self, shots: Sequence["_Shot"], found: Pose, expected: Pose, moment: int) -> Pose:
+        """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
+
+        What was lost before was already carried along when the pose was found; it is looked for farther now and then.
+        """
+        likeness = self.likeness(shots, found)
+        before, self.lost_nodes = self.lost_nodes, self._lost(likeness)
+        if (self.lost_nodes & ~before).sum() >= FEWEST_LOST:
+            guesses = self.carried(found, self.lost_nodes), self._stopped(found)
+        else:
+            guesses = (expected,) if moment % FARTHER_EVERY == 0 else ()
+        for guess in guesses:
+            if not self.lost_nodes.any():
+                break
+            other = self.found(shots, guess, FARTHER)
+            liked = self.likeness(shots, other)
+            for group in self._groups(self.lost_nodes):
+                known = group[np.isfinite(likeness[group]) & np.isfinite(liked[group])]
+                if len(known) and liked[known].mean() > likeness[known].mean() + AGAIN:
+                    found = _with(found, other, group)
+                    likeness[group] = liked[group]
+            self.lost_nodes = self._lost(likeness)
+        return self.carried(found, self.lost_nodes)
+
+    def likeness(self, shots: Sequence["_Shot"], found: Pose) -> Float[np.ndarray, " n"]:
+        """Of what pictures show to each node's points: 1 alike, -1 what stands behind; NaN not known."""
+        graph, now = self.graph, self.xyz[-1]
+        xyz = graph.points(found)
+        sums = np.zeros((2, len(graph.nodes)))
+        for shot in shots:
+            points, votes = shot.likeness(now + shot.share * (xyz - now))
+            weights = graph.weights[points]
+            np.add.at(sums[0], graph.followed[points], weights * votes[:, None])
+            np.add.at(sums[1], graph.followed[points], weights)
+        return np.where(sums[1] > TELLING, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
+
+    def _lost(self, likeness: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Nodes that pictures do not show; those of which nothing is known stay what they were."""
+        return np.where(np.isfinite(likeness), likeness < LOST, self.lost_nodes)
+
+    def _groups(self, lost: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " k"]]:
+        """Lost nodes that are neighbours."""
+        a, b = self.graph.edges[lost[self.graph.edges].all(1)].T
+        links = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(lost), len(lost)))
+        piece = connected_components(links, directed=False)[1]
+        for number in np.unique(piece[lost]):
+            yield np.flatnonzero(lost & (piece == number))
+
+    def carried(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
+        """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is."""
+        nodes, out = self.graph.nodes, pose
+        for group in self._groups(lost):
+            for rings in range(AROUND, 0, -1):
+                around = self._around(group, lost, rings)
+                there = (nodes + pose.shifts)[None, around]
+                if len(around) < FEWEST_AROUND:
+                    break
+                motion = motion_of(nodes[around], there)
+                if residual(motion, nodes[around], there).mean() < (AS_ONE * self.edge) ** 2:
+                    rotations, shifts = out.rotations.copy(), out.shifts.copy()
+                    rotations[group] = motion[0][0]
+                    shifts[group] = nodes[group] @ motion[0][0].T + motion[1][0] - nodes[group]
+                    out = Pose(rotations, shifts)
+                    break
+        return out
+
+    def _around(
+        self, group: Int[np.ndarray, " k"], lost: Bool[np.ndarray, " n"], rings: int
+    ) -> Int[np.ndarray, " m"]:
+        """Nodes within so many edges of some nodes that are not lost."""
+        a, b = self.graph.edges.T
+        near = np.isin(np.arange(len(lost)), group)
+        for _ in range(rings):
+            near[b[near[a]]] = True
+        return np.flatnonzero(near & ~lost)
+
+    def _stopped(self, pose: Pose) -> Pose:
+        """The pose with what is lost where it was."""
+        return _with(pose, self.pose, np.flatnonzero(self.lost_nodes))
+
+
+def _with(pose: Pose, other: Pose, nodes: Int[np.ndarray, " k"]) -> Pose:
+    """A pose in which some nodes are as in another."""
+    rotations, shifts = pose.rotations.copy(), pose.shifts.copy()
+    rotations[nodes], shifts[nodes] = other.rotations[nodes], other.shifts[nodes]
+    return Pose(rotations, shifts)
 
 
 def _each(begun: Iterable[Future[None]]) -> None:
@@ -198,10 +338,10 @@ class _Shot:
         self.came: tuple[np.ndarray, np.ndarray, np.ndarray] = none, np.zeros((0, 2)), np.zeros(0)
         self.points: Int[np.ndarray, " m"] = none
 
-    def come(self, xyz: np.ndarray, normals: np.ndarray, spacing: float) -> None:
-        """Where optical flow brings points from the picture before, in which they are at `xyz`."""
+    def come(self, xyz: np.ndarray, normals: np.ndarray, spacing: float, known: np.ndarray) -> None:
+        """Where optical flow brings `known` points from the picture before, in which they are at `xyz`."""
         sight = Sight(self.film, xyz, normals, spacing)
-        points = np.flatnonzero(sight.seen)
+        points = np.flatnonzero(sight.seen & known)
         if len(points) < FEWEST_SEEN:
             return
         flow, missed = self.film.flow(self.film.sharp(self.n - 1), self.film.sharp(self.n))
@@ -220,6 +360,7 @@ class _Shot:
         real = self.film.sharp(self.n)
         flow, missed = self.film.flow(drawn, real)
         self.flow = self.at + sampled(flow, self.at), np.exp(-(sampled(missed, self.at) ** 2))
+        self.drawn = sampled(blurred(drawn, LIKE_PX), self.at)
         self.contrasts = []
         for sigma in sigmas:
             one, other = blurred(drawn, sigma), blurred(real, sigma)
@@ -228,6 +369,21 @@ class _Shot:
             slope = sampled(gradient.reshape(*one.shape[:2], -1), self.at).reshape(-1, 3, 2)
             apart = sampled(other, self.at) - sampled(one, self.at)
             self.contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))
+
+    def likeness(self, xyz: np.ndarray) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Points, and whether the picture shows them, at `xyz`, 1, or what stands behind them, -1.
+
+        Only of points that were drawn when it was last looked at, and look other than what stands.
+        """
+        if not len(self.points):
+            return self.points, np.zeros(0)
+        at = self.film.camera.project(xyz[self.points])
+        behind = sampled(self.templates.behind, at)
+        real = sampled(blurred(self.film.sharp(self.n), LIKE_PX), at)
+        apart = np.linalg.norm(self.drawn - behind, axis=1)
+        vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - self.drawn, axis=1)
+        telling = (apart > DISTINCT) & np.isfinite(at).all(1)
+        return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
 
     def pull(self, xyz: np.ndarray, pulls: _Sum) -> None:
         """Add what the picture wants of points that are at `xyz` when it is taken."""

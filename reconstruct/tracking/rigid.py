@@ -7,7 +7,7 @@ explains both. Distances between points that stay the same would be a weaker rul
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 
 MOST = 40  # parts to begin with
@@ -27,13 +27,22 @@ Motions = tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3"]]
 """Rotation and translation at each moment: a point x at rest is at R x + t."""
 
 
-def motion_of(rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]) -> Motions:
-    """The rigid motion that explains tracks best (Kabsch 1976)."""
-    middle, middles = rest.mean(0), tracks.mean(1)
-    U, _, V = np.linalg.svd(np.einsum("pi,tpj->tij", rest - middle, tracks - middles[:, None]))
+def motion_of(
+    rest: Float[np.ndarray, "p 3"],
+    tracks: Float[np.ndarray, "t p 3"],
+    lost: Bool[np.ndarray, "t p"] | None = None,
+) -> Motions:
+    """The rigid motion that explains tracks best (Kabsch 1976); lost points count where few others are left."""
+    weights = np.full((1, len(rest)), 1 / len(rest))
+    if lost is not None and lost.any():
+        counts = np.where((~lost).sum(1, keepdims=True) >= FEWEST, ~lost, True).astype(float)
+        weights = counts / counts.sum(1, keepdims=True)
+    middle, middles = weights @ rest, (weights[..., None] * tracks).sum(1)
+    apart = tracks - middles[:, None]
+    U, _, V = np.linalg.svd(np.einsum("tpi,tpj->tij", weights[..., None] * (rest - middle[:, None]), apart))
     U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
     rotations = (U @ V).transpose(0, 2, 1)
-    return rotations, middles - rotations @ middle
+    return rotations, middles - np.einsum("tij,tj->ti", rotations, np.broadcast_to(middle, middles.shape))
 
 
 def residual(

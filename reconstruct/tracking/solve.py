@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from devrf.reconstruct.tracking.graph import Graph, Pose, skew
 
 RIGID = 1e3  # weight of edges that stretch or bend, per squared relative length
+TEARS = 0.3  # relative stretch at which an edge counts half: what only touches at rest parts, and skin at a joint holds
 EXPECTED = 0.01  # weight of the expected pose, per squared box unit and radian
 DAMPED, LEAST = 1e-3, 1e-2  # of the diagonal; added to it
 LONGEST_STEP, LARGEST_TURN = 0.08, 0.5  # box units, radians
@@ -67,7 +68,8 @@ def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray
     edge = graph.nodes[b] - graph.nodes[a]
     turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
     residual = turned + graph.nodes[a] + pose.shifts[a] - graph.nodes[b] - pose.shifts[b]
-    root = np.sqrt(RIGID) / np.linalg.norm(edge, axis=1)[:, None]
+    root = np.sqrt(RIGID / (1 + (stretched(graph, pose) / TEARS) ** 2)) / np.linalg.norm(edge, axis=1)
+    root = root[:, None]
     row = np.arange(3 * len(a)).reshape(-1, 3)
     by_turn = -skew(turned) * root[..., None]
     rows, columns, values = (
@@ -80,6 +82,14 @@ def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray
         columns.append((6 * node[:, None] + 3 + np.arange(3)).ravel())
         values.append(np.broadcast_to(sign * root, row.shape).ravel())
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(values), (residual * root).ravel()
+
+
+def stretched(graph: Graph, pose: Pose) -> Float[np.ndarray, " e"]:
+    """How much longer each edge is than at rest, relative to its length; shorter below 0."""
+    a, b = graph.edges.T
+    edge = graph.nodes[b] - graph.nodes[a]
+    now = edge + pose.shifts[b] - pose.shifts[a]
+    return np.linalg.norm(now, axis=1) / np.linalg.norm(edge, axis=1) - 1
 
 
 def _expected(pose: Pose, expected: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

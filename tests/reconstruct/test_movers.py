@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
 from tests.reconstruct.deaths import until_done
 
+import devrf.reconstruct.movers as movers_module
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.pipelines.health.training import mover_rows
 from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.guard import diverged
@@ -127,6 +129,74 @@ def test_gradients_are_those_of_differences(rest: RestModel) -> None:
         assert float(loss()) - before == pytest.approx(0.01 * brighter, rel=0.05)
 
 
+def test_corrections_turn_and_shift_parts_between_moments(rest: RestModel) -> None:
+    model = whole(rest, TRAVEL, TURN)
+    assert model.movers is not None
+    times = torch.tensor([0.0, 0.2, 0.25, 1.0])
+    corrections = Corrections(model.movers, times)
+    before, after = model.movers.placed(times), corrections.placed()
+    assert torch.allclose(before.rotations, after.rotations, atol=1e-6)
+    assert torch.allclose(before.shifts, after.shifts, atol=1e-6)
+    with torch.no_grad():
+        corrections.values[1, 0] = torch.tensor([0.02, -0.01, 0.03, 0.1, 0.0, -0.05])
+    after, applied = corrections.placed(), corrections.applied(model.movers)
+    at_key = applied.placed(torch.tensor([0.5]))
+    turned = Rotation.from_rotvec(np.array([0.02, -0.01, 0.03]) / float(corrections.radii[0, 0])).as_matrix()
+    expected = turned @ model.movers.rotations[1, 0].numpy()
+    assert np.allclose(at_key.rotations[0, 0].numpy(), expected, atol=1e-5)
+    middle = corrections.middles[0]
+    moved = [p.rotations[2, 0] @ middle + p.shifts[2, 0] for p in (before, after)]  # halfway to the moment
+    assert np.allclose((moved[1] - moved[0]).detach().numpy(), [0.05, 0.0, -0.025], atol=1e-6)
+    assert torch.allclose(after.shifts[[0, 3]], before.shifts[[0, 3]], atol=1e-6)
+
+
+def test_gradients_of_corrections_are_those_of_differences(
+    rest: RestModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stands, own, labels = halves(rest)
+    movers = still(own, labels)
+    corrections = Corrections(movers, torch.tensor([0.4]))
+    o, d = (x[300:1500:7].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
+    frame, middle = torch.zeros(len(o), dtype=torch.int64), torch.full((len(o),), 0.5)
+    wanted = torch.linspace(0, 1, len(o))[:, None]
+    samples = movers_module._samples(
+        stands, movers, movers.placed(torch.tensor([0.4])), frame, o, d, 0.5, middle
+    )
+    monkeypatch.setattr(
+        movers_module, "_samples", lambda *arguments: samples
+    )  # where is looked has no gradient
+
+    def loss() -> torch.Tensor:
+        seen = render_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle)
+        return (wanted * seen.rgb).sum()
+
+    loss().backward()
+    assert corrections.values.grad is not None
+    differences = np.zeros(6)
+    for n in range(6):
+        values = []
+        for sign in (1, -1):
+            corrections.values.data[1, 0, n] += sign * 1e-3
+            values.append(float(loss().detach()))
+            corrections.values.data[1, 0, n] -= sign * 1e-3
+        differences[n] = (values[0] - values[1]) / 2e-3
+    found = corrections.values.grad[1, 0].numpy()
+    assert found @ differences > 0.95 * np.linalg.norm(found) * np.linalg.norm(differences)
+    assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(differences), rel=0.2)
+
+
+def test_training_corrects_where_parts_are(session: Scene, rest: RestModel) -> None:
+    model = whole(rest, TRAVEL)
+    assert model.movers is not None and model.in_motion is not None
+    off = torch.tensor([0.0, 1.5 * rest.canonical.voxel, 0.0])
+    shifts = model.movers.shifts.clone()
+    shifts[1:] += off
+    wrong = replace(model.movers, shifts=shifts)
+    trained = train_movers(session, rest, model.in_motion.canonical, wrong, replace(OPTIONS, together=100))
+    left = (trained.movers.shifts - model.movers.shifts)[1:].norm(dim=-1)
+    assert float(left.mean()) < 0.6 * float(off.norm())
+
+
 def test_shading_is_linear_between_its_vertices_and_keeps_to_its_layer() -> None:
     aabb = torch.tensor([[-1.0, -1, -1], [1, 1, 1]])
     light = Shading.none(aabb, 0.2, 0.8, torch.device("cpu"))
@@ -233,6 +303,8 @@ def test_killed_it_goes_on_bit_for_bit(
     assert torch.equal(once.stands.canonical.features, again.stands.canonical.features)
     assert once.movers.shading is not None and again.movers.shading is not None
     assert torch.equal(once.movers.shading.grid, again.movers.shading.grid)
+    assert torch.equal(once.movers.shifts, again.movers.shifts)
+    assert not torch.equal(once.movers.shifts, movers.shifts)  # they were corrected
 
 
 @pytest.fixture
@@ -244,7 +316,7 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         assert model.movers is not None and model.in_motion is not None
         times = np.array([0.0, 0.5, 1.0])
         xyz = RADIUS * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-        tracks = Tracks(times, xyz + times[:, None, None] * travel)
+        tracks = Tracks(times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool))
         surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
         found = Found(surface, tracks, np.zeros(3, int), model.in_motion.canonical, model.movers)
         monkeypatch.setattr("devrf.reconstruct.train_deformation.trackable", lambda scene, rest: True)
@@ -260,8 +332,8 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["parts"] == 1 and metrics["points"] == 3 and metrics["keys"] == 3
     assert metrics["largest_motion"] == pytest.approx(np.linalg.norm(TRAVEL))
     assert metrics["movers_gain_db"] > 5 and metrics["decisions"] == []
-    (row,) = mover_rows(metrics)
-    assert row.verdict == "ok"
+    assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
+    assert metrics["longest_lost"] == 0 and metrics["lost_share"] == 0
     assert "late_camera" not in metrics
 
 
@@ -273,8 +345,24 @@ def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: R
     assert list(mover_rows(metrics)) == []
 
 
+def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
+    model = whole(rest, TRAVEL)
+    assert model.movers is not None and model.in_motion is not None
+    lost = np.zeros((8, 4), bool)
+    lost[1, :3] = lost[3:6, :3] = lost[6:, 0] = True  # one moment, three in a row; then hardly anything
+    xyz = np.eye(4, 3)
+    tracks = Tracks(np.linspace(0, 1, 8), np.tile(xyz, (8, 1, 1)), lost)
+    surface = Surface(xyz, xyz, xyz, 0.1)
+    found = Found(surface, tracks, np.zeros(4, int), model.in_motion.canonical, model.movers)
+    assert found.longest_lost() == (3, 0)
+    gains = {"movers_gain_db": 4.0, "movers_unshaded_gain_db": 4.0}
+    _, row = mover_rows({**gains, "longest_lost": 3, "longest_lost_at": [0.1, 0.25, -1.0]})
+    assert row.verdict == "warn" and row.value == 3 and "(0.10, 0.25, -1.00)" in row.remedy
+
+
 def test_shading_that_does_the_work_of_motion_is_said() -> None:
-    (row,) = mover_rows({"movers_gain_db": 4.0, "movers_unshaded_gain_db": 1.0})
+    lost = {"longest_lost": 2, "longest_lost_at": [0.0, 0.0, 0.0]}
+    row, _ = mover_rows({"movers_gain_db": 4.0, "movers_unshaded_gain_db": 1.0, **lost})
     assert row.verdict == "warn" and row.value == pytest.approx(75.0)
 
 

@@ -1,5 +1,6 @@
 """Points on two textured cards, each with its own motion, are followed, and found to be two rigid parts."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.tracking.film import Film, fetched
-from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
@@ -120,6 +121,51 @@ def test_points_are_followed_from_the_middle_to_both_ends(tracks: Tracks) -> Non
     assert np.linalg.norm(true[[0, -1]] - surface.xyz, axis=-1).mean() > 0.1
     wrong = np.linalg.norm(tracks.xyz - true, axis=-1)
     assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02  # a pixel is 0.01
+
+
+def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> None:
+    surface, card = on_cards()
+    graph = Graph(surface)
+    of_node = np.argmin(np.abs(graph.nodes[:, :1] - CENTRES[:, 0]), axis=1)
+    with ThreadPoolExecutor(1) as pool:
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), pool)
+        shifts = np.where(of_node[:, None] == 1, [0.0, 0.0, -0.35], [0.0, 0.0, 0.0])
+        follower.before = replace(follower.before, shifts=shifts)  # as if one card had come from far away
+        follower.go_on(1)
+    true = true_tracks(surface, card, np.array([0.625]))[0]
+    wrong = np.linalg.norm(follower.xyz[-1] - true, axis=-1)
+    assert np.median(wrong[card == 1]) < 0.01 and not follower.lost[-1].any()
+
+
+def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) -> None:
+    surface, _ = on_cards()
+    graph = Graph(surface)
+    lost = np.flatnonzero(graph.nodes[:, 0] > CENTRES[1, 0] + 0.15)
+    turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
+    there = graph.nodes @ turn.T + [0.1, 0.0, 0.2]
+    pose = Pose(np.tile(turn, (len(there), 1, 1)), there - graph.nodes)
+    wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
+    wrong.shifts[lost] += [0.0, 0.0, 0.5]
+    with ThreadPoolExecutor(1) as pool:
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), pool)
+        mask = np.isin(np.arange(len(there)), lost)
+        carried = follower.carried(wrong, mask)
+        assert np.allclose(carried.shifts, pose.shifts) and np.allclose(carried.rotations, pose.rotations)
+        shots = follower.shots(1)
+        follower.found(shots, wrong, ((1.2, 0.0),))
+        likeness = follower.likeness(shots, wrong)
+        assert np.nanmedian(likeness[lost]) < 0.25
+        right = follower.likeness(shots, follower.found(shots, Pose.rest(len(there)), FARTHER))
+        assert np.nanmedian(right) > 0.5
+
+
+def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[Film]) -> None:
+    surface, _ = on_cards()
+    graph = Graph(surface)
+    short = [films[0], *(replace(f, frames=f.frames[:6], times=f.times[:6]) for f in films[1:])]
+    found = follow_both_ways(surface, graph, short, 0.5)
+    step_6, step_7 = (np.linalg.norm(found.xyz[n] - found.xyz[n - 1], axis=-1) for n in (REST + 2, REST + 4))
+    assert np.median(step_7) == pytest.approx(np.median(step_6), rel=0.1)
 
 
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:

@@ -1,0 +1,81 @@
+"""Small corrections of where rigid parts are, learned from pictures together with how they look."""
+
+import math
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.movers import Movers, Placed
+
+
+class Corrections(torch.nn.Module):
+    """For each part at each moment a turn about its middle and a shift; linear between moments.
+
+    Attributes:
+        values: Turns, as rotation vectors times the radius of the part, and shifts [T, M, 6]; both in box units, so
+            that one rate of learning fits all.
+    """
+
+    def __init__(self, movers: Movers, times: Float[Tensor, " F"]) -> None:
+        """None yet.
+
+        Args:
+            movers: The parts and their motion.
+            times: Of the pictures, in [0, 1].
+        """
+        super().__init__()
+        device = times.device
+        self.values = torch.nn.Parameter(torch.zeros(*movers.shifts.shape[:2], 6, device=device))
+        self.middles = torch.from_numpy(movers.middles()).float().to(device)
+        self.radii = _radii(movers).to(device)[:, None]
+        self.pictures = movers.placed(times)
+        first, gap = float(movers.times[0]), float(movers.times[1] - movers.times[0])
+        at = ((times - first) / gap).clamp(0, len(movers.times) - 1)
+        self.before = at.long().clamp(max=len(movers.times) - 2)
+        self.share = (at - self.before)[:, None, None].float()
+
+    def placed(self) -> Placed:
+        """Where the parts are in the pictures; differentiable."""
+        values = torch.lerp(self.values[self.before], self.values[self.before + 1], self.share)
+        return self._corrected(self.pictures, values)
+
+    @torch.no_grad()
+    def applied(self, movers: Movers) -> Movers:
+        """The movers with the corrections at their moments."""
+        there = Placed(*(x.to(self.values) for x in (movers.rotations, movers.shifts, movers.times)))
+        rotations, shifts, _ = self._corrected(there, self.values)
+        return replace(movers, rotations=rotations.cpu(), shifts=shifts.cpu())
+
+    def _corrected(self, placed: Placed, values: Float[Tensor, "F M 6"]) -> Placed:
+        middles = torch.einsum("fmij,mj->fmi", placed.rotations, self.middles) + placed.shifts
+        rotations = rotation(values[..., :3] / self.radii) @ placed.rotations
+        shifts = middles + values[..., 3:] - torch.einsum("fmij,mj->fmi", rotations, self.middles)
+        return Placed(rotations, shifts, placed.times)
+
+
+def rotation(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Matrices of rotation vectors (Rodrigues' formula); differentiable, at 0 too."""
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vector.shape, 3)
+    square = vector.square().sum(-1)[..., None, None]
+    turns = square > 0
+    angle = torch.where(
+        turns, torch.where(turns, square, 1.0).sqrt(), 0.0
+    )  # the root's slope at 0 is infinite
+    once, twice = torch.sinc(angle / math.pi), 0.5 * torch.sinc(angle / (2 * math.pi)) ** 2
+    return torch.eye(3, device=vector.device) + once * cross + twice * cross @ cross
+
+
+def _radii(movers: Movers) -> Float[Tensor, " M"]:
+    """Root mean square distance of each part's voxels from its middle, at least a voxel."""
+    places, labels = vertices(movers.canonical.aabb, movers.canonical.shape), movers.labels.cpu()
+    out = torch.full((movers.parts,), movers.canonical.voxel)
+    for m, middle in enumerate(torch.from_numpy(movers.middles()).float()):
+        own = places[labels == m + 1]
+        if len(own):
+            out[m] = out[m].clamp_min((own - middle).square().sum(1).mean().sqrt())
+    return out
