@@ -73,7 +73,7 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
     at = ", ".join(f"{x:.2f}" for x in metrics["longest_lost_at"])
     yield row(
         "longest time that a moving part is lost",
-        metrics["longest_lost"],
+        float(metrics["longest_lost"]),
         "pictures",
         warn_above=LOST_PICTURES,
         remedy=f"Pictures show something else where a part should be that rests around ({at}): it moves on with what is "

@@ -19,15 +19,15 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from devrf.capture.camera import Camera
 from devrf.capture.cores import usable_cores
-from devrf.reconstruct.tracking.film import Film, blurred, sampled
+from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.rigid import motion_of, residual
+from devrf.reconstruct.tracking.shot import Shot, Sum
 from devrf.reconstruct.tracking.sight import Sight
-from devrf.reconstruct.tracking.solve import Pulls, step
+from devrf.reconstruct.tracking.solve import step
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.templates import LIKE_PX, Templates
+from devrf.reconstruct.tracking.templates import Templates
 
 SIGMAS = (
     (2.5, 1.2),
@@ -35,13 +35,8 @@ SIGMAS = (
 )  # pixels by which pictures are blurred, each time the prediction is drawn anew
 FARTHER = ((5.0, 2.5), (1.2, 0.0))  # the same where something is looked for again
 STEPS = 2  # of Gauss-Newton, of each
-LEAST_SIGMA = 0.7  # of a picture that is not blurred, as a weight
-CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
-HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
-FEWEST_SEEN = 20  # points, of which a camera says something
 FEWEST_CAMERAS = 2  # that show a moment: one says nothing of depth
 LEARN_EVERY, FARTHER_EVERY = 4, 4  # moments
-DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
 LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more another guess must bring
 FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
@@ -144,7 +139,7 @@ class Follower:
         for known in self.templates:
             n = known.film.nearest(times[0], self.gap)
             if n is not None:
-                known.learn(n, Sight(known.film, surface.xyz, surface.normals, surface.spacing), 1, 0.0)
+                known.learn(n, Sight(known.film, surface.xyz, surface.normals, surface.spacing), 1)
 
     def go_on(self, moment: int) -> None:
         """To the next moment."""
@@ -167,16 +162,16 @@ class Follower:
                 sight.seen &= ~self.lost[-1]
                 shot.templates.learn(shot.n, sight)
 
-    def shots(self, moment: int) -> list["_Shot"]:
+    def shots(self, moment: int) -> list[Shot]:
         """The pictures around a moment."""
         time, out = self.times[moment], []
         for known in self.templates:
             n = known.film.nearest(time, self.gap / 2 + 1e-9)
             if n is not None:
-                out.append(_Shot(known, n, 1 + (float(known.film.times[n]) - time) / self.gap))
+                out.append(Shot(known, n, 1 + (float(known.film.times[n]) - time) / self.gap))
         return out
 
-    def _come(self, shots: Sequence["_Shot"], moment: int) -> None:
+    def _come(self, shots: Sequence[Shot], moment: int) -> None:
         """Where points come from the pictures before."""
         now = self.xyz[-1]
         was = self.xyz[-2] if len(self.xyz) > 1 else now
@@ -189,7 +184,7 @@ class Follower:
                 begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, ~self.lost[-1]))
         _each(begun)
 
-    def found(self, shots: Sequence["_Shot"], expected: Pose, rounds: Sequence[tuple[float, float]]) -> Pose:
+    def found(self, shots: Sequence[Shot], expected: Pose, rounds: Sequence[tuple[float, float]]) -> Pose:
         """The pose that explains the pictures, near the one that is expected."""
         graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
         for sigmas in rounds:
@@ -201,13 +196,13 @@ class Follower:
             )
             for _ in range(STEPS):
                 xyz = graph.points(found)
-                pulls = _Sum(len(surface))
+                pulls = Sum(len(surface))
                 for shot in shots:
                     shot.pull(now + shot.share * (xyz - now), pulls)
                 found = step(graph, found, expected, pulls.all())
         return found
 
-    def _found_again(self, shots: Sequence["_Shot"], found: Pose, expected: Pose, moment: int) -> Pose:
+    def _found_again(self, shots: Sequence[Shot], found: Pose, expected: Pose, moment: int) -> Pose:
         """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
 
         What was lost before was already carried along when the pose was found; it is looked for farther now and then.
@@ -231,7 +226,7 @@ class Follower:
             self.lost_nodes = self._lost(likeness)
         return self.carried(found, self.lost_nodes)
 
-    def likeness(self, shots: Sequence["_Shot"], found: Pose) -> Float[np.ndarray, " n"]:
+    def likeness(self, shots: Sequence[Shot], found: Pose) -> Float[np.ndarray, " n"]:
         """Of what pictures show to each node's points: 1 alike, -1 what stands behind; NaN not known."""
         graph, now = self.graph, self.xyz[-1]
         xyz = graph.points(found)
@@ -301,128 +296,8 @@ def _each(begun: Iterable[Future[None]]) -> None:
         done.result()
 
 
-class _Sum:
-    """Quadratics of points, added up."""
-
-    def __init__(self, points: int) -> None:
-        self.hessian, self.gradient = np.zeros((points, 3, 3)), np.zeros((points, 3))
-
-    def add(self, points: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> None:
-        """Add weighted squares of residuals [m, r] of points with derivatives [m, r, 3]; each point at most once."""
-        fine = np.isfinite(residual).all(1) & np.isfinite(jacobian).all((1, 2)) & np.isfinite(weight)
-        points, jacobian, residual, weight = (x[fine] for x in (points, jacobian, residual, weight))
-        weighted = jacobian * weight[:, None, None]
-        self.hessian[points] += np.einsum("mra,mrb->mab", jacobian, weighted)
-        self.gradient[points] += np.einsum("mra,mr->ma", weighted, residual)
-
-    def all(self) -> Pulls:
-        """What all of them want."""
-        return Pulls(self.hessian, self.gradient)
-
-
-@dataclass
-class _Contrast:
-    """Brightness of a drawn and of a real picture at points, to first order around their pixels."""
-
-    apart: Float[np.ndarray, "m 3"]
-    slope: Float[np.ndarray, "m 3 2"]
-    weight: float
-
-
-class _Shot:
-    """One picture at one moment: what it says of the points that its camera sees."""
-
-    def __init__(self, templates: Templates, n: int, share: float) -> None:
-        self.templates, self.film, self.n, self.share = templates, templates.film, n, share
-        none = np.zeros(0, dtype=int)
-        self.came: tuple[np.ndarray, np.ndarray, np.ndarray] = none, np.zeros((0, 2)), np.zeros(0)
-        self.points: Int[np.ndarray, " m"] = none
-
-    def come(self, xyz: np.ndarray, normals: np.ndarray, spacing: float, known: np.ndarray) -> None:
-        """Where optical flow brings `known` points from the picture before, in which they are at `xyz`."""
-        sight = Sight(self.film, xyz, normals, spacing)
-        points = np.flatnonzero(sight.seen & known)
-        if len(points) < FEWEST_SEEN:
-            return
-        flow, missed = self.film.flow(self.film.sharp(self.n - 1), self.film.sharp(self.n))
-        at = sight.at[points]
-        self.came = points, at + sampled(flow, at), np.exp(-(sampled(missed, at) ** 2))
-
-    def look(self, xyz: np.ndarray, normals: np.ndarray, surface: Surface, sigmas: tuple[float, ...]) -> None:
-        """Draw what the picture should show with points at `xyz`, and hold it against the picture."""
-        sight = Sight(self.film, xyz, normals, surface.spacing)
-        self.points = self.templates.known(sight)
-        if len(self.points) < FEWEST_SEEN:
-            self.points = self.points[:0]
-            return
-        self.at = sight.at[self.points]
-        drawn = self.film.high_pass(self.templates.draw(sight, surface.rgb.astype(np.float32)))
-        real = self.film.sharp(self.n)
-        flow, missed = self.film.flow(drawn, real)
-        self.flow = self.at + sampled(flow, self.at), np.exp(-(sampled(missed, self.at) ** 2))
-        self.drawn = sampled(blurred(drawn, LIKE_PX), self.at)
-        self.contrasts = []
-        for sigma in sigmas:
-            one, other = blurred(drawn, sigma), blurred(real, sigma)
-            along, down = np.gradient(one + other, axis=1), np.gradient(one + other, axis=0)
-            gradient = 0.5 * np.stack([along, down], -1)
-            slope = sampled(gradient.reshape(*one.shape[:2], -1), self.at).reshape(-1, 3, 2)
-            apart = sampled(other, self.at) - sampled(one, self.at)
-            self.contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))
-
-    def likeness(self, xyz: np.ndarray) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Points, and whether the picture shows them, at `xyz`, 1, or what stands behind them, -1.
-
-        Only of points that were drawn when it was last looked at, and look other than what stands.
-        """
-        if not len(self.points):
-            return self.points, np.zeros(0)
-        at = self.film.camera.project(xyz[self.points])
-        behind = sampled(self.templates.behind, at)
-        real = sampled(blurred(self.film.sharp(self.n), LIKE_PX), at)
-        apart = np.linalg.norm(self.drawn - behind, axis=1)
-        vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - self.drawn, axis=1)
-        telling = (apart > DISTINCT) & np.isfinite(at).all(1)
-        return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
-
-    def pull(self, xyz: np.ndarray, pulls: _Sum) -> None:
-        """Add what the picture wants of points that are at `xyz` when it is taken."""
-        camera = self.film.camera
-        points, target, weight = self.came
-        if len(points):
-            residual = camera.project(xyz[points]) - target
-            weight = weight * _huber(np.linalg.norm(residual, axis=1), HUBER_FLOW)
-            pulls.add(points, _derivative(camera, xyz[points]) * self.share, residual, weight)
-        if not len(self.points):
-            return
-        derivative = _derivative(camera, xyz[self.points]) * self.share
-        at = camera.project(xyz[self.points])
-        target, weight = self.flow
-        weight = weight * _huber(np.linalg.norm(at - target, axis=1), HUBER_DRAWN)
-        pulls.add(self.points, derivative, at - target, weight)
-        for contrast in self.contrasts:
-            residual = contrast.apart + np.einsum("mij,mj->mi", contrast.slope, at - self.at)
-            weight = contrast.weight * _huber(np.abs(residual).max(1), HUBER_CONTRAST)
-            jacobian = CONTRAST * np.einsum("mij,mjk->mik", contrast.slope, derivative)
-            pulls.add(self.points, jacobian, CONTRAST * residual, weight)
-
-
 def _ahead(before: Pose, now: Pose) -> Pose:
     """The pose that comes if everything goes on as it went."""
     turn = now.rotations @ before.rotations.transpose(0, 2, 1)
     rotations = Rotation.from_matrix(turn @ now.rotations).as_matrix()  # a rotation again, to all digits
     return Pose(rotations, 2 * now.shifts - before.shifts)
-
-
-def _derivative(camera: Camera, xyz: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 2 3"]:
-    """Of pixels by points, without the lens's distortion, which changes little from pixel to pixel."""
-    R = camera.cam_from_world[:, :3]
-    x, y, z = (xyz @ R.T + camera.cam_from_world[:, 3]).T
-    fx, fy, zero = camera.K[0, 0], camera.K[1, 1], np.zeros_like(z)
-    rows = [[fx / z, zero, -fx * x / z**2], [zero, fy / z, -fy * y / z**2]]
-    return np.stack([np.stack(row, -1) for row in rows], -2) @ R
-
-
-def _huber(length: np.ndarray, least: float) -> np.ndarray:
-    """Weight of a residual of a length: 1, and less beyond `least` (Huber 1964)."""
-    return np.minimum(1, least / np.maximum(length, 1e-9))

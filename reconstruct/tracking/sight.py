@@ -17,7 +17,6 @@ class Sight:
         ids: Point drawn at each pixel, -1: none [h, w].
         at: Of the points in the picture, pixels [n, 2]; NaN behind the camera.
         seen: Whether a point is seen [n].
-        cosine: Between its normal and the direction to the camera [n].
     """
 
     def __init__(self, film: Film, xyz: np.ndarray, normals: np.ndarray, spacing: float) -> None:
@@ -30,9 +29,9 @@ class Sight:
         pixel = np.where(inside[:, None], self.at, 0).astype(int)
         x, y = pixel.T
         towards = camera.centre - xyz
-        self.cosine = (towards * normals).sum(1) / np.linalg.norm(towards, axis=1)
+        facing = (towards * normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
         drawn = self.ids[y, x] >= 0
-        self.seen = inside & (self.cosine > FACING) & drawn & (z < depth[y, x] + SLACK)
+        self.seen = inside & facing & drawn & (z < depth[y, x] + SLACK)
         self.pixel = pixel
 
 

@@ -8,7 +8,6 @@ from devrf.reconstruct.tracking.sight import Sight
 
 EVEN_PX = 1.5  # standard deviation by which the warp is made smooth
 FEWEST = 15  # points that are worth another picture
-LEVEL = 0.4  # cosine from which a view of a point is worth remembering: what turns into view is sharper later
 LIKE_PX = 1.2  # blur of pictures that are held against what stands
 NONE = -1
 
@@ -28,15 +27,10 @@ class Templates:
         self.picture = np.full(points, NONE)
         self.at = np.zeros((points, 2), np.float32)
 
-    def learn(self, n: int, sight: Sight, fewest: int = FEWEST, level: float = LEVEL) -> None:
-        """Take picture `n` for points that are seen well for the first time, inside the outline."""
+    def learn(self, n: int, sight: Sight, fewest: int = FEWEST) -> None:
+        """Take picture `n` for points that are seen for the first time, inside the outline."""
         inside = minimum_filter(sight.ids >= 0, size=3)
-        new = (
-            sight.seen
-            & (sight.cosine > level)
-            & (self.picture == NONE)
-            & inside[sight.pixel[:, 1], sight.pixel[:, 0]]
-        )
+        new = sight.seen & (self.picture == NONE) & inside[sight.pixel[:, 1], sight.pixel[:, 0]]
         if new.sum() >= fewest:
             self.picture[new] = n
             self.at[new] = sight.at[new]
