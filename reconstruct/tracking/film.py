@@ -63,8 +63,11 @@ class Film:
         return _remembered(self._sharp, n, SHARP, lambda: self.high_pass(self.picture(n)))
 
     def high_pass(self, picture: Picture) -> Picture:
-        """Contrast in the logarithm of brightness: without shading, which is no motion, and without noise."""
-        scale = max(picture.shape[:2]) / REFERENCE_SIDE
+        """Contrast in the logarithm of brightness: without shading, which is no motion, and without noise.
+
+        Of a whole picture of the film or of a piece of one.
+        """
+        scale = max(self.camera.width, self.camera.height) / REFERENCE_SIDE
         logarithm = np.log(picture + DARK)
         return blurred(logarithm, FINE_PX * scale) - blurred(logarithm, COARSE_PX * scale)
 

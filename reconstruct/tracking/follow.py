@@ -36,7 +36,7 @@ SIGMAS = (
 FARTHER = ((5.0, 2.5), (1.2, 0.0))  # the same where something is looked for again
 STEPS = 2  # of Gauss-Newton, of each
 FEWEST_CAMERAS = 2  # that show a moment: one says nothing of depth
-LEARN_EVERY, FARTHER_EVERY = 4, 4  # moments
+LEARN_EVERY, SEEK_EVERY = 4, 4  # moments
 LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more another guess must bring
 FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
@@ -134,6 +134,7 @@ class Follower:
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
+        self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
         self.xyz, self.lost = [surface.xyz], [np.zeros(len(surface), dtype=bool)]
         self.templates = [Templates(film, len(surface)) for film in films]
         for known in self.templates:
@@ -149,12 +150,11 @@ class Follower:
         found = expected
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS)
-            found = self._found_again(shots, found, expected, moment)
+            found = self._found_again(shots, found, moment)
         self.before, self.pose = self.pose, found
         was, now = self.xyz[-1], graph.points(found)
         self.xyz.append(now)
-        share = (graph.weights * self.lost_nodes[graph.followed]).sum(1)
-        self.lost.append(share > 0.5)
+        self.lost.append(self._points(self.lost_nodes))
         if moment % LEARN_EVERY == 0:
             normals = graph.turned(found, surface.normals)
             for shot in shots:
@@ -184,14 +184,20 @@ class Follower:
                 begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, ~self.lost[-1]))
         _each(begun)
 
-    def found(self, shots: Sequence[Shot], expected: Pose, rounds: Sequence[tuple[float, float]]) -> Pose:
-        """The pose that explains the pictures, near the one that is expected."""
+    def found(
+        self,
+        shots: Sequence[Shot],
+        expected: Pose,
+        rounds: Sequence[tuple[float, float]],
+        asked: Bool[np.ndarray, " p"] | None = None,
+    ) -> Pose:
+        """The pose that explains the pictures, near the one that is expected; of points that are asked about."""
         graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
         for sigmas in rounds:
             xyz = graph.points(found)
             normals = graph.turned(found, surface.normals)
             _each(
-                self.pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas)
+                self.pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas, asked)
                 for shot in shots
             )
             for _ in range(STEPS):
@@ -202,28 +208,28 @@ class Follower:
                 found = step(graph, found, expected, pulls.all())
         return found
 
-    def _found_again(self, shots: Sequence[Shot], found: Pose, expected: Pose, moment: int) -> Pose:
+    def _found_again(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
         """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
 
-        What was lost before was already carried along when the pose was found; it is looked for farther now and then.
+        What is not found by that is looked for again only some moments later: looking takes long.
         """
         likeness = self.likeness(shots, found)
-        before, self.lost_nodes = self.lost_nodes, self._lost(likeness)
-        if (self.lost_nodes & ~before).sum() >= FEWEST_LOST:
-            guesses = self.carried(found, self.lost_nodes), self._stopped(found)
-        else:
-            guesses = (expected,) if moment % FARTHER_EVERY == 0 else ()
-        for guess in guesses:
-            if not self.lost_nodes.any():
-                break
-            other = self.found(shots, guess, FARTHER)
-            liked = self.likeness(shots, other)
-            for group in self._groups(self.lost_nodes):
-                known = group[np.isfinite(likeness[group]) & np.isfinite(liked[group])]
-                if len(known) and liked[known].mean() > likeness[known].mean() + AGAIN:
-                    found = _with(found, other, group)
-                    likeness[group] = liked[group]
-            self.lost_nodes = self._lost(likeness)
+        self.lost_nodes = self._lost(likeness)
+        wanted = self.lost_nodes & (moment - self.sought >= SEEK_EVERY)
+        if wanted.sum() >= FEWEST_LOST:
+            asked = self._points(self.lost_nodes)
+            for guess in (self.carried(found, self.lost_nodes), self._stopped(found)):
+                other = self.found(shots, guess, FARTHER, asked)
+                liked = self.likeness(shots, other)
+                for group in self._groups(self.lost_nodes):
+                    known = group[np.isfinite(likeness[group]) & np.isfinite(liked[group])]
+                    if len(known) and liked[known].mean() > likeness[known].mean() + AGAIN:
+                        found = _with(found, other, group)
+                        likeness[group] = liked[group]
+                self.lost_nodes = self._lost(likeness)
+                if not self.lost_nodes.any():
+                    break
+            self.sought[self.lost_nodes & wanted] = moment
         return self.carried(found, self.lost_nodes)
 
     def likeness(self, shots: Sequence[Shot], found: Pose) -> Float[np.ndarray, " n"]:
@@ -237,6 +243,10 @@ class Follower:
             np.add.at(sums[0], graph.followed[points], weights * votes[:, None])
             np.add.at(sums[1], graph.followed[points], weights)
         return np.where(sums[1] > TELLING, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
+
+    def _points(self, nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " p"]:
+        """Points that mostly follow some nodes."""
+        return (self.graph.weights * nodes[self.graph.followed]).sum(1) > 0.5
 
     def _lost(self, likeness: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Nodes that pictures do not show; those of which nothing is known stay what they were."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.film import blurred, sampled
@@ -15,7 +15,8 @@ from devrf.reconstruct.tracking.templates import LIKE_PX, Templates
 LEAST_SIGMA = 0.7  # of a picture that is not blurred, as a weight
 CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
 HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
-FEWEST_SEEN = 20  # points, of which a camera says something
+FEWEST_SEEN, FEWEST_ASKED = 20, 5  # points, of which a camera says something; of those that are asked about
+MARGIN_PX = 48  # around points that are asked about
 DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
 
 
@@ -66,26 +67,45 @@ class Shot:
         at = sight.at[points]
         self.came = points, at + sampled(flow, at), np.exp(-(sampled(missed, at) ** 2))
 
-    def look(self, xyz: np.ndarray, normals: np.ndarray, surface: Surface, sigmas: tuple[float, ...]) -> None:
-        """Draw what the picture should show with points at `xyz`, and hold it against the picture."""
+    def look(
+        self,
+        xyz: np.ndarray,
+        normals: np.ndarray,
+        surface: Surface,
+        sigmas: tuple[float, ...],
+        asked: Bool[np.ndarray, " p"] | None = None,
+    ) -> None:
+        """Draw what the picture should show with points at `xyz`, and hold it against the picture.
+
+        Where only some points are asked about, what is around them is looked at, and nothing else is said.
+        """
         sight = Sight(self.film, xyz, normals, surface.spacing)
-        self.points = self.templates.known(sight)
-        if len(self.points) < FEWEST_SEEN:
+        self.points, fewest = self.templates.known(sight), FEWEST_SEEN
+        if asked is not None:
+            self.points, fewest = self.points[asked[self.points]], FEWEST_ASKED
+        if len(self.points) < fewest:
             self.points = self.points[:0]
             return
-        self.at = sight.at[self.points]
-        drawn = self.film.high_pass(self.templates.draw(sight, surface.rgb.astype(np.float32)))
-        real = self.film.sharp(self.n)
+        at = sight.at[self.points]
+        first, cut = np.zeros(2), np.s_[:, :]
+        if asked is not None:
+            self.came = self.points[:0], at[:0], np.zeros(0)
+            first = np.maximum(at.min(0) - MARGIN_PX, 0).astype(int)
+            last = (at.max(0) + MARGIN_PX).astype(int)
+            cut = np.s_[first[1] : last[1], first[0] : last[0]]
+        drawn = self.film.high_pass(self.templates.draw(sight, surface.rgb.astype(np.float32))[cut])
+        real = np.ascontiguousarray(self.film.sharp(self.n)[cut])
+        self.at, inside = at, at - first
         flow, missed = self.film.flow(drawn, real)
-        self.flow = self.at + sampled(flow, self.at), np.exp(-(sampled(missed, self.at) ** 2))
-        self.drawn = sampled(blurred(drawn, LIKE_PX), self.at)
+        self.flow = at + sampled(flow, inside), np.exp(-(sampled(missed, inside) ** 2))
+        self.drawn = sampled(blurred(drawn, LIKE_PX), inside)
         self.contrasts = []
         for sigma in sigmas:
             one, other = blurred(drawn, sigma), blurred(real, sigma)
             along, down = np.gradient(one + other, axis=1), np.gradient(one + other, axis=0)
             gradient = 0.5 * np.stack([along, down], -1)
-            slope = sampled(gradient.reshape(*one.shape[:2], -1), self.at).reshape(-1, 3, 2)
-            apart = sampled(other, self.at) - sampled(one, self.at)
+            slope = sampled(gradient.reshape(*one.shape[:2], -1), inside).reshape(-1, 3, 2)
+            apart = sampled(other, inside) - sampled(one, inside)
             self.contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))
 
     def likeness(self, xyz: np.ndarray) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
