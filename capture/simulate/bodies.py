@@ -37,7 +37,7 @@ SKIN, SHIRT, TROUSERS, SHOE = (
 )
 TABLE_TOP_M = 0.62
 STEPS_HZ = 1.2  # of the walking figure, both feet once
-STRIDE_DEG, LIFT_DEG = 36.0, 55.0  # thighs swing, knees bend: feet reach 2.2 m/s relative to the hip
+STRIDE_DEG, LIFT_DEG = 36.0, 55.0  # thighs swing, knees bend: feet reach 4 m/s
 WALK_M_S = 0.22
 OUT_AND_BACK_S = 2.0
 FAR_M = 1.5
