@@ -76,8 +76,8 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
         float(metrics["longest_lost"]),
         "pictures",
         warn_above=LOST_PICTURES,
-        remedy=f"Pictures show something else where a part should be that rests around ({at}): it moves on with what is "
-        "around it there, which may be wrong. Film at a higher rate, with a shorter exposure and more light; give "
+        remedy=f"Pictures show something else where a part should be that rests around ({at}): it goes on with what "
+        "is around it, which may be wrong. Film at a higher rate, with a shorter exposure and more light; give "
         "what moves fast more texture, and let two cameras see it at all times.",
     )
 
