@@ -320,7 +320,8 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     settings = ("--set", "calibration.sync.method=none", "--set", "capture.rest=start")
     result = devrf("run", path, "--until", "rig", *settings)
     assert result.code == 3, result.said
-    assert re.search(r"^rig: .*\bcam1\b.* 0 .* 30 ", result.err) and "[rig-unlinked-camera]" in result.err
+    few = re.search(r"^rig: .*\bcam1\b.* (\d+) inliers, need 30 ", result.err)  # chance agrees on some
+    assert few is not None and int(few[1]) < 10 and "[rig-unlinked-camera]" in result.err
     assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
 
 
