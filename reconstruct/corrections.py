@@ -32,10 +32,8 @@ class Corrections(torch.nn.Module):
         self.middles = torch.from_numpy(movers.middles()).float().to(device)
         self.radii = _radii(movers).to(device)[:, None]
         self.pictures = movers.placed(times)
-        first, gap = float(movers.times[0]), float(movers.times[1] - movers.times[0])
-        at = ((times - first) / gap).clamp(0, len(movers.times) - 1)
-        self.before = at.long().clamp(max=len(movers.times) - 2)
-        self.share = (at - self.before)[:, None, None].float()
+        self.before, share = movers.between(times)
+        self.share = share.float()[:, None, None]
 
     def placed(self) -> Placed:
         """Where the parts are in the pictures; differentiable."""
@@ -63,9 +61,8 @@ def rotation(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vector.shape, 3)
     square = vector.square().sum(-1)[..., None, None]
     turns = square > 0
-    angle = torch.where(
-        turns, torch.where(turns, square, 1.0).sqrt(), 0.0
-    )  # the root's slope at 0 is infinite
+    # The root's slope at 0 is infinite: it is taken elsewhere.
+    angle = torch.where(turns, torch.where(turns, square, 1.0).sqrt(), 0.0)
     once, twice = torch.sinc(angle / math.pi), 0.5 * torch.sinc(angle / (2 * math.pi)) ** 2
     return torch.eye(3, device=vector.device) + once * cross + twice * cross @ cross
 

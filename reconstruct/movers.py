@@ -111,13 +111,18 @@ class Movers:
             self._middles = np.stack([p.mean(0).numpy() if len(p) else np.zeros(3) for p in mine])
         return self._middles
 
+    def between(self, times: Float[Tensor, " F"]) -> tuple[Int[Tensor, " F"], Float[Tensor, " F"]]:
+        """The moment before each time, which is never the last one, and how much of the way to the next is behind."""
+        first, gap, last = float(self.times[0]), float(self.times[1] - self.times[0]), len(self.times) - 1
+        at = ((times.double() - first) / gap).clamp(0, last)
+        before = at.long().clamp(max=last - 1)
+        return before, at - before
+
     def placed(self, times: Float[Tensor, " F"]) -> Placed:
         """Where the parts are at times, between the moments along arcs: their middles go straight, the rest turns."""
         device = self.canonical.density.device
-        first, gap = float(self.times[0]), float(self.times[1] - self.times[0])
-        at = ((times.cpu().double().numpy() - first) / gap).clip(0, len(self.times) - 1)
-        before = np.minimum(at.astype(int), len(self.times) - 2)
-        share = (at - before)[:, None]
+        before, share = (x.cpu().numpy() for x in self.between(times))
+        share = share[:, None]
         R, t, middles = self.rotations.double().numpy(), self.shifts.double().numpy(), self.middles()
         turn = R[before + 1] @ R[before].transpose(0, 1, 3, 2)
         turned = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:3])

@@ -229,10 +229,8 @@ class _Recipe:
         """Everything that the next iteration depends on."""
         tensors = {"generator": self.generator.get_state()}
         tensors |= net_state(self.stands.net, self.net) | grids_state(self.grids)
-        for name, (value, optimiser) in self._small().items():
-            tensors[name] = value.detach()
-            of_optimiser = optimiser.state_dict()["state"].get(0, {})
-            tensors |= {f"{name} {key}": one for key, one in of_optimiser.items()}
+        tensors |= net_state(self.shading, self.light, "light ")
+        tensors |= net_state(self.corrections, self.places, "places ")
         return tensors, {"guard": self.guard.state()}
 
     def take_up(self, saved: Saved) -> int:
@@ -242,17 +240,9 @@ class _Recipe:
         take_up_net(self.stands.net, self.net, tensors)
         self.generator.set_state(tensors["generator"])
         self.guard.take_up(numbers["guard"])
-        for name, (value, optimiser) in self._small().items():
-            with torch.no_grad():
-                value.copy_(tensors[name])
-            if f"{name} step" in tensors:
-                of_optimiser = {key: tensors[f"{name} {key}"] for key in ("step", "exp_avg", "exp_avg_sq")}
-                optimiser.load_state_dict(optimiser.state_dict() | {"state": {0: of_optimiser}})
+        take_up_net(self.shading, self.light, tensors, "light ")
+        take_up_net(self.corrections, self.places, tensors, "places ")
         return done
-
-    def _small(self) -> dict[str, tuple[Tensor, torch.optim.Adam]]:
-        """What is learned beside grids and MLP, with its optimiser, by name."""
-        return {"light": (self.shading.grid, self.light), "places": (self.corrections.values, self.places)}
 
     def go_back(self, log: TrainingLog, stands: Canonical, movers: Movers, iteration: int) -> None:
         """To the beginning, with smaller steps.

@@ -1,4 +1,4 @@
-"""What checkpoints hold of the parts that trainings share: grids with their trainers, an MLP and its optimiser."""
+"""What checkpoints hold of the parts that trainings share: grids with their trainers, modules and their optimisers."""
 
 from collections.abc import Mapping
 
@@ -23,20 +23,22 @@ def take_up_grids(grids: Mapping[str, GridTrainer], tensors: dict[str, Tensor]) 
         grid.take_up(_part_of(tensors, f"{name} trainer"))
 
 
-def net_state(net: nn.Module, optimiser: torch.optim.Adam) -> dict[str, Tensor]:
-    """An MLP's parameters, and moments and steps of its optimiser."""
-    out = _named("net", net.state_dict())
+def net_state(net: nn.Module, optimiser: torch.optim.Adam, of: str = "") -> dict[str, Tensor]:
+    """An MLP's (or another module's) parameters, and moments and steps of its optimiser; `of` tells several apart."""
+    out = _named(f"{of}net", net.state_dict())
     for number, moments in optimiser.state_dict()["state"].items():
-        out |= _named(f"adam.{number}", moments)
+        out |= _named(f"{of}adam.{number}", moments)
     return out
 
 
-def take_up_net(net: nn.Module, optimiser: torch.optim.Adam, tensors: dict[str, Tensor]) -> None:
+def take_up_net(
+    net: nn.Module, optimiser: torch.optim.Adam, tensors: dict[str, Tensor], of: str = ""
+) -> None:
     """Go on from a `net_state`."""
-    net.load_state_dict(_part_of(tensors, "net"))
+    net.load_state_dict(_part_of(tensors, f"{of}net"))
     state = optimiser.state_dict()
     for number in range(len(list(net.parameters()))):
-        if moments := _part_of(tensors, f"adam.{number}"):
+        if moments := _part_of(tensors, f"{of}adam.{number}"):
             state["state"][number] = moments
     optimiser.load_state_dict(state)
 

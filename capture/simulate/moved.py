@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate.renderer import sampled_through, wide_pinhole
+from devrf.capture.simulate.renderer import lens_of
 from devrf.capture.simulate.scenes import Mesh
 from devrf.capture.simulate.studio import Studio
 from devrf.capture.simulate.truth import corners_of
@@ -20,8 +20,8 @@ class MovedMasks:
 
     def __init__(self, camera: Camera, rest: Sequence[Mesh], still: Sequence[Mesh]) -> None:
         """`rest` are the meshes that can move, where they rest; `still` all others."""
-        self._camera, self._still = camera, list(still)
-        self._studio = Studio(spp=1)
+        self._still, self._studio, self._lens = list(still), Studio(spp=1), lens_of(camera)
+        self._pinhole = self._lens.pinhole(camera)
         self._corners = corners_of(rest)
         self._at_rest = self._triangles(rest)
 
@@ -29,13 +29,12 @@ class MovedMasks:
         """Pixels that show, now or at rest, a surface that is now elsewhere than at rest."""
         gone = (np.linalg.norm(corners_of(now) - self._corners, axis=-1) > MOVED_M).any(-1)
         gone = np.append(gone, False)  # number -1: what stands
-        return sampled_through(self._camera, gone[self._triangles(now)]) | sampled_through(
-            self._camera, gone[self._at_rest]
-        )
+        shown = np.stack([gone[self._triangles(now)], gone[self._at_rest]], axis=-1)
+        return (self._lens.gathered(shown.astype(np.float32)) >= 0.5).any(-1)
 
     def _triangles(self, moving: Sequence[Mesh]) -> Int[np.ndarray, "h w"]:
         """Numbers of the triangles of `moving` in a picture without distortion; -1 where something else is seen."""
-        numbers = self._studio.stage([*moving, *self._still]).triangles(wide_pinhole(self._camera))
+        numbers = self._studio.stage([*moving, *self._still]).triangles(self._pinhole)
         return np.where(numbers < len(self._corners), numbers, -1)
 
 

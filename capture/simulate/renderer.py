@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.capture.simulate.mitsuba import ShapeMaker, load_mitsuba, perspective
@@ -50,7 +50,7 @@ class Renderer:
         self._lit, self._even = ShapeMaker(self._mi, AMBIENT), ShapeMaker(self._mi, EVEN, lit=False)
         self._still = self._shapes(self._lit, still)
         self._still_even = self._shapes(self._even, still) if self._finish.gloss else []
-        self._lenses: dict[tuple[object, ...], _Lens] = {}
+        self._lenses: dict[tuple[object, ...], Lens] = {}
 
     def __call__(
         self,
@@ -107,7 +107,7 @@ class Renderer:
             }
         )
         fine = np.array(mi.render(scene, seed=seed), dtype=np.float32)
-        return _gather(fine, lens.maps, SUBPIXELS)
+        return lens.gathered(fine)
 
     def _shapes(self, maker: ShapeMaker, meshes: Sequence[Mesh], mirror: bool = False) -> list[Any]:
         shapes = []
@@ -118,15 +118,15 @@ class Renderer:
                 shapes.append(maker(mesh, behind, mesh.faces[:, ::-1], mirror))
         return shapes
 
-    def _lens(self, camera: Camera) -> "_Lens":
+    def _lens(self, camera: Camera) -> "Lens":
         if camera.lens not in self._lenses:
-            self._lenses[camera.lens] = _make_lens(camera)
+            self._lenses[camera.lens] = lens_of(camera)
         return self._lenses[camera.lens]
 
 
 @dataclass(frozen=True)
-class _Lens:
-    """An ideal fine picture that covers the view, and where each subpixel looks it up."""
+class Lens:
+    """An ideal fine picture that covers a camera's view, and where each subpixel looks it up."""
 
     width: int
     height: int
@@ -138,23 +138,18 @@ class _Lens:
         K = np.array([[self.focal, 0, self.width / 2], [0, self.focal, self.height / 2], [0, 0, 1.0]])
         return Camera(self.width, self.height, K, camera.cam_from_world)
 
+    def gathered(self, fine: Float[np.ndarray, "fine_h fine_w c"]) -> Float[np.ndarray, "h w c"]:
+        """The sensor's picture of what the ideal camera sees."""
+        return _gather(fine, self.maps, SUBPIXELS)
 
-def _make_lens(camera: Camera) -> _Lens:
+
+def lens_of(camera: Camera) -> Lens:
+    """The lens of a camera."""
     ideal = ideal_coordinates(camera, SUBPIXELS)
     focal = FINE * float(camera.K[0, 0])
     half = np.ceil(np.abs(ideal).reshape(-1, 2).max(axis=0) * focal) + 2
     maps = ideal * focal + half - 0.5  # OpenCV's remap has pixel centres at whole numbers
-    return _Lens(2 * int(half[0]), 2 * int(half[1]), focal, maps.astype(np.float32))
-
-
-def wide_pinhole(camera: Camera) -> Camera:
-    """An ideal camera in the same place that sees all the camera sees, finer."""
-    return _make_lens(camera).pinhole(camera)
-
-
-def sampled_through(camera: Camera, seen: Bool[np.ndarray, "fine_h fine_w"]) -> Bool[np.ndarray, "h w"]:
-    """Which pixels of the camera are set in at least half of their area, of a picture by its `wide_pinhole`."""
-    return _gather(seen[..., None].astype(np.float32), _make_lens(camera).maps, SUBPIXELS)[..., 0] >= 0.5
+    return Lens(2 * int(half[0]), 2 * int(half[1]), focal, maps.astype(np.float32))
 
 
 def ideal_coordinates(camera: Camera, subpixels: int) -> np.ndarray:

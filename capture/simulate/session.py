@@ -113,7 +113,7 @@ def simulate_session(
     noise = dict(zip(clips, seeds[5].spawn(len(clips)), strict=True))
     work = _Work(out, renderer, thing, around.behind, options, size, noise, kept, progress)
     work.total = len(sweep) + sum(len(camera.file_times_s) for camera in fixed)
-    work.total += (len(fixed) + 1) * options.board_frames * options.board
+    work.total += (len(fixed) + 1) * options.board_frames * options.board + len(fixed[-1].file_times_s)
     work.sweep(sweep)
     claps = _clap_times(seeds[2], fixed, options)
     burst = sound.make_burst(seeds[2])
@@ -127,7 +127,7 @@ def simulate_session(
             work.board_clip(name, camera)
     truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed, code)
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
-    _write_motion(out, fixed[-1], thing, still, around.behind, options)
+    work.motion(fixed[-1], still)
     path = out / "scene.yaml"
     path.write_text(scene_yaml(scene, fixed, options), encoding="utf-8")
     return path
@@ -156,25 +156,6 @@ def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: Se
     if options.strip_m and scene != "sheet":
         wrong = f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips"
         raise InputError("options-contradict", f"{wrong}, expected --scene sheet")
-
-
-def _write_motion(
-    out: Path,
-    witness: FixedCamera,
-    thing: MovingObject,
-    still: Sequence[Mesh],
-    behind: list[Mesh],
-    options: SessionOptions,
-) -> None:
-    """Where something moves in the witness's pictures, and where points of the object's surface are then."""
-    moments = [witness.true_time(float(t)) for t in witness.file_times_s]
-    masks = MovedMasks(witness.camera, [thing.rest, *behind], still)
-    objects = [object_at(thing, moment, options) for moment in moments]
-    moved = [
-        masks([mesh, *background_at(behind, t, options)]) for t, mesh in zip(moments, objects, strict=True)
-    ]
-    np.savez_compressed(out / f"{witness.name}_mask.npz", mask=np.stack(moved))
-    np.savez_compressed(out / "object_points.npz", times_s=np.array(moments), points_m=ways(objects))
 
 
 def _check_folder(out: Path) -> None:
@@ -266,6 +247,17 @@ class _Work:
             clip.picture(expose(show(pose), 1.0, options.noise, rng), i / BOARD_FPS)
             self._tick(file)
         clip.close()
+
+    def motion(self, witness: FixedCamera, still: Sequence[Mesh]) -> None:
+        """Where something moves in the witness's pictures, and where points of the object's surface are then."""
+        moments = [witness.true_time(float(t)) for t in witness.file_times_s]
+        objects = [object_at(self.thing, moment, self.options) for moment in moments]
+        np.savez_compressed(self.out / "object_points.npz", times_s=np.array(moments), points_m=ways(objects))
+        masks, moved = MovedMasks(witness.camera, [self.thing.rest, *self.behind], still), []
+        for moment, mesh in zip(moments, objects, strict=True):
+            moved.append(masks([mesh, *background_at(self.behind, moment, self.options)]))
+            self._tick(f"what moves before {witness.name}")
+        np.savez_compressed(self.out / f"{witness.name}_mask.npz", mask=np.stack(moved))
 
     def _copied(self, name: str, pictures: int) -> bool:
         """Whether the clip was there already; then it is now here too."""

@@ -53,7 +53,7 @@ def flow_rows(contradicted: Mapping[str, float]) -> list[HealthRow]:
     ]
 
 
-LOST_PICTURES = 2.0  # in a row, of a part: a tenth of a second of most cameras
+LOST_MOMENTS = 2.0  # in a row: as many pictures, of a clip that is not very long
 
 
 @listed
@@ -74,8 +74,8 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
     yield row(
         "longest time that a moving part is lost",
         float(metrics["longest_lost"]),
-        "pictures",
-        warn_above=LOST_PICTURES,
+        "moments",
+        warn_above=LOST_MOMENTS,
         remedy=f"Pictures show something else where a part should be that rests around ({at}): it goes on with what "
         "is around it, which may be wrong. Film at a higher rate, with a shorter exposure and more light; give "
         "what moves fast more texture, and let two cameras see it at all times.",

@@ -21,14 +21,13 @@ from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.still_picture import plate, standing_clips
 from devrf.reconstruct.tracking.film import Film, films
-from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import FEWEST_CAMERAS, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
 from devrf.reconstruct.training_log import TrainingLog
 
-FEWEST_CAMERAS = 2  # that stand: one says nothing of depth
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
 SOLID = 0.5  # opacity of what stands from which it hides what is behind

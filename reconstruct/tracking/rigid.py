@@ -33,16 +33,16 @@ def motion_of(
     lost: Bool[np.ndarray, "t p"] | None = None,
 ) -> Motions:
     """The rigid motion that explains tracks best (Kabsch 1976); lost points count where few others are left."""
-    weights = np.full((1, len(rest)), 1 / len(rest))
-    if lost is not None and lost.any():
-        counts = np.where((~lost).sum(1, keepdims=True) >= FEWEST, ~lost, True).astype(float)
-        weights = counts / counts.sum(1, keepdims=True)
-    middle, middles = weights @ rest, (weights[..., None] * tracks).sum(1)
-    apart = tracks - middles[:, None]
-    U, _, V = np.linalg.svd(np.einsum("tpi,tpj->tij", weights[..., None] * (rest - middle[:, None]), apart))
+    counts = np.ones(tracks.shape[:2])
+    if lost is not None:
+        counts = np.where((~lost).sum(1, keepdims=True) >= FEWEST, ~lost, counts)
+    weights = counts / counts.sum(1, keepdims=True)
+    middle, middles = weights @ rest, np.einsum("tp,tpi->ti", weights, tracks)
+    turned = np.einsum("tp,tpi,tpj->tij", weights, rest - middle[:, None], tracks - middles[:, None])
+    U, _, V = np.linalg.svd(turned)
     U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
     rotations = (U @ V).transpose(0, 2, 1)
-    return rotations, middles - np.einsum("tij,tj->ti", rotations, np.broadcast_to(middle, middles.shape))
+    return rotations, middles - np.einsum("tij,tj->ti", rotations, middle)
 
 
 def residual(

@@ -1,12 +1,13 @@
 """What one picture says of the points that its camera sees, and of where they should be."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.tracking.film import blurred, sampled
+from devrf.reconstruct.tracking.film import Picture, blurred, sampled
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls
 from devrf.reconstruct.tracking.surface import Surface
@@ -117,11 +118,16 @@ class Shot:
             return self.points, np.zeros(0)
         at = self.film.camera.project(xyz[self.points])
         behind = sampled(self.templates.behind, at)
-        real = sampled(blurred(self.film.sharp(self.n), LIKE_PX), at)
+        real = sampled(self._even, at)
         apart = np.linalg.norm(self.drawn - behind, axis=1)
         vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - self.drawn, axis=1)
         telling = (apart > DISTINCT) & np.isfinite(at).all(1)
         return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
+
+    @cached_property
+    def _even(self) -> Picture:
+        """The picture as points are compared with it."""
+        return blurred(self.film.sharp(self.n), LIKE_PX)
 
     def pull(self, xyz: np.ndarray, pulls: Sum) -> None:
         """Add what the picture wants of points that are at `xyz` when it is taken."""

@@ -68,8 +68,9 @@ def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray
     edge = graph.nodes[b] - graph.nodes[a]
     turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
     residual = turned + graph.nodes[a] + pose.shifts[a] - graph.nodes[b] - pose.shifts[b]
-    root = np.sqrt(RIGID / (1 + (stretched(graph, pose) / TEARS) ** 2)) / np.linalg.norm(edge, axis=1)
-    root = root[:, None]
+    length = np.linalg.norm(edge, axis=1, keepdims=True)
+    stretch = np.linalg.norm(edge + pose.shifts[b] - pose.shifts[a], axis=1, keepdims=True) / length - 1
+    root = np.sqrt(RIGID / (1 + (stretch / TEARS) ** 2)) / length
     row = np.arange(3 * len(a)).reshape(-1, 3)
     by_turn = -skew(turned) * root[..., None]
     rows, columns, values = (
@@ -82,14 +83,6 @@ def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray
         columns.append((6 * node[:, None] + 3 + np.arange(3)).ravel())
         values.append(np.broadcast_to(sign * root, row.shape).ravel())
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(values), (residual * root).ravel()
-
-
-def stretched(graph: Graph, pose: Pose) -> Float[np.ndarray, " e"]:
-    """How much longer each edge is than at rest, relative to its length; shorter below 0."""
-    a, b = graph.edges.T
-    edge = graph.nodes[b] - graph.nodes[a]
-    now = edge + pose.shifts[b] - pose.shifts[a]
-    return np.linalg.norm(now, axis=1) / np.linalg.norm(edge, axis=1) - 1
 
 
 def _expected(pose: Pose, expected: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

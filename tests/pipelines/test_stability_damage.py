@@ -79,6 +79,7 @@ def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_once(intact: Intact)
         clip.picture(np.full((16, 32, 3), 30 * n, np.uint8), n / 10)
     clip.close()
     (intact.scene_dir / "ground_truth.json").write_text(json.dumps({"static": list(range(7)), "cams": {}}))
+    (intact.scene_dir / "witness_mask.npz").write_bytes(b"what moves")
     folder = intact.folder / "case"
     folder.mkdir()
     spoilt = replace(intact, folder=folder, severity=3.0)
@@ -90,6 +91,9 @@ def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_once(intact: Intact)
         assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.3, 0.6]
     truth = config.truth_path(intact.scene_dir)
     assert truth is not None and json.loads(truth.read_text()) == {"static": [0, 3, 6], "cams": {}}
+    assert (
+        truth.with_name("witness_mask.npz").read_bytes() == b"what moves"
+    )  # measured as in the undisturbed scene
     raw.fewer_sweep_pictures(spoilt)
     assert written.stat().st_mtime_ns == made
     raw.fewer_sweep_pictures(replace(spoilt, severity=2.0))

@@ -1,6 +1,7 @@
 """Damage to raw files: clips written anew into the case's folder; of a data set, its list of pictures thinned."""
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -120,6 +121,8 @@ def _part_of_the_sweep(intact: Intact, stays: Callable[[int, int], bool]) -> Dam
     content["static"] = [pose for n, pose in enumerate(static) if stays(n, len(static))]
     fewer = intact.folder / "ground_truth.json"
     fewer.write_text(json.dumps(content))
+    for masks in truth.parent.glob("*_mask.npz"):  # what moves is measured as in the undisturbed scene
+        shutil.copyfile(masks, intact.folder / masks.name)
     evaluate = config.evaluate.model_copy(update={"truth": str(fewer)})
     return Damage(config.model_copy(update={"evaluate": evaluate}))
 
