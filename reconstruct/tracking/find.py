@@ -103,7 +103,7 @@ def find_movers(
     graph = Graph(moving)
     log = TrainingLog("cpu", 1)
     saved = checkpoint.found(log)
-    if saved is not None and saved.tensors.get("lost", torch.empty(0, 0)).shape[1] == len(moving):
+    if saved is not None and saved.tensors["xyz"].shape[1] == len(moving):
         tracks = Tracks(*(saved.tensors[name].numpy() for name in ("times", "xyz", "lost")))
     else:
         tracks = follow_both_ways(
