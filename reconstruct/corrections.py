@@ -37,7 +37,9 @@ class Corrections(torch.nn.Module):
 
     def placed(self) -> Placed:
         """Where the parts are in the pictures; differentiable."""
-        values = torch.lerp(self.values[self.before], self.values[self.before + 1], self.share)
+        # index_select's gradient adds up in the same order each time; that of an index does not.
+        before, after = (self.values.index_select(0, self.before + n) for n in (0, 1))
+        values = torch.lerp(before, after, self.share)
         return self._corrected(self.pictures, values)
 
     @torch.no_grad()
