@@ -30,7 +30,7 @@ class MovedMasks:
         gone = (np.linalg.norm(corners_of(now) - self._corners, axis=-1) > MOVED_M).any(-1)
         gone = np.append(gone, False)  # number -1: what stands
         shown = np.stack([gone[self._triangles(now)], gone[self._at_rest]], axis=-1)
-        return (self._lens.gathered(shown.astype(np.float32)) >= 0.5).any(-1)
+        return self._lens.gathered(shown.astype(np.float32)).max(-1) >= 0.5
 
     def _triangles(self, moving: Sequence[Mesh]) -> Int[np.ndarray, "h w"]:
         """Numbers of the triangles of `moving` in a picture without distortion; -1 where something else is seen."""
