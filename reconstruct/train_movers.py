@@ -40,7 +40,7 @@ LR_PLACES = 0.03  # voxels; the same
 SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weight
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
 FOG = 0.004  # opacity of a step, of what could stand where movers are
-ZONE = 2  # voxels around movers in which it could
+ZONE = 2  # voxels around movers in which it could, and in which what stands may be wrong: it was hidden by them
 OCCUPANCY_EVERY = 50  # iterations
 LOG_EVERY = 50
 AT_ONCE, HELD_EVERY = 1 << 13, 4  # held-back rays; pictures of which one is asked
@@ -157,9 +157,10 @@ class _Recipe:
         zone = self.region
         for _ in range(ZONE - 1):
             zone = grown(zone)
-        self.zone = zone & (stands.distance > 0)
-        stands.density[self.zone] = math.log(math.expm1(FOG / stands.interval)) - stands.shift
-        stands.features[self.zone] = 0
+        self.zone = zone
+        empty = zone & (stands.distance > 0)
+        stands.density[empty] = math.log(math.expm1(FOG / stands.interval)) - stands.shift
+        stands.features[empty] = 0
         self.grids = {
             "stands density": GridTrainer(stands.density),
             "stands features": GridTrainer(stands.features),
