@@ -14,8 +14,3 @@ def clocks_in_use(run_dir: Path) -> dict[str, dict[str, Any]]:
         if path.is_file():
             return json.loads(path.read_text())["cameras"]
     return {}
-
-
-def reference_camera(run_dir: Path) -> str | None:
-    """The camera whose clock is everyone's: the first one; None where there are no clocks."""
-    return next(iter(clocks_in_use(run_dir)), None)

@@ -1,6 +1,5 @@
 """What scene.yaml says about training, as the reconstruction's own options."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from devrf.capture.scene import Scene
@@ -28,6 +27,4 @@ def training_options(config: SceneConfig, scene: Scene) -> "Options":
         adapt=chosen.adapt,
         seed=chosen.seed,
     )
-    if config.kind == "dataset":  # its times are given: there are no clocks to doubt
-        return replace(options, motion=replace(options.motion, find_late_camera=False))
     return options

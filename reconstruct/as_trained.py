@@ -4,15 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.late_camera import moved_by
+from devrf.reconstruct.clocks import retimed
 
 
 def as_trained(scene: Scene, metrics: Mapping[str, Any]) -> Scene:
-    """Move the clock that training moved; only training pictures have other times then.
+    """Move the clocks that training moved; only training pictures have other times then.
 
     Args:
         scene: As `scene` left it.
-        metrics: What `train_deformation` measured; nothing of a late camera in there: all clocks stay.
+        metrics: What `train_deformation` measured; nothing of offsets in there: all clocks stay.
     """
-    late = metrics.get("late_camera")
-    return scene if late is None else moved_by(scene, late["name"], late["offset_s"])
+    return retimed(scene, metrics.get("clock_offsets_s", {}))

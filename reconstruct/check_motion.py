@@ -22,7 +22,6 @@ from torch import Tensor
 from devrf.capture.scene import Scene
 from devrf.reconstruct.clocks import error_curves, picture_gap_s
 from devrf.reconstruct.grids import voxel_size
-from devrf.reconstruct.late_camera import FEWEST_PICTURES
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance, grown_pixels
 from devrf.reconstruct.options import CHUNK
@@ -33,6 +32,7 @@ from devrf.reconstruct.surroundings import PixelSurroundings
 PICTURES = 8  # of each camera, spread over its clip
 RAYS = 96  # of each picture, where pictures change: a camera's gain is known to a tenth of a decibel or two
 SURE = 0.977  # that another time is better, by Student's t over pictures: two standard errors of many
+FEWEST_PICTURES = 4  # that can be compared at two times
 LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
 SHIFTS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # pictures by which a camera is tried to be early or late
 OPAQUE = 0.5  # opacity from which something is there
@@ -132,7 +132,7 @@ def better_shift(curves: Float[np.ndarray, "pictures shifts"]) -> float:
 
     Args:
         curves: Squared errors at SHIFTS; NaN where the motion knows nothing. Pictures that are known both as they are
-            and at a shift are compared there; `late_camera.offset_pictures` asks more, because it moves a clock.
+            and at a shift are compared there.
     """
     now = curves[:, SHIFTS == 0]
     both = np.isfinite(curves) & np.isfinite(now)

@@ -7,7 +7,7 @@ Newton's step by differences: the exact slope has two sides at a key time, where
 lie, and follows fine texture rather than the motion (measured: three such steps went a fifth of the way).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import median
 
@@ -23,22 +23,25 @@ from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 
 SHIFTS = np.linspace(-1.2, 1.2, 13)  # pictures by which a camera is tried to be early or late
-NEAR = 2  # shifts on either side of the best one that its parabola goes through
+BEYOND = 1e-3  # of all modelled time, that a picture may lie outside of it
 RAYS = 96  # of each picture, where pictures change
 
 
-def with_offset(scene: Scene, camera: str, offset_s: float) -> Scene:
-    """The scene with a camera's training pictures taken so much later, held to what is modelled."""
+def retimed(scene: Scene, offsets_s: Mapping[str, float]) -> Scene:
+    """The scene with training pictures of some cameras taken so much later, less those beyond what is modelled."""
     span_s = scene.t1_s - scene.t0_s
 
-    def moved(frame: PosedFrame) -> PosedFrame:
-        mine = frame.split == "train" and frame.camera_name == camera
-        if not mine or frame.time is None or frame.time_s is None:
+    def moved(frame: PosedFrame) -> PosedFrame | None:
+        offset_s = offsets_s.get(frame.camera_name, 0.0) if frame.split == "train" else 0.0
+        if offset_s == 0 or frame.time_s is None:
             return frame
         time_s = frame.time_s + offset_s
-        return replace(frame, time_s=time_s, time=min(1.0, max(0.0, (time_s - scene.t0_s) / span_s)))
+        time = (time_s - scene.t0_s) / span_s
+        if not -BEYOND <= time <= 1 + BEYOND:
+            return None
+        return replace(frame, time_s=time_s, time=min(1.0, max(0.0, time)))
 
-    return replace(scene, dynamic=tuple(moved(f) for f in scene.dynamic))
+    return replace(scene, dynamic=tuple(f for f in map(moved, scene.dynamic) if f is not None))
 
 
 @torch.no_grad()
@@ -75,24 +78,6 @@ def error_curves(
         errors = ((rgb - batch.rgb[ray]) ** 2).reshape(len(asked), -1).sum(1)
         curves[n, inside.cpu().numpy()] = errors.cpu().numpy()
     return curves
-
-
-def lowest(curves: Float[np.ndarray, "pictures shifts"]) -> tuple[float, float]:
-    """Shift at which all pictures together fit best, and its standard deviation, both in pictures.
-
-    A parabola through the errors around the lowest one. The standard deviation is that of a sum of independent
-    pictures ("sandwich": White, Econometrica 1982); infinite where there is no lowest error within SHIFTS.
-    """
-    if len(curves) < 2:
-        return 0.0, np.inf
-    best = int(np.clip(np.argmin(curves.sum(0)), NEAR, len(SHIFTS) - 1 - NEAR))
-    near = slice(best - NEAR, best + NEAR + 1)
-    square, linear, _ = np.polyfit(SHIFTS[near], curves[:, near].T, 2)
-    if square.sum() <= 0:
-        return 0.0, np.inf
-    shift = float(np.clip(-linear.sum() / (2 * square.sum()), SHIFTS[0], SHIFTS[-1]))
-    slopes = linear + 2 * square * shift
-    return shift, float(np.sqrt((slopes**2).sum()) / (2 * square.sum()))
 
 
 def picture_gap_s(frames: Sequence[PosedFrame]) -> float:

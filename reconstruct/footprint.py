@@ -14,7 +14,6 @@ import torch
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.grids import FEW
-from devrf.reconstruct.late_camera import FEWEST
 from devrf.reconstruct.motion import MOST_ON_GPU
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions, MotionOptions
@@ -205,7 +204,6 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     vertices, finest = o.resolution**3, o.levels[-1] ** 3
     before = o.levels[-2] ** 3 if len(o.levels) > 1 else 0  # a field that is refined is there twice
     keys = max(2, min(o.keys or o.most_keys, size.times))
-    first = FIELD_VERTEX * keys * finest * (o.find_late_camera and size.cameras >= FEWEST)
     apart = on_gpu and FIELD_VERTEX * keys * finest > MOST_ON_GPU
     fields = FIELD_VERTEX * keys * (finest + before)
     on_device = FIELD_VERTEX * min(keys, KEYS_IN_WINDOW) * finest if apart else fields
@@ -217,11 +215,10 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     reading = {"models": READ * rest}
     beginning = common | {"surroundings": 2 * VIEW_PIXEL * size.views, "models": rest}
     moving = o.rays * SAMPLES_PER_RAY * MOVING_SAMPLE
-    motion = common | {  # where a late camera is found the first motion stays, until the second one is done
+    motion = common | {
         "flow": FLOW_PIXEL * size.moving_pixels * (o.flow > 0),
         "models": rest
         + on_device
-        + first * (not apart)
         + 8 * 12 * finest,  # gradient, moments and beginning of one key of both fields
         "samples": moving + o.rays * _steps_bytes(o, o.stepsize),
     }
@@ -246,7 +243,7 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
     phases += [movers] if o.together and not size.plain else []
     kept: Parts = {
         "flow as read": FLOW_PIXEL_READ * size.moving_pixels * (o.flow > 0),
-        "motion field": (fields + first) * apart,
+        "motion field": fields * apart,
     }
     return kept, _largest(phases)
 

@@ -101,7 +101,6 @@ class MotionOptions:
             (`checked_flow.py`; False: all valid ones alike, as published).
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
-        find_late_camera: Look for a camera whose clock is wrong once the motion is trained (`late_camera.py`).
         together: Iterations in which what stands and rigid parts that were tracked are trained (`train_movers.py`);
             0: motion is a field, as published.
         together_rays: Rays of each.
@@ -130,7 +129,6 @@ class MotionOptions:
     per_point: float = 0.1
     fine_tuning: int = 0
     fine_tuning_given: bool = False
-    find_late_camera: bool = False
     together: int = 0
     together_rays: int = 4096
     stepsize: float = 0.5
@@ -168,7 +166,6 @@ QUICK_MOTION: dict[str, Any] = {
     "importance": 0.8,
     "flow": 0.02,
     "flow_confidence": True,
-    "find_late_camera": True,
     "together": 200,
     "stepsize": 1.0,
     "alpha_threshold": 5e-3,

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.key_times import offered_keys
-from devrf.reconstruct.late_camera import FEWEST
 from devrf.reconstruct.options import FEWEST_COARSE, CanonicalOptions, MotionOptions, Options
 
 Setup = tuple[Scene, Options]
@@ -120,8 +119,6 @@ PARTS: tuple[Part, ...] = (
     Part("exact_times", "motion", "pictures between key times, at their own times", _times_of_keys),
     Part("fine_tuning", "motion", "the scene at rest follows all pictures", _motion(fine_tuning=0)),
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
-    Part("find_late_camera", "motion", "a camera whose clock is wrong is looked for", _motion(find_late_camera=False),
-         lambda scene, o: len({f.camera_name for f in scene.dynamic if f.split == "train"}) >= FEWEST),
     Part("movers", "motion", "rigid parts are tracked, and trained with what stands", _motion(together=0), _around),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",

@@ -13,7 +13,6 @@ fog; the first key is not trained twice (the program's slot 0 falls to it).
 """
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -76,7 +75,6 @@ def train_motion(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
-    check: Callable[[RaySet, Mapping[str, CameraFlow]], CheckedFlow] = checked_flow,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
 
@@ -89,7 +87,6 @@ def train_motion(
         progress: Told how far it is.
         checkpoint: Where to keep the state between two key times, and to take it up from.
         watch: Shown the motion field now and then, between two key times.
-        check: Holds the flow against the pictures, where it counts by its confidence.
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverges with small steps, too.
     """
@@ -99,7 +96,7 @@ def train_motion(
         raise ReconstructError("pictures-none", "no training pictures of the scene in motion")
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
-    checked = check(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
+    checked = checked_flow(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
     recipe = _Recipe(scene, rest, rays, checked, options, device)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
     saved = checkpoint.found(log)

@@ -21,7 +21,6 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.pipelines.bench.looks import Looks
 from devrf.pipelines.bench.rows import Row, publish
-from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.runner.execute import execute
@@ -133,7 +132,6 @@ class Bench:
 
         def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
             watch = looks.of_motion(rest) if looks is not None else None
-            reference = reference_camera(self.run.run_dir)
             trained, facts = train_deformation(
                 scene,
                 rest,
@@ -143,7 +141,6 @@ class Bench:
                 progress,
                 checkpoint,
                 watch,
-                reference,
                 partial(flow_estimator, self.run.config, self.run.scene_dir, device),
             )
             files = save_deformation(folder, trained)

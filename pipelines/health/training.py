@@ -8,9 +8,10 @@ from devrf.pipelines.health.rows import HealthRow, listed, row
 
 RESTARTED = "times that training ran away and went back"
 CONTRADICTED = "share of what moves whose flow the pictures contradict"
-LATE = "clock that the motion of the other cameras contradicts"
+MOVED = "clocks moved by what moves"
+MOVED_MS = 10.0  # at 1 m/s a centimetre
 MOSTLY_SHADED = 0.5  # of what movers gain; rolling things and cast shadows take a quarter
-MENDED = (RESTARTED, CONTRADICTED, LATE)
+MENDED = (RESTARTED, CONTRADICTED, MOVED)
 """First words of the rows which say that training mended something: the cause is real, the loss may not be."""
 
 
@@ -82,19 +83,20 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
     )
 
 
-def late_rows(found: Mapping[str, Any] | None) -> list[HealthRow]:
-    """Whether a camera's clock was moved because the motion that the others see says so."""
-    if found is None:
+def clock_rows(offsets_s: Mapping[str, float]) -> list[HealthRow]:
+    """Whether clocks were moved because what moves is seen elsewhere on its way than they say."""
+    if not offsets_s:
         return []
-    name, offset_s = found["name"], found["offset_s"]
+    name = max(offsets_s, key=lambda camera: abs(offsets_s[camera]))
+    late_ms = {camera: 1e3 * offset_s for camera, offset_s in offsets_s.items()}
     return [
         row(
-            f"{LATE} ({name}, {1000 * offset_s:+.0f} ms)",
-            abs(found["pictures"]),
-            "pictures",
-            warn_above=0.0,
-            remedy=f"Training took the pictures of {name} {abs(1000 * offset_s):.0f} ms "
-            f"{'later' if offset_s > 0 else 'earlier'} than sync says, to a quarter of a picture. Set its lag in "
+            f"{MOVED} ({', '.join(f'{camera} {ms:+.0f} ms' for camera, ms in late_ms.items())})",
+            abs(late_ms[name]),
+            "ms",
+            warn_above=MOVED_MS,
+            remedy=f"Training took the pictures of {name} {abs(late_ms[name]):.0f} ms "
+            f"{'later' if late_ms[name] > 0 else 'earlier'} than sync says. Set its lag in "
             "calibration.sync.av_lag_s or true times in capture.timestamps, or clap near the middle of the scene.",
         )
     ]

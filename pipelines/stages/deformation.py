@@ -6,11 +6,10 @@ from functools import partial
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
-from devrf.pipelines.clocks_in_use import reference_camera
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
-from devrf.pipelines.health.training import flow_rows, late_rows, mover_rows, restart_rows
+from devrf.pipelines.health.training import clock_rows, flow_rows, mover_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -45,7 +44,6 @@ def run(context: StageContext) -> None:
         context.device,
         context.progress,
         checkpoint,
-        reference=reference_camera(context.run_dir),
         estimator=partial(flow_estimator, context.config, context.scene_dir, context.device),
     )
     save_deformation(context.out, model)
@@ -64,7 +62,7 @@ def run(context: StageContext) -> None:
     context.health.extend(restart_rows(metrics))
     context.health.extend(mover_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
-    context.health.extend(late_rows(metrics.get("late_camera")))
+    context.health.extend(clock_rows(metrics.get("clock_offsets_s", {})))
 
 
 def _left_box(share: float) -> HealthRow:

@@ -21,13 +21,15 @@ from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.still_picture import plate, standing_clips
 from devrf.reconstruct.tracking.film import Film, films
-from devrf.reconstruct.tracking.follow import FEWEST_CAMERAS, Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.moving_points import moving_points
+from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
 from devrf.reconstruct.training_log import TrainingLog
 
+KEPT = "times", "xyz", "lost", "offsets"  # of tracks
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
@@ -47,6 +49,7 @@ class Found:
         labels: Part of each, counted from 0.
         stands: The scene at rest without them.
         movers: The parts, not trained.
+        offsets_s: Seconds by which cameras took their pictures later than their clocks say; only where that is clear.
     """
 
     surface: Surface
@@ -54,6 +57,7 @@ class Found:
     labels: Int[np.ndarray, " p"]
     stands: Canonical
     movers: Movers
+    offsets_s: dict[str, float]
 
     def longest_lost(self) -> tuple[int, int]:
         """For how many moments in a row pictures show something else where most of a part should be; which part."""
@@ -104,12 +108,12 @@ def find_movers(
     log = TrainingLog("cpu", 1)
     saved = checkpoint.found(log)
     if saved is not None and saved.tensors["xyz"].shape[1] == len(moving):
-        tracks = Tracks(*(saved.tensors[name].numpy() for name in ("times", "xyz", "lost")))
+        tracks = Tracks(*(saved.tensors[name].numpy() for name in KEPT))
     else:
         tracks = follow_both_ways(
             moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
         )
-        tensors = {name: torch.from_numpy(getattr(tracks, name)) for name in ("times", "xyz", "lost")}
+        tensors = {name: torch.from_numpy(getattr(tracks, name)) for name in KEPT}
         checkpoint.write(Saved(1, tensors, {"log": log.state()}))
     voxel = rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
@@ -122,7 +126,16 @@ def find_movers(
         stands = _without(rest.canonical, region)
         moving, tracks = moving.only(kept), tracks.only(kept)
     progress(1.0, f"{labels.max() + 1} rigid parts")
-    return Found(moving, tracks, labels, stands, movers_of(rest.canonical, region, moving, tracks, labels))
+    span_s = scene.t1_s - scene.t0_s
+    offsets = zip(standing_clips(scene), tracks.offsets.tolist(), strict=True)
+    return Found(
+        moving,
+        tracks,
+        labels,
+        stands,
+        movers_of(rest.canonical, region, moving, tracks, labels),
+        {name: offset * span_s for name, offset in offsets if offset},
+    )
 
 
 def movers_of(

@@ -11,7 +11,7 @@ guesses: where it was, and carried along by what is around it; until it is found
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from devrf.capture.cores import usable_cores
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets, Seen, clear_offsets, settled
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.shot import Shot, Sum
 from devrf.reconstruct.tracking.sight import Sight
@@ -35,7 +36,6 @@ SIGMAS = (
 )  # pixels by which pictures are blurred, each time the prediction is drawn anew
 FARTHER = ((5.0, 2.5), (1.2, 0.0))  # the same where something is looked for again
 STEPS = 2  # of Gauss-Newton, of each
-FEWEST_CAMERAS = 2  # that show a moment: one says nothing of depth
 LEARN_EVERY, SEEK_EVERY = 4, 4  # moments
 LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more another guess must bring
 FEWEST_LOST = 2  # nodes for which other guesses are tried
@@ -53,15 +53,17 @@ class Tracks:
         times: Moments in the scene's time of [0, 1], rising and evenly spaced [t].
         xyz: Positions [t, p, 3], in the box frame.
         lost: Whether pictures show something else there [t, p]: the position is a guess.
+        offsets: By how much later each film was taken than its times say, in the same time [c].
     """
 
     times: Float[np.ndarray, " t"]
     xyz: Float[np.ndarray, "t p 3"]
     lost: Bool[np.ndarray, "t p"]
+    offsets: Float[np.ndarray, " c"]
 
     def only(self, kept: Bool[np.ndarray, " p"]) -> "Tracks":
         """Of some of the points."""
-        return Tracks(self.times, self.xyz[:, kept], self.lost[:, kept])
+        return replace(self, xyz=self.xyz[:, kept], lost=self.lost[:, kept])
 
 
 def follow_both_ways(
@@ -73,12 +75,14 @@ def follow_both_ways(
 ) -> Tracks:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
+    Where they show that a camera's clock is wrong, once more, with clocks that follow what is seen.
+
     Args:
         surface: Points that move, at rest.
         graph: Of these points.
         films: With what stands in them.
         rest_time: In [0, 1].
-        progress: Told how much is done.
+        progress: Told how much is done, of each time.
     """
     gap = min(float(np.median(np.diff(film.times))) for film in films)
     last = max(float(film.times[-1]) for film in films)
@@ -87,18 +91,40 @@ def follow_both_ways(
     after, before = (
         max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
     )
+    times = rest_time + gap * np.arange(-before, after + 1)
+    tracks, seen = _both_ways(surface, graph, films, times, before, None, progress)
+    offsets = clear_offsets(seen, gap)
+    if offsets is None:
+        return tracks
+    tracks, seen = _both_ways(surface, graph, films, times, before, offsets, progress)
+    return replace(tracks, offsets=settled(seen)) if seen else tracks
+
+
+def _both_ways(
+    surface: Surface,
+    graph: Graph,
+    films: Sequence[Film],
+    times: Float[np.ndarray, " t"],
+    middle: int,
+    offsets: Float[np.ndarray, " c"] | None,
+    progress: Callable[[float], object],
+) -> tuple[Tracks, list[Seen]]:
+    """From one of the times to the last and to the first; offsets that are followed, or None."""
     done = 0
 
     def tell() -> None:
         nonlocal done
         done += 1
-        progress(done / (after + before))
+        progress(done / max(len(times) - 1, 1))
 
-    later = _follow(surface, graph, films, rest_time + gap * np.arange(after + 1), tell)
+    later = Offsets(np.zeros(len(films)) if offsets is None else offsets, offsets is not None)
+    earlier = Offsets(-later.now, offsets is not None)  # where time runs back, late is early
+    there = _follow(surface, graph, films, times[middle:], later, tell)
     back = [film.backwards() for film in films]
-    earlier = _follow(surface, graph, back, -rest_time + gap * np.arange(before + 1), tell)
-    xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(earlier, later, strict=True))
-    return Tracks(rest_time + gap * np.arange(-before, after + 1), xyz.astype(np.float32), lost)
+    here = _follow(surface, graph, back, -times[middle::-1], earlier, tell)
+    xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(here, there, strict=True))
+    seen = [*later.seen, *(one._replace(offset=-one.offset) for one in earlier.seen)]
+    return Tracks(times, xyz.astype(np.float32), lost, np.zeros(len(films))), seen
 
 
 def _follow(
@@ -106,11 +132,12 @@ def _follow(
     graph: Graph,
     films: Sequence[Film],
     times: Float[np.ndarray, " t"],
+    offsets: Offsets,
     tell: Callable[[], object],
 ) -> tuple[Float[np.ndarray, "t p 3"], Bool[np.ndarray, "t p"]]:
     side_by_side = all(film.estimator.parallel for film in films)
     with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
-        follower = Follower(surface, graph, films, times, pool)
+        follower = Follower(surface, graph, films, times, offsets, pool)
         for moment in range(1, len(times)):
             follower.go_on(moment)
             tell()
@@ -126,9 +153,11 @@ class Follower:
         graph: Graph,
         films: Sequence[Film],
         times: Float[np.ndarray, " t"],
+        offsets: Offsets,
         pool: ThreadPoolExecutor,
     ) -> None:
-        self.surface, self.graph, self.times, self.pool = surface, graph, times, pool
+        self.surface, self.graph, self.times = surface, graph, times
+        self.offsets, self.pool = offsets, pool
         self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
         self.pose = self.before = Pose.rest(len(graph.nodes))
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
@@ -150,7 +179,10 @@ class Follower:
         found = expected
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS)
-            found = self._found_again(shots, found, moment)
+            likeness = self.likeness(shots, found)
+            self.lost_nodes = self._lost(likeness)
+            self._time(shots, found)
+            found = self._found_again(shots, found, likeness, moment)
         self.before, self.pose = self.pose, found
         was, now = self.xyz[-1], graph.points(found)
         self.xyz.append(now)
@@ -165,10 +197,11 @@ class Follower:
     def shots(self, moment: int) -> list[Shot]:
         """The pictures around a moment."""
         time, out = self.times[moment], []
-        for known in self.templates:
-            n = known.film.nearest(time, self.gap / 2 + 1e-9)
+        for camera, known in enumerate(self.templates):
+            late = self.offsets.now[camera]
+            n = known.film.nearest(time - late, self.gap / 2 + 1e-9)
             if n is not None:
-                out.append(Shot(known, n, 1 + (float(known.film.times[n]) - time) / self.gap))
+                out.append(Shot(camera, known, n, 1 + (float(known.film.times[n]) + late - time) / self.gap))
         return out
 
     def _come(self, shots: Sequence[Shot], moment: int) -> None:
@@ -179,7 +212,8 @@ class Follower:
         begun = []
         for shot in shots:
             if shot.n > 0:
-                share = 1 + (float(shot.film.times[shot.n - 1]) - float(self.times[moment - 1])) / self.gap
+                taken = float(shot.film.times[shot.n - 1]) + self.offsets.now[shot.camera]
+                share = 1 + (taken - float(self.times[moment - 1])) / self.gap
                 at = was + share * (now - was)
                 begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, ~self.lost[-1]))
         _each(begun)
@@ -208,13 +242,19 @@ class Follower:
                 found = step(graph, found, expected, pulls.all())
         return found
 
-    def _found_again(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
+    def _time(self, shots: Sequence[Shot], found: Pose) -> None:
+        """See where along their way the cameras show points that are not lost."""
+        was, now = self.xyz[-1], self.graph.points(found)
+        known = ~self._points(self.lost_nodes)
+        self.offsets.add({shot.camera: shot.late(was, now, known) for shot in shots}, self.gap)
+
+    def _found_again(
+        self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"], moment: int
+    ) -> Pose:
         """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
 
         What is not found by that is looked for again only some moments later: looking takes long.
         """
-        likeness = self.likeness(shots, found)
-        self.lost_nodes = self._lost(likeness)
         wanted = self.lost_nodes & (moment - self.sought >= SEEK_EVERY)
         if wanted.sum() >= FEWEST_LOST:
             asked = self._points(self.lost_nodes)

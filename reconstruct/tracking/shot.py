@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.film import Picture, blurred, sampled
+from devrf.reconstruct.tracking.offsets import FEWEST_POINTS, LEAST_WAY, Late
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls
 from devrf.reconstruct.tracking.surface import Surface
@@ -52,8 +53,9 @@ class _Contrast:
 class Shot:
     """One picture at one moment: what it says of the points that its camera sees."""
 
-    def __init__(self, templates: Templates, n: int, share: float) -> None:
-        self.templates, self.film, self.n, self.share = templates, templates.film, n, share
+    def __init__(self, camera: int, templates: Templates, n: int, share: float) -> None:
+        self.camera, self.templates, self.film = camera, templates, templates.film
+        self.n, self.share = n, share
         none = np.zeros(0, dtype=int)
         self.came: tuple[np.ndarray, np.ndarray, np.ndarray] = none, np.zeros((0, 2)), np.zeros(0)
         self.points: Int[np.ndarray, " m"] = none
@@ -123,6 +125,24 @@ class Shot:
         vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - self.drawn, axis=1)
         telling = (apart > DISTINCT) & np.isfinite(at).all(1)
         return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
+
+    def late(self, was: np.ndarray, now: np.ndarray, known: np.ndarray) -> Late:
+        """How much farther along their way from `was` to `now` the picture shows `known` points than it should."""
+        shown = known[self.points]
+        points = self.points[shown]
+        if not len(points):
+            return Late(0.0, 0.0, 0.0)
+        xyz = was[points] + self.share * (now[points] - was[points])
+        camera, (target, weight) = self.film.camera, self.flow
+        way = np.einsum("mij,mj->mi", _derivative(camera, xyz), now[points] - was[points])
+        left = target[shown] - camera.project(xyz)
+        weight = weight[shown] * _huber(np.linalg.norm(left, axis=1), HUBER_DRAWN)
+        fine = np.isfinite(left).all(1) & ((way**2).sum(1) > LEAST_WAY**2)
+        if fine.sum() < FEWEST_POINTS:
+            return Late(0.0, 0.0, 0.0)
+        left, way, weight = left[fine], way[fine], weight[fine]
+        product, square = ((weight[:, None] * way * other).sum() for other in (left, way))
+        return Late(float(product), float(square), float(weight.sum()))
 
     @cached_property
     def _even(self) -> Picture:

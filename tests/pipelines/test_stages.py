@@ -96,13 +96,6 @@ def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bo
     assert changes == (f"reconstruct.{key}" in BY_NAME["canonical"].config_keys)
 
 
-def test_a_late_camera_is_looked_for_where_there_are_clocks() -> None:
-    capture = config(capture={"static": "s.mp4", "cameras": {"a": "a.mp4", "b": "b.mp4", "c": "c.mp4"}})
-    assert training_options(capture, at_rest()).motion.find_late_camera
-    dataset = config(dataset={"format": "devrf", "path": "d"})
-    assert not training_options(dataset, at_rest()).motion.find_late_camera
-
-
 def test_code_version_follows_imports() -> None:
     flow = sources("devrf.pipelines.stages.flow")
     assert {"devrf.pipelines.stages.flow", "devrf.flow.dis", "devrf.capture.scene"} <= flow.keys()

@@ -14,9 +14,15 @@ from tests.reconstruct.conftest import true_motion
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.check_motion import SHIFTS, MotionFit, _seen_by_others, better_shift, check_motion
-from devrf.reconstruct.clocks import error_curves
-from devrf.reconstruct.late_camera import FEWEST_PICTURES, moved_by
+from devrf.reconstruct.check_motion import (
+    FEWEST_PICTURES,
+    SHIFTS,
+    MotionFit,
+    _seen_by_others,
+    better_shift,
+    check_motion,
+)
+from devrf.reconstruct.clocks import error_curves, retimed
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc
@@ -88,7 +94,7 @@ def test_a_late_clock_is_named(ball, true: DynamicModel) -> None:
 
     The last one is then said to be of a time that is not modelled, and is left out, as `scene` does.
     """
-    late = moved_by(ball.scene, "cam1", GAP / 2)
+    late = retimed(ball.scene, {"cam1": GAP / 2})
     fits = check_motion(late, true)
     assert fits["cam1"].better_at == -0.5 and fits["cam0"].better_at == fits["cam2"].better_at == 0.0
     (said,) = [check for check in warnings(fits) if check.startswith("pictures by which")]

@@ -180,8 +180,7 @@ def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
 def test_confidence_takes_the_times_that_were_trained_with(context: StageContext, monkeypatch):
     """A camera's clock that training moved by a quarter of the scene's two seconds."""
     path, seen = context.run_dir / "deformation/metrics.json", {}
-    late = {"name": "cam1", "pictures": 0.5, "offset_s": 0.5}
-    _json(path, {**json.loads(path.read_text()), "late_camera": late})
+    _json(path, {**json.loads(path.read_text()), "clock_offsets_s": {"cam1": 0.5}})
 
     def known(scene: Scene, model: None) -> _Unsure:
         for frame in scene.dynamic:

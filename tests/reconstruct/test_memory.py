@@ -17,7 +17,7 @@ from tests.refused import refused
 from devrf.capture.amounts import GB
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
-from devrf.reconstruct.footprint import FIELD_VERTEX, SceneSize, footprint
+from devrf.reconstruct.footprint import SceneSize, footprint
 from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.memory_fit import COARSER, Fitted, Limits, fitted, surely
 from devrf.reconstruct.options import CanonicalOptions, preset, resized_whole
@@ -188,15 +188,6 @@ def test_what_a_process_holds_already_counts() -> None:
     options = preset("tiny").canonical
     held = footprint(ROOM, options, held=2 * 10**9).main_bytes
     assert held > footprint(ROOM, options).main_bytes + 10**9
-
-
-def test_where_a_late_camera_may_be_found_there_is_one_field_more() -> None:
-    options = replace(preset("tiny").motion, together=0)
-    three, two = (footprint(replace(ROOM, cameras=n), options) for n in (3, 2))
-    keys = min(options.most_keys, ROOM.times)
-    assert three.main["models"] - two.main["models"] == FIELD_VERTEX * keys * options.levels[-1] ** 3
-    published = replace(options, find_late_camera=False)
-    assert footprint(replace(ROOM, cameras=3), published) == footprint(replace(ROOM, cameras=2), published)
 
 
 def test_size_of_a_scene(ball) -> None:

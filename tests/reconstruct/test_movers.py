@@ -316,9 +316,13 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         assert model.movers is not None and model.in_motion is not None
         times = np.array([0.0, 0.5, 1.0])
         xyz = RADIUS * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-        tracks = Tracks(times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool))
+        tracks = Tracks(
+            times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool), np.array([0.0, 0.02])
+        )
         surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
-        found = Found(surface, tracks, np.zeros(3, int), model.in_motion.canonical, model.movers)
+        found = Found(
+            surface, tracks, np.zeros(3, int), model.in_motion.canonical, model.movers, {"cam1": 0.02}
+        )
         monkeypatch.setattr("devrf.reconstruct.train_deformation.trackable", lambda scene, rest: True)
         monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: found)
 
@@ -334,7 +338,7 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["movers_gain_db"] > 5 and metrics["decisions"] == []
     assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
     assert metrics["longest_lost"] == 0 and metrics["lost_share"] == 0
-    assert "late_camera" not in metrics
+    assert metrics["clock_offsets_s"] == {"cam1": 0.02}
 
 
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
@@ -351,9 +355,9 @@ def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
     lost = np.zeros((8, 4), bool)
     lost[1, :3] = lost[3:6, :3] = lost[6:, 0] = True  # one moment, three in a row; then hardly anything
     xyz = np.eye(4, 3)
-    tracks = Tracks(np.linspace(0, 1, 8), np.tile(xyz, (8, 1, 1)), lost)
+    tracks = Tracks(np.linspace(0, 1, 8), np.tile(xyz, (8, 1, 1)), lost, np.zeros(2))
     surface = Surface(xyz, xyz, xyz, 0.1)
-    found = Found(surface, tracks, np.zeros(4, int), model.in_motion.canonical, model.movers)
+    found = Found(surface, tracks, np.zeros(4, int), model.in_motion.canonical, model.movers, {})
     assert found.longest_lost() == (3, 0)
     gains = {"movers_gain_db": 4.0, "movers_unshaded_gain_db": 4.0}
     _, row = mover_rows({**gains, "longest_lost": 3, "longest_lost_at": [0.1, 0.25, -1.0]})

@@ -81,16 +81,6 @@ def test_what_means_nothing_for_a_scene_is_not_in_use(ball) -> None:
     }
 
 
-def test_a_late_camera_is_looked_for_among_three(ball) -> None:
-    part, options = by_name("find_late_camera"), preset("tiny")
-    train = [f for f in ball.scene.dynamic if f.split == "train"]
-    three = tuple(replace(f, camera_name=f"cam{n % 3}") for n, f in enumerate(train))
-    scene = replace(ball.scene, dynamic=three)
-    assert part.in_use(scene, options)
-    two = replace(scene, dynamic=tuple(f for f in three if f.camera_name != "cam2"))
-    assert not part.in_use(two, options)
-
-
 def test_levels_are_left_out_with_their_iterations(ball) -> None:
     options = preset("tiny")
     for name, kept in (("coarsest_level", (1, 2)), ("middle_levels", (0, 2)), ("finest_level", (0, 1))):

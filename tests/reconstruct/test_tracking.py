@@ -18,6 +18,7 @@ from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import moving_points
+from devrf.reconstruct.tracking.offsets import Offsets
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls, step
@@ -26,6 +27,7 @@ from devrf.reconstruct.tracking.surface import Surface
 SIDE, SPACING = 0.3, 0.03  # half a card's side; of the points on it
 CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
 PICTURES, REST = 9, 4  # of each camera; number of the one at rest
+GAP = 1 / (PICTURES - 1)
 WALL = -0.8  # y of the wall behind the cards
 
 
@@ -88,23 +90,28 @@ def true_tracks(surface: Surface, card: np.ndarray, times: np.ndarray) -> np.nda
     return out
 
 
-@pytest.fixture(scope="module")
-def films(tmp_path_factory: pytest.TempPathFactory) -> list[Film]:
-    folder: Path = tmp_path_factory.mktemp("cards")
+def filmed(folder: Path, times: np.ndarray) -> list[Film]:
+    """The cards as three cameras film them at the same moments, in pictures a `GAP` apart."""
     out = []
     for name, eye in (("left", [-1.2, 2.2, 0.5]), ("middle", [0.1, 2.5, 0.2]), ("right", [1.2, 2.2, 0.4])):
         small = look_at(np.array(eye))
         K = np.array([[240.0, 0, 120], [0, 240, 90], [0, 0, 1]])
         camera = replace(small, width=240, height=180, K=K)
-        frames, times = [], np.linspace(0, 1, PICTURES)
+        taken = GAP * np.arange(len(times))
+        frames = []
         for n, time in enumerate(times):
             path = folder / f"{name}_{n}.png"
             cv2.imwrite(str(path), picture(camera, time)[..., ::-1])
-            frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
+            frames.append(PosedFrame(path, camera, name, n, taken[n], taken[n], "train"))
         away = np.full((180, 240), np.inf)
         plate = np.zeros((180, 240, 3), np.float32) + 0.5
-        out.append(Film(camera, frames, times, 1.0, "shell", DisFlow(), away, plate))
+        out.append(Film(camera, frames, taken, 1.0, "shell", DisFlow(), away, plate))
     return out
+
+
+@pytest.fixture(scope="module")
+def films(tmp_path_factory: pytest.TempPathFactory) -> list[Film]:
+    return filmed(tmp_path_factory.mktemp("cards"), GAP * np.arange(PICTURES))
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +122,7 @@ def tracks(films: list[Film]) -> Tracks:
 
 def test_points_are_followed_from_the_middle_to_both_ends(tracks: Tracks) -> None:
     surface, card = on_cards()
+    assert not tracks.offsets.any()  # the clocks are right
     assert np.allclose(tracks.times, np.linspace(0, 1, PICTURES))
     assert np.allclose(tracks.xyz[REST], surface.xyz)
     true = true_tracks(surface, card, tracks.times)
@@ -123,12 +131,26 @@ def test_points_are_followed_from_the_middle_to_both_ends(tracks: Tracks) -> Non
     assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02  # a pixel is 0.01
 
 
+@pytest.mark.full
+def test_a_clock_that_is_wrong_by_more_than_a_picture_is_found(tmp_path: Path) -> None:
+    """Two cards that set out from rest; one camera took its pictures later than it says."""
+    surface, card = on_cards()
+    still, late = 3, 1.4 * GAP
+    films = filmed(tmp_path, 0.5 + 0.8 * GAP * np.maximum(0, np.arange(14) - still))
+    wrong = [replace(films[0], times=films[0].times - late), *films[1:]]
+    found = follow_both_ways(surface, Graph(surface), wrong, GAP)
+    assert found.offsets == pytest.approx([late, 0, 0], abs=0.3 * GAP)
+    true = true_tracks(surface, card, 0.5 + 0.8 * np.maximum(0, found.times - still * GAP))
+    off = np.linalg.norm(found.xyz - true, axis=-1)
+    assert np.median(off[-4:-2]) < 0.01
+
+
 def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> None:
     surface, card = on_cards()
     graph = Graph(surface)
     of_node = np.argmin(np.abs(graph.nodes[:, :1] - CENTRES[:, 0]), axis=1)
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), pool)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), False), pool)
         shifts = np.where(of_node[:, None] == 1, [0.0, 0.0, -0.35], [0.0, 0.0, 0.0])
         follower.before = replace(follower.before, shifts=shifts)  # as if one card had come from far away
         follower.go_on(1)
@@ -147,7 +169,7 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
     wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
     wrong.shifts[lost] += [0.0, 0.0, 0.5]
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), pool)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), False), pool)
         mask = np.isin(np.arange(len(there)), lost)
         carried = follower.carried(wrong, mask)
         assert np.allclose(carried.shifts, pose.shifts) and np.allclose(carried.rotations, pose.rotations)
