@@ -40,7 +40,9 @@ LR_PLACES = 0.03  # voxels; the same
 SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weight
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
 FOG = 0.004  # opacity of a step, of what could stand where movers are
-ZONE = 2  # voxels around movers in which it could, and in which what stands may be wrong: it was hidden by them
+ZONE = (
+    2  # voxels around movers in which it could, and in which what stands may be wrong: it was hidden by them
+)
 OCCUPANCY_EVERY = 50  # iterations
 LOG_EVERY = 50
 AT_ONCE, HELD_EVERY = 1 << 13, 4  # held-back rays; pictures of which one is asked

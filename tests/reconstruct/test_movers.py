@@ -342,7 +342,7 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
 
 
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
-    tracked(np.array([0.0, 0.0, -1.5]))  # out of the picture
+    tracked(-TRAVEL)  # the other way
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and model.motion is not None
     assert len(metrics["decisions"]) == 1 and "movers" in metrics["decisions"][0]
