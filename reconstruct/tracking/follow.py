@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from devrf.capture.cores import usable_cores
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets, Seen, clear_offsets, settled
+from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.shot import Shot, Sum
 from devrf.reconstruct.tracking.sight import Sight
@@ -42,6 +42,8 @@ FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
 TELLING = 1.0  # weight of points by which a node's likeness is known
 AROUND, FEWEST_AROUND = 3, 4  # rings of nodes by which a lost node is carried along; fewest nodes of these
+MOST_AGAIN = 3  # times that everything is followed with other clocks
+SETTLED = 0.05  # of the time between moments: offsets that change by less are known
 MOST_MOMENTS = 300  # of a long clip, of which not every picture is looked at
 
 
@@ -75,7 +77,7 @@ def follow_both_ways(
 ) -> Tracks:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
-    Where they show that a camera's clock is wrong, once more, with clocks that follow what is seen.
+    Where they show that a camera's clock is wrong, again, with clocks that follow what is seen.
 
     Args:
         surface: Points that move, at rest.
@@ -92,12 +94,17 @@ def follow_both_ways(
         max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
     )
     times = rest_time + gap * np.arange(-before, after + 1)
-    tracks, seen = _both_ways(surface, graph, films, times, before, None, progress)
-    offsets = clear_offsets(seen, gap)
-    if offsets is None:
+    tracks, seen = _both_ways(surface, graph, films, times, before, np.zeros(len(films)), progress)
+    offsets, clear = offsets_of(seen, gap)
+    if not clear.any():
         return tracks
-    tracks, seen = _both_ways(surface, graph, films, times, before, offsets, progress)
-    return replace(tracks, offsets=settled(seen)) if seen else tracks
+    for _ in range(MOST_AGAIN):
+        known = offsets
+        tracks, seen = _both_ways(surface, graph, films, times, before, known, progress)
+        offsets, _ = offsets_of(seen, gap)
+        if np.abs(offsets - known).max() < SETTLED * gap:
+            break
+    return replace(tracks, offsets=offsets)
 
 
 def _both_ways(
@@ -106,10 +113,10 @@ def _both_ways(
     films: Sequence[Film],
     times: Float[np.ndarray, " t"],
     middle: int,
-    offsets: Float[np.ndarray, " c"] | None,
+    offsets: Float[np.ndarray, " c"],
     progress: Callable[[float], object],
-) -> tuple[Tracks, list[Seen]]:
-    """From one of the times to the last and to the first; offsets that are followed, or None."""
+) -> tuple[Tracks, dict[int, Offsets]]:
+    """From one of the times to the last and to the first, and what that says of the offsets, by the sign of time."""
     done = 0
 
     def tell() -> None:
@@ -117,14 +124,12 @@ def _both_ways(
         done += 1
         progress(done / max(len(times) - 1, 1))
 
-    later = Offsets(np.zeros(len(films)) if offsets is None else offsets, offsets is not None)
-    earlier = Offsets(-later.now, offsets is not None)  # where time runs back, late is early
-    there = _follow(surface, graph, films, times[middle:], later, tell)
+    seen = {sign: Offsets(sign * offsets) for sign in (1, -1)}
+    there = _follow(surface, graph, films, times[middle:], seen[1], tell)
     back = [film.backwards() for film in films]
-    here = _follow(surface, graph, back, -times[middle::-1], earlier, tell)
+    here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell)
     xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(here, there, strict=True))
-    seen = [*later.seen, *(one._replace(offset=-one.offset) for one in earlier.seen)]
-    return Tracks(times, xyz.astype(np.float32), lost, np.zeros(len(films))), seen
+    return Tracks(times, xyz.astype(np.float32), lost, offsets), seen
 
 
 def _follow(
@@ -244,9 +249,9 @@ class Follower:
 
     def _time(self, shots: Sequence[Shot], found: Pose) -> None:
         """See where along their way the cameras show points that are not lost."""
-        was, now = self.xyz[-1], self.graph.points(found)
-        known = ~self._points(self.lost_nodes)
-        self.offsets.add({shot.camera: shot.late(was, now, known) for shot in shots}, self.gap)
+        was, known = self.xyz[-1], ~self._points(self.lost_nodes)
+        way = self.graph.points(found) - was
+        self.offsets.add({s.camera: s.shown(was + s.share * way, known) for s in shots}, way, self.gap)
 
     def _found_again(
         self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"], moment: int

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.film import Picture, blurred, sampled
-from devrf.reconstruct.tracking.offsets import FEWEST_POINTS, LEAST_WAY, Late
+from devrf.reconstruct.tracking.offsets import Shown
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls
 from devrf.reconstruct.tracking.surface import Surface
@@ -17,6 +17,7 @@ from devrf.reconstruct.tracking.templates import LIKE_PX, Templates
 LEAST_SIGMA = 0.7  # of a picture that is not blurred, as a weight
 CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
 HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
+HUBER_SHOWN = 5.0  # pixels: clocks that are wrong leave more than tracks that are
 FEWEST_SEEN, FEWEST_ASKED = 20, 5  # points, of which a camera says something; of those that are asked about
 MARGIN_PX = 48  # around points that are asked about
 DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
@@ -126,23 +127,17 @@ class Shot:
         telling = (apart > DISTINCT) & np.isfinite(at).all(1)
         return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
 
-    def late(self, was: np.ndarray, now: np.ndarray, known: np.ndarray) -> Late:
-        """How much farther along their way from `was` to `now` the picture shows `known` points than it should."""
-        shown = known[self.points]
-        points = self.points[shown]
+    def shown(self, xyz: np.ndarray, known: np.ndarray) -> Shown:
+        """Where the picture shows `known` points that are expected at `xyz` when it is taken."""
+        mine = known[self.points]
+        points = self.points[mine]
         if not len(points):
-            return Late(0.0, 0.0, 0.0)
-        xyz = was[points] + self.share * (now[points] - was[points])
-        camera, (target, weight) = self.film.camera, self.flow
-        way = np.einsum("mij,mj->mi", _derivative(camera, xyz), now[points] - was[points])
-        left = target[shown] - camera.project(xyz)
-        weight = weight[shown] * _huber(np.linalg.norm(left, axis=1), HUBER_DRAWN)
-        fine = np.isfinite(left).all(1) & ((way**2).sum(1) > LEAST_WAY**2)
-        if fine.sum() < FEWEST_POINTS:
-            return Late(0.0, 0.0, 0.0)
-        left, way, weight = left[fine], way[fine], weight[fine]
-        product, square = ((weight[:, None] * way * other).sum() for other in (left, way))
-        return Late(float(product), float(square), float(weight.sum()))
+            return Shown(points, np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
+        target, weight = (values[mine] for values in self.flow)
+        left = target - self.film.camera.project(xyz[points])
+        weight = weight * _huber(np.linalg.norm(left, axis=1), HUBER_SHOWN)
+        fine = np.isfinite(left).all(1)
+        return Shown(*(x[fine] for x in (points, left, _derivative(self.film.camera, xyz[points]), weight)))
 
     @cached_property
     def _even(self) -> Picture:

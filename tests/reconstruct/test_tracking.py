@@ -18,7 +18,7 @@ from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import moving_points
-from devrf.reconstruct.tracking.offsets import Offsets
+from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls, step
@@ -131,6 +131,28 @@ def test_points_are_followed_from_the_middle_to_both_ends(tracks: Tracks) -> Non
     assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02  # a pixel is 0.01
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
+    """Four cameras that see most points; each point is anywhere near where all of them show it."""
+    rng, gap, offsets = np.random.default_rng(0), 0.1, 0.1 * np.array([0.0, 0.6, -0.3, 0.05])
+    way, hidden = 0.02 * rng.standard_normal((300, 3)), 0.01 * rng.standard_normal((300, 3))
+    seen = Offsets(np.zeros(4))
+    for _ in range(60):
+        shown = {}
+        for camera, offset in enumerate(sign * offsets):
+            points = np.flatnonzero(rng.random(300) < 0.8)
+            derivative = 100 * rng.standard_normal((len(points), 2, 3))
+            left = np.einsum("mia,ma->mi", derivative, offset / gap * way[points] + hidden[points])
+            shown[camera] = Shown(points, left, derivative, np.ones(len(points)))
+        seen.add(shown, way, gap)
+    found, clear = offsets_of({sign: seen}, gap)
+    assert found == pytest.approx(offsets - np.median(offsets), abs=0.03 * gap)
+    assert clear.tolist() == [False, True, True, False]
+    still = Offsets(np.zeros(4))
+    still.add(shown, 0 * way, gap)  # nothing goes anywhere
+    assert not still.information.any()
+
+
 @pytest.mark.full
 def test_a_clock_that_is_wrong_by_more_than_a_picture_is_found(tmp_path: Path) -> None:
     """Two cards that set out from rest; one camera took its pictures later than it says."""
@@ -150,7 +172,7 @@ def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> No
     graph = Graph(surface)
     of_node = np.argmin(np.abs(graph.nodes[:, :1] - CENTRES[:, 0]), axis=1)
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), False), pool)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3)), pool)
         shifts = np.where(of_node[:, None] == 1, [0.0, 0.0, -0.35], [0.0, 0.0, 0.0])
         follower.before = replace(follower.before, shifts=shifts)  # as if one card had come from far away
         follower.go_on(1)
@@ -169,7 +191,7 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
     wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
     wrong.shifts[lost] += [0.0, 0.0, 0.5]
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), False), pool)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3)), pool)
         mask = np.isin(np.arange(len(there)), lost)
         carried = follower.carried(wrong, mask)
         assert np.allclose(carried.shifts, pose.shifts) and np.allclose(carried.rotations, pose.rotations)
