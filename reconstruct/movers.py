@@ -284,6 +284,7 @@ def render_layered(
     near: float,
     jitter: Float[Tensor, " R"],
     grads: Grads = NO_GRADS,
+    counts_from: float = COUNTS,
 ) -> Layered:
     """Colours of rays through what stands and what moves; differentiable in both, in `placed` and in the shading.
 
@@ -296,6 +297,7 @@ def render_layered(
         near: Distance before which rays do not begin.
         jitter: Of the first step, in steps.
         grads: Where the gradients of the grids are added.
+        counts_from: Weight from which a sample has a colour.
     """
     rays = len(rays_o)
     x, ray_id, t, part, samples_d = _samples(stands, movers, placed, frame, rays_o, rays_d, near, jitter)
@@ -309,7 +311,7 @@ def render_layered(
     weights, left = composite_weights(alpha, offsets)
     with torch.no_grad():
         depth = accumulate(weights, t[:, None], ray_id, rays)[:, 0]
-    counts = (weights.detach() > COUNTS).nonzero()[:, 0]
+    counts = (weights.detach() > counts_from).nonzero()[:, 0]
     x, ray_id, t, part, samples_d = (values[counts] for values in (x, ray_id, t, part, samples_d))
     weights = weights[counts]
     still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]

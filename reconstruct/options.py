@@ -166,7 +166,7 @@ QUICK_MOTION: dict[str, Any] = {
     "importance": 0.8,
     "flow": 0.02,
     "flow_confidence": True,
-    "together": 200,
+    "together": 300,
     "stepsize": 1.0,
     "alpha_threshold": 5e-3,
     "weight_threshold": 1e-2,

@@ -39,6 +39,7 @@ LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; 
 LR_PLACES = 0.03  # voxels; the same
 SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weight
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
+TRAINS = 3e-3  # weight from which a sample has a colour: half of the time, and fog has one
 FOG = 0.004  # opacity of a step, of what could stand where movers are
 ZONE = (
     2  # voxels around movers in which it could, and in which what stands may be wrong: it was hidden by them
@@ -225,7 +226,7 @@ class _Recipe:
     ) -> Layered:
         return render_layered(
             self.stands, movers, placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
-            grads,
+            grads, TRAINS,
         )  # fmt: skip
 
     def state(self) -> State:

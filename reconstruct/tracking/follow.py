@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from devrf.capture.cores import usable_cores
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets, offsets_of
+from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.shot import Shot, Sum
 from devrf.reconstruct.tracking.sight import Sight
@@ -95,8 +95,8 @@ def follow_both_ways(
     )
     times = rest_time + gap * np.arange(-before, after + 1)
     tracks, seen = _both_ways(surface, graph, films, times, before, np.zeros(len(films)), progress)
-    offsets, clear = offsets_of(seen, gap)
-    if not clear.any():
+    offsets, std = offsets_of(seen, gap)
+    if not clear(offsets, std, gap).any():
         return tracks
     for _ in range(MOST_AGAIN):
         known = offsets
@@ -124,7 +124,7 @@ def _both_ways(
         done += 1
         progress(done / max(len(times) - 1, 1))
 
-    seen = {sign: Offsets(sign * offsets) for sign in (1, -1)}
+    seen = {sign: Offsets(sign * offsets, surface.xyz) for sign in (1, -1)}
     there = _follow(surface, graph, films, times[middle:], seen[1], tell)
     back = [film.backwards() for film in films]
     here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell)

@@ -16,6 +16,7 @@ LEAST_WAY = 0.5  # pixels that a point goes from moment to moment, in a camera, 
 FEWEST_POINTS = 50  # that do, and are seen by two cameras
 FEWEST_CAMERAS = 2  # at one moment: one says nothing of itself
 ERROR_PX = 0.5  # that the tracks of one moment are off by, all points together
+MOMENTS = 8  # in a row, and points in one corner of what moves, err together
 BEFORE = 1.0  # standard deviation of a clock before anything is seen, in moments
 CLEAR, SIGMAS = 0.1, 3.0  # moments, and standard deviations, from which an offset is clear
 THIN = 1e-6  # of a point's trace, added: one that is nearly seen along one line only
@@ -37,20 +38,35 @@ class Shown(NamedTuple):
     weight: Float[np.ndarray, " m"]
 
 
+class Block(NamedTuple):
+    """What points of one corner say in some moments in a row: normal equations of the offsets."""
+
+    information: Float[np.ndarray, "c c"]
+    pull: Float[np.ndarray, " c"]
+
+
 class Offsets:
     """Offsets that are known, and what moments say of them.
 
     Attributes:
         now: By how much later pictures are taken, in the scene's time [c].
-        information, pull: Normal equations of the offsets [c, c], [c].
+        blocks: What was seen, by moments and corner.
     """
 
-    def __init__(self, now: Float[np.ndarray, " c"]) -> None:
+    def __init__(self, now: Float[np.ndarray, " c"], xyz: Float[np.ndarray, "p 3"]) -> None:
+        """Nothing has been seen.
+
+        Args:
+            now: Offsets that are known.
+            xyz: The points at rest.
+        """
         self.now = now
-        self.information, self.pull = np.zeros((len(now), len(now))), np.zeros(len(now))
+        self.blocks: dict[tuple[int, int], Block] = {}
+        self._corner = (xyz > np.median(xyz, axis=0)) @ np.array([1, 2, 4])
+        self._moments = 0
 
     def add(self, shown: Mapping[int, Shown], way: Float[np.ndarray, "p 3"], gap: float) -> None:
-        """What the pictures of one moment show, by camera.
+        """What the pictures of one moment show.
 
         Args:
             shown: By camera.
@@ -75,36 +91,57 @@ class Offsets:
             return
         trace = np.trace(place[tell], axis1=1, axis2=2)
         place[tell] += np.eye(3) * (THIN * trace[:, None, None] + 1e-12)
-        inverse = np.linalg.inv(place[tell])
-        by_place = np.zeros((len(self.now), len(way), 3))
-        information, sums = np.zeros_like(self.information), np.zeros_like(self.pull)
+        inverse = np.zeros_like(place)
+        inverse[tell] = np.linalg.inv(place[tell])
+        # Of each point: by how much what it says of the offsets depends on where it is, and on the offsets themselves.
+        by_place = np.zeros((len(way), len(self.now), 3))
+        own, sums = np.zeros((2, len(way), len(self.now)))
         for camera, (points, left, derivative, weight) in shown.items():
-            mine = tell[points]
-            weighted = weight[mine, None] * along[camera][mine]
-            by_place[camera, points[mine]] = np.einsum("mi,mia->ma", weighted, derivative[mine])
-            information[camera, camera] = (weighted * along[camera][mine]).sum()
-            sums[camera] = (weighted * left[mine]).sum()
-        by_place = by_place[:, tell]
-        hidden = np.einsum("cpa,pab->cpb", by_place, inverse)
-        information -= np.einsum("cpb,dpb->cd", hidden, by_place)
-        sums -= np.einsum("cpb,pb->c", hidden, pull[tell])
-        count = tell.sum() * ERROR_PX**2
-        self.information += information / count / gap**2
-        self.pull += (information @ self.now / gap**2 + sums / gap) / count
+            weighted = weight[:, None] * along[camera]
+            by_place[points, camera] = np.einsum("mi,mia->ma", weighted, derivative)
+            own[points, camera] = (weighted * along[camera]).sum(1)
+            sums[points, camera] = (weighted * left).sum(1)
+        hidden = np.einsum("pca,pab->pcb", by_place, inverse)
+        sums -= np.einsum("pcb,pb->pc", hidden, pull)
+        for corner in np.unique(self._corner[tell]):
+            mine = tell & (self._corner == corner)
+            information = np.diag(own[mine].sum(0)) - np.einsum("pcb,pdb->cd", hidden[mine], by_place[mine])
+            information /= tell.sum() * ERROR_PX**2 * gap**2
+            seen = information @ self.now + sums[mine].sum(0) / (tell.sum() * ERROR_PX**2 * gap)
+            key = self._moments // MOMENTS, int(corner)
+            before = self.blocks.get(key)
+            if before is not None:
+                information, seen = information + before.information, seen + before.pull
+            self.blocks[key] = Block(information, seen)
+        self._moments += 1
 
 
-def offsets_of(seen: Mapping[int, Offsets], gap: float) -> tuple[np.ndarray, Bool[np.ndarray, " c"]]:
-    """Offsets from the median of all cameras, in the scene's time, and which of them are clear.
+def offsets_of(
+    seen: Mapping[int, Offsets], gap: float
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+    """Offsets from the median of all cameras, in the scene's time, and their standard deviations.
+
+    These are the larger ones of those by `ERROR_PX` and those by how much blocks differ ("sandwich": White,
+    Econometrica 1982): other things than clocks pull differently at different times and places.
 
     Args:
         seen: With 1; with -1 where time ran back.
         gap: Between moments, in the scene's time.
     """
-    information = sum(one.information for one in seen.values())
-    pull = sum(sign * one.pull for sign, one in seen.items())
-    covariance = np.linalg.inv(information + np.eye(len(information)) / (BEFORE * gap) ** 2)
-    offset = covariance @ pull
-    apart = offset - np.median(offset)
-    from_mean = np.eye(len(offset)) - 1 / len(offset)
-    variance = (from_mean @ covariance @ from_mean.T).diagonal()
-    return apart, np.abs(apart) > np.maximum(CLEAR * gap, SIGMAS * np.sqrt(variance))
+    cameras = len(next(iter(seen.values())).now)
+    prior, none = np.eye(cameras) / (BEFORE * gap) ** 2, np.zeros(cameras)
+    blocks = [Block(b.information, sign * b.pull) for sign, one in seen.items() for b in one.blocks.values()]
+    covariance = np.linalg.inv(sum((b.information for b in blocks), prior))
+    offset = covariance @ sum((b.pull for b in blocks), none)
+    from_mean = np.eye(cameras) - 1 / cameras
+    differ = [from_mean @ covariance @ (b.pull - b.information @ offset) for b in blocks]
+    by_error = (from_mean @ covariance @ from_mean.T).diagonal()
+    by_blocks = np.square(differ).sum(0) * len(blocks) / max(len(blocks) - 1, 1) if blocks else none
+    return offset - np.median(offset), np.sqrt(np.maximum(by_error, by_blocks))
+
+
+def clear(
+    offsets: Float[np.ndarray, " c"], std: Float[np.ndarray, " c"], gap: float
+) -> Bool[np.ndarray, " c"]:
+    """Which offsets are no chance and worth to follow."""
+    return np.abs(offsets) > np.maximum(CLEAR * gap, SIGMAS * std)

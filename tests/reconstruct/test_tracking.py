@@ -18,7 +18,7 @@ from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import moving_points
-from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of
+from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import Pulls, step
@@ -136,7 +136,7 @@ def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
     """Four cameras that see most points; each point is anywhere near where all of them show it."""
     rng, gap, offsets = np.random.default_rng(0), 0.1, 0.1 * np.array([0.0, 0.6, -0.3, 0.05])
     way, hidden = 0.02 * rng.standard_normal((300, 3)), 0.01 * rng.standard_normal((300, 3))
-    seen = Offsets(np.zeros(4))
+    seen = Offsets(np.zeros(4), rng.random((300, 3)))
     for _ in range(60):
         shown = {}
         for camera, offset in enumerate(sign * offsets):
@@ -145,12 +145,12 @@ def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
             left = np.einsum("mia,ma->mi", derivative, offset / gap * way[points] + hidden[points])
             shown[camera] = Shown(points, left, derivative, np.ones(len(points)))
         seen.add(shown, way, gap)
-    found, clear = offsets_of({sign: seen}, gap)
+    found, std = offsets_of({sign: seen}, gap)
     assert found == pytest.approx(offsets - np.median(offsets), abs=0.03 * gap)
-    assert clear.tolist() == [False, True, True, False]
-    still = Offsets(np.zeros(4))
+    assert clear(found, std, gap).tolist() == [False, True, True, False]
+    still = Offsets(np.zeros(4), np.zeros((300, 3)))
     still.add(shown, 0 * way, gap)  # nothing goes anywhere
-    assert not still.information.any()
+    assert not still.blocks and not clear(*offsets_of({1: still}, gap), gap).any()
 
 
 @pytest.mark.full
@@ -172,7 +172,9 @@ def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> No
     graph = Graph(surface)
     of_node = np.argmin(np.abs(graph.nodes[:, :1] - CENTRES[:, 0]), axis=1)
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3)), pool)
+        follower = Follower(
+            surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
+        )
         shifts = np.where(of_node[:, None] == 1, [0.0, 0.0, -0.35], [0.0, 0.0, 0.0])
         follower.before = replace(follower.before, shifts=shifts)  # as if one card had come from far away
         follower.go_on(1)
@@ -191,7 +193,9 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
     wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
     wrong.shifts[lost] += [0.0, 0.0, 0.5]
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3)), pool)
+        follower = Follower(
+            surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
+        )
         mask = np.isin(np.arange(len(there)), lost)
         carried = follower.carried(wrong, mask)
         assert np.allclose(carried.shifts, pose.shifts) and np.allclose(carried.rotations, pose.rotations)
