@@ -7,7 +7,7 @@ import pytest
 from devrf.pipelines.bench.stability.case import Complaint, Result
 from devrf.pipelines.bench.stability.heard import Heard, heard
 from devrf.pipelines.bench.stability.points import points
-from devrf.pipelines.health.training import MENDED, flow_rows, late_rows, restart_rows
+from devrf.pipelines.health.training import MENDED, clock_rows, flow_rows, restart_rows
 
 BLUR = Complaint("ingest", "sharpness", "warn", 3.0, "sharpness")
 NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale", "scale")
@@ -73,9 +73,8 @@ def test_damage_that_training_mended_is_no_false_alarm() -> None:
 
 
 def test_rows_of_mended_damage_are_known_by_their_first_words() -> None:
-    late = {"name": "cam1", "offset_s": 0.1, "pictures": 1.0}
     rows = [
-        *restart_rows({"restarts": 1, "rate": 0.3, "keys_left": 0}), *flow_rows({"cam1": 0.9}), *late_rows(late),
+        *restart_rows({"restarts": 1, "rate": 0.3, "keys_left": 0}), *flow_rows({"cam1": 0.9}), *clock_rows({"cam1": 0.1}),
     ]  # fmt: skip
     assert len(rows) == len(MENDED) and all(r.check.startswith(MENDED) for r in rows)
 

@@ -136,9 +136,8 @@ def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
     """Four cameras that see most points; each point is anywhere near where all of them show it."""
     rng, gap, offsets = np.random.default_rng(0), 0.1, 0.1 * np.array([0.0, 0.6, -0.3, 0.05])
     way, hidden = 0.02 * rng.standard_normal((300, 3)), 0.01 * rng.standard_normal((300, 3))
-    seen = Offsets(np.zeros(4), rng.random((300, 3)))
+    seen, shown = Offsets(np.zeros(4), rng.random((300, 3))), {}
     for _ in range(60):
-        shown = {}
         for camera, offset in enumerate(sign * offsets):
             points = np.flatnonzero(rng.random(300) < 0.8)
             derivative = 100 * rng.standard_normal((len(points), 2, 3))
