@@ -74,8 +74,10 @@ def test_damage_that_training_mended_is_no_false_alarm() -> None:
 
 def test_rows_of_mended_damage_are_known_by_their_first_words() -> None:
     rows = [
-        *restart_rows({"restarts": 1, "rate": 0.3, "keys_left": 0}), *flow_rows({"cam1": 0.9}), *clock_rows({"cam1": 0.1}),
-    ]  # fmt: skip
+        *restart_rows({"restarts": 1, "rate": 0.3, "keys_left": 0}),
+        *flow_rows({"cam1": 0.9}),
+        *clock_rows({"cam1": 0.1}),
+    ]
     assert len(rows) == len(MENDED) and all(r.check.startswith(MENDED) for r in rows)
 
 
