@@ -74,28 +74,32 @@ def _movers(
     start = time.monotonic()
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # trackable
-    found = find_movers(
+    every = find_movers(
         boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks")
     )
-    if found is None:
+    if not every:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
     tracking_s = time.monotonic() - start
-    parts = found.movers.parts
     try:
-        trained = train_movers(
-            retimed(boxed, found.offsets_s),
-            rest,
-            found.stands,
-            found.movers,
-            options,
-            device,
-            lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
-            checkpoint.part("movers"),
-        )
+        each = [
+            train_movers(
+                retimed(boxed, found.offsets_s),
+                rest,
+                found.stands,
+                found.movers,
+                options,
+                device,
+                lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
+                checkpoint.part(f"movers{n}"),
+            )
+            for n, found in enumerate(every)
+        ]
     except ReconstructError as error:
         if error.code != "training-diverged":
             raise
-        return Decision("movers", "none", f"{parts} rigid parts", str(error))
+        return Decision("movers", "none", f"{every[0].movers.parts} rigid parts", str(error))
+    best = max(range(len(each)), key=lambda n: each[n].gain_db)
+    found, trained, parts = every[best], each[best], every[best].movers.parts
     gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
     if trained.unshaded_gain_db < LEAST_GAIN_DB:
         reason = f"{parts} rigid parts gained {gains}, expected {LEAST_GAIN_DB} without"
@@ -122,6 +126,14 @@ def _movers(
         "decisions": [],
         "flow_contradicted": {},
     }
+    if len(each) > 1:
+        offsets = ", ".join(f"{name} {1e3 * s:+.0f} ms" for name, s in every[-1].offsets_s.items())
+        gain = f"{each[-1].gain_db - each[0].gain_db:+.2f} dB on pixels held back"
+        metrics["decisions"].append(
+            str(Decision("clocks", "moved" if best else "as they are", offsets, gain))
+        )
+    for other in each[:best] + each[best + 1 :]:
+        metrics = _with_cost_of(metrics, other.metrics)
     metrics["seconds"] += tracking_s
     return model, metrics
 

@@ -82,8 +82,10 @@ def find_movers(
     estimator: FlowEstimator,
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
-) -> Found | None:
-    """Rigid parts and their motion; None where too little moves.
+) -> list[Found]:
+    """Rigid parts and their motion; nothing where too little moves.
+
+    Where a camera's clock seems to be wrong, both: with all clocks as they are, and with other ones.
 
     Args:
         scene: In the box frame; `trackable`.
@@ -98,7 +100,7 @@ def find_movers(
     progress(0.1, f"{len(surface)} points at rest")
     moves = moving_points(surface, clips, scene.rest_time)
     if moves.sum() < FEWEST_POINTS:
-        return None
+        return []
     progress(0.2, f"{int(moves.sum())} of {len(surface)} points move")
     region = _region(rest.canonical, surface, moves)
     stands = _without(rest.canonical, region)
@@ -107,32 +109,44 @@ def find_movers(
     graph = Graph(moving)
     log = TrainingLog("cpu", 1)
     saved = checkpoint.found(log)
-    if saved is not None and saved.tensors["xyz"].shape[1] == len(moving):
-        tracks = Tracks(*(saved.tensors[name].numpy() for name in KEPT))
+    if saved is not None and saved.tensors["xyz"].shape[2] == len(moving):
+        stacked = [saved.tensors[name].numpy() for name in KEPT]
+        every = [Tracks(*one) for one in zip(*stacked, strict=True)]
     else:
-        tracks = follow_both_ways(
+        every = follow_both_ways(
             moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
         )
-        tensors = {name: torch.from_numpy(getattr(tracks, name)) for name in KEPT}
+        tensors = {name: torch.from_numpy(np.stack([getattr(t, name) for t in every])) for name in KEPT}
         checkpoint.write(Saved(1, tensors, {"log": log.state()}))
-    voxel = rest.canonical.voxel
+    found = [_parts(scene, rest, surface, moves, graph, tracks) for tracks in every]
+    return [one for one in found if one is not None]
+
+
+def _parts(
+    scene: Scene,
+    rest: RestModel,
+    surface: Surface,
+    moves: Bool[np.ndarray, " n"],
+    graph: Graph,
+    tracks: Tracks,
+) -> Found | None:
+    """Rigid parts that explain tracks of the points that move; None where too few of these go anywhere."""
+    moving, voxel = surface.only(moves), rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
     if kept.sum() < FEWEST_POINTS:
         return None
-    if not kept.all():
-        moves[moves] = kept
-        region = _region(rest.canonical, surface, moves)
-        stands = _without(rest.canonical, region)
-        moving, tracks = moving.only(kept), tracks.only(kept)
-    progress(1.0, f"{labels.max() + 1} rigid parts")
+    going = moves.copy()
+    going[moves] = kept
+    region = _region(rest.canonical, surface, going)
+    moving, tracks = moving.only(kept), tracks.only(kept)
     span_s = scene.t1_s - scene.t0_s
     offsets = zip(standing_clips(scene), tracks.offsets.tolist(), strict=True)
     return Found(
         moving,
         tracks,
         labels,
-        stands,
+        _without(rest.canonical, region),
         movers_of(rest.canonical, region, moving, tracks, labels),
         {name: offset * span_s for name, offset in offsets if offset},
     )

@@ -42,7 +42,7 @@ FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
 TELLING = 1.0  # weight of points by which a node's likeness is known
 AROUND, FEWEST_AROUND = 3, 4  # rings of nodes by which a lost node is carried along; fewest nodes of these
-MOST_AGAIN = 3  # times that everything is followed with other clocks
+MOST_AGAIN = 2  # times that everything is followed with other clocks
 SETTLED = 0.05  # of the time between moments: offsets that change by less are known
 MOST_MOMENTS = 300  # of a long clip, of which not every picture is looked at
 
@@ -74,10 +74,11 @@ def follow_both_ways(
     films: Sequence[Film],
     rest_time: float,
     progress: Callable[[float], object] = lambda share: None,
-) -> Tracks:
+) -> list[Tracks]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
-    Where they show that a camera's clock is wrong, again, with clocks that follow what is seen.
+    Where they seem to show that a camera's clock is wrong, again, with other clocks. Then there are both: errors of
+    other kinds may look alike, and trained models tell.
 
     Args:
         surface: Points that move, at rest.
@@ -97,14 +98,14 @@ def follow_both_ways(
     tracks, seen = _both_ways(surface, graph, films, times, before, np.zeros(len(films)), progress)
     offsets, std = offsets_of(seen, gap)
     if not clear(offsets, std, gap).any():
-        return tracks
+        return [tracks]
     for _ in range(MOST_AGAIN):
         known = offsets
-        tracks, seen = _both_ways(surface, graph, films, times, before, known, progress)
+        again, seen = _both_ways(surface, graph, films, times, before, known, progress)
         offsets, _ = offsets_of(seen, gap)
         if np.abs(offsets - known).max() < SETTLED * gap:
             break
-    return replace(tracks, offsets=offsets)
+    return [tracks, replace(again, offsets=offsets)]
 
 
 def _both_ways(

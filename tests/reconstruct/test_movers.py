@@ -309,22 +309,26 @@ def test_killed_it_goes_on_bit_for_bit(
 
 @pytest.fixture
 def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
-    """What `find_movers` finds is decided by the test: the whole ball, and how far it goes until time 1."""
+    """What `find_movers` finds is decided by the test: the whole ball, and how far it goes until time 1.
 
-    def decide(travel: np.ndarray) -> None:
+    With another way, also that a clock may be wrong.
+    """
+
+    def found(travel: np.ndarray, offsets_s: dict[str, float]) -> Found:
         model = whole(rest, travel)
         assert model.movers is not None and model.in_motion is not None
         times = np.array([0.0, 0.5, 1.0])
         xyz = RADIUS * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-        tracks = Tracks(
-            times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool), np.array([0.0, 0.02])
-        )
+        tracks = Tracks(times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool), np.zeros(2))
         surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
-        found = Found(
-            surface, tracks, np.zeros(3, int), model.in_motion.canonical, model.movers, {"cam1": 0.02}
-        )
+        stands = model.in_motion.canonical
+        return Found(surface, tracks, np.zeros(3, int), stands, model.movers, offsets_s)
+
+    def decide(travel: np.ndarray, at_other_times: np.ndarray | None = None) -> None:
+        every = [found(travel, {})]
+        every += [] if at_other_times is None else [found(at_other_times, {"cam1": 0.02})]
         monkeypatch.setattr("devrf.reconstruct.train_deformation.trackable", lambda scene, rest: True)
-        monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: found)
+        monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: every)
 
     return decide
 
@@ -338,7 +342,20 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["movers_gain_db"] > 5 and metrics["decisions"] == []
     assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
     assert metrics["longest_lost"] == 0 and metrics["lost_share"] == 0
-    assert metrics["clock_offsets_s"] == {"cam1": 0.02}
+    assert metrics["clock_offsets_s"] == {}
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_clocks_are_moved_where_pixels_held_back_say_so(
+    session: Scene, rest: RestModel, tracked, moved: bool
+) -> None:
+    tracked(*((-TRAVEL, TRAVEL) if moved else (TRAVEL, -TRAVEL)))
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    assert model.movers is not None and metrics["movers_gain_db"] > 5
+    assert metrics["clock_offsets_s"] == ({"cam1": 0.02} if moved else {})
+    (decision,) = metrics["decisions"]
+    assert "cam1 +20 ms" in decision and ("moved" in decision) == moved
+    assert metrics["iterations"] == 2 * OPTIONS.together
 
 
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
