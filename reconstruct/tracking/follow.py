@@ -99,6 +99,7 @@ def follow_both_ways(
     offsets, std = offsets_of(seen, gap)
     if not clear(offsets, std, gap).any():
         return [tracks]
+    again = tracks
     for _ in range(MOST_AGAIN):
         known = offsets
         again, seen = _both_ways(surface, graph, films, times, before, known, progress)
