@@ -23,9 +23,9 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
-from devrf.reconstruct.tracking.find import find_movers, trackable
+from devrf.reconstruct.tracking.find import Found, find_movers, trackable
 from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.train_movers import train_movers
+from devrf.reconstruct.train_movers import Trained, train_movers
 from devrf.reconstruct.watch import Watch
 
 TRACKING = 0.5  # share of the progress bar
@@ -127,15 +127,19 @@ def _movers(
         "flow_contradicted": {},
     }
     if len(each) > 1:
-        offsets = ", ".join(f"{name} {1e3 * s:+.0f} ms" for name, s in every[-1].offsets_s.items())
-        gain = f"{each[-1].gain_db - each[0].gain_db:+.2f} dB on pixels held back"
-        metrics["decisions"].append(
-            str(Decision("clocks", "moved" if best else "as they are", offsets, gain))
-        )
+        metrics["decisions"].append(str(_clocks(every, each, best)))
     for other in each[:best] + each[best + 1 :]:
         metrics = _with_cost_of(metrics, other.metrics)
     metrics["seconds"] += tracking_s
     return model, metrics
+
+
+def _clocks(every: list[Found], each: list[Trained], best: int) -> Decision:
+    """Whether clocks were moved, and what pixels held back say."""
+    moved = ", ".join(f"{name} {1e3 * s:+.0f} ms" for name, s in every[-1].offsets_s.items())
+    chosen, offered = ("as they are", moved) if best == 0 else (moved, "as they are")
+    gain_db = each[-1].gain_db - each[0].gain_db
+    return Decision("clocks", chosen, offered, f"moved, pixels held back gain {gain_db:+.2f} dB")
 
 
 def _field(
