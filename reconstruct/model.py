@@ -4,8 +4,9 @@ A ray's colour: surroundings before the box, the box with its contents moved, su
 background). Surroundings do not move, so a camera that stands still needs them once.
 """
 
+import copy
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.reconstruct.canonical import EMPTY
 from devrf.reconstruct.grids import grid_shape, voxel_size
 from devrf.reconstruct.kernels.composite import composite_weights
 from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
@@ -124,6 +126,22 @@ class DynamicModel:
         rest, in_motion = (p and replace(p, shell=None, background=background) for p in parts)
         assert rest is not None
         return DynamicModel(rest, self.motion, in_motion, self.movers, self.chunk)
+
+    def showing(self, stands: bool, parts: Collection[int]) -> "DynamicModel":
+        """The same in motion with some of its layers alone.
+
+        Args:
+            stands: What stands in the box is shown.
+            parts: Parts of what moves that are, counted from 1.
+        """
+        assert self.movers is not None and self.in_motion is not None  # asked of models with movers only
+        canonical = self.in_motion.canonical
+        if not stands:
+            canonical = copy.copy(canonical)
+            canonical.density = torch.full_like(canonical.density, EMPTY)
+            canonical.rebuild_occupancy()
+        in_motion = replace(self.in_motion, canonical=canonical)
+        return DynamicModel(self.rest, self.motion, in_motion, self.movers.only(parts), self.chunk)
 
     def box_at_rest(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Rendered:
         """Colours of the box alone, before nothing, and what it lets through."""

@@ -107,8 +107,8 @@ def _movers(
     keys = min(len(found.tracks.times), options.keys or options.most_keys)
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, keys, boxed.rest_time)
     assert model.motion is not None
-    longest, part = found.longest_lost()
-    middle = np.append(found.surface.xyz[found.labels == part].mean(0), 1.0)
+    told = found.told(scene.box_from_world)
+    longest = max(told, key=lambda part: part["longest_lost"])
     metrics = trained.metrics | {
         "keys": keys,
         "grid": list(model.motion.backward.shape[1:4]),
@@ -117,8 +117,9 @@ def _movers(
         "parts": parts,
         "points": len(found.surface),
         "lost_share": round(float(found.tracks.lost.mean()), 4),
-        "longest_lost": longest,
-        "longest_lost_at": (np.linalg.inv(scene.box_from_world) @ middle)[:3].round(3).tolist(),
+        "longest_lost": longest["longest_lost"],
+        "longest_lost_at": longest["at"],
+        "rigid_parts": told,
         "movers_gain_db": round(trained.gain_db, 3),
         "movers_unshaded_gain_db": round(trained.unshaded_gain_db, 3),
         "tracking_s": round(tracking_s, 1),

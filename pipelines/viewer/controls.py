@@ -9,6 +9,7 @@ import viser
 from devrf.pipelines.viewer.furniture import GROUPS
 from devrf.pipelines.viewer.source import Loaded
 
+EVERYTHING, STANDS, PART = "everything", "what stands", "part"
 LAYERS = ("colour", "depth", "opacity", "confidence")
 SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 STEP_S = 0.001  # of the time slider
@@ -73,13 +74,19 @@ class Controls:
             self._around = gui.add_checkbox(
                 "surroundings", True, visible=False, hint="Without them the box can be seen from everywhere"
             )
+            self._parts = gui.add_dropdown(
+                "of the box",
+                (EVERYTHING,),
+                visible=False,
+                hint="What stands, or one of the rigid parts that move",
+            )
             self._note = gui.add_markdown("", visible=False)
         with gui.add_folder("In the scene"):
             self.groups = {name: gui.add_checkbox(name, name in SHOWN_AT_FIRST) for name in GROUPS}
         for name, box in self.groups.items():
             box.on_update(lambda event, name=name: show(name, event.target.value))
         gui.add_button("Back to the first view").on_click(lambda event: home())
-        for handle in (self.at_rest, self.layer, self._around):
+        for handle in (self.at_rest, self.layer, self._around, self._parts):
             handle.on_update(lambda event: changed())
 
     def renew(self, loaded: Loaded) -> None:
@@ -93,6 +100,11 @@ class Controls:
             self._move_slider(time.monotonic())
         self._around.visible = model is not None and model.rest.shell is not None
         self.at_rest.visible = model is not None and model.motion is not None
+        count = 0 if model is None or model.movers is None else model.movers.parts
+        offered = (EVERYTHING, STANDS, *(f"{PART} {n + 1}" for n in range(count)))
+        if self._parts.options != offered:
+            self._parts.options = offered
+        self._parts.visible = count > 0
 
     def choose(self, has_model: bool) -> None:
         """What stands in the scene at first: more where no picture can be seen."""
@@ -113,6 +125,14 @@ class Controls:
     def alone(self) -> bool:
         """Whether only what is in the box is wanted."""
         return self._around.visible and not self._around.value
+
+    @property
+    def shown(self) -> tuple[bool, tuple[int, ...]] | None:
+        """Whether what stands is wanted, and which parts of what moves; None: everything."""
+        chosen = self._parts.value
+        if not self._parts.visible or chosen == EVERYTHING:
+            return None
+        return (True, ()) if chosen == STANDS else (False, (int(chosen.removeprefix(PART)),))
 
     def moment(self, now: float) -> float:
         """The time in [0, 1] at a moment of the clock; while it runs the slider follows. For the painter alone."""

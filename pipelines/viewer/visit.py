@@ -55,7 +55,7 @@ class Visit:
         self.gone = False
         self._loaded = Loaded()
         self._furniture: Furniture | None = None
-        self._alone: tuple[DynamicModel, DynamicModel] | None = None
+        self._some: tuple[DynamicModel, object, DynamicModel] | None = None  # of which model, and what of it
         self._budget = FIRST  # pixels that are there in time
         self._wish, self._painted, self._whole, self._pixels = 1, 0, True, 0.0
         self._next = 0.0  # earliest moment of the next picture while time runs
@@ -146,14 +146,16 @@ class Visit:
         return self.controls.runs and not self.controls.at_rest.value
 
     def _model(self) -> "DynamicModel":
-        """The model, or what is in its box alone."""
-        whole = self._loaded.model
+        """The model, or some of it alone."""
+        whole, chosen = self._loaded.model, (self.controls.alone, self.controls.shown)
         assert whole is not None
-        if not self.controls.alone:
+        if chosen == (False, None):
             return whole
-        if self._alone is None or self._alone[0] is not whole:
-            self._alone = whole, whole.alone(BEHIND)
-        return self._alone[1]
+        if self._some is None or self._some[0] is not whole or self._some[1] != chosen:
+            alone, shown = chosen
+            some = whole if shown is None else whole.showing(*shown)
+            self._some = whole, chosen, some.alone(BEHIND) if alone else some
+        return self._some[2]
 
     def _picture(
         self, layers: Layers, camera: Camera, moment: float | None, confidence: Callable[[], "Confidence"]

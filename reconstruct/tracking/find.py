@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -59,14 +60,31 @@ class Found:
     movers: Movers
     offsets_s: dict[str, float]
 
-    def longest_lost(self) -> tuple[int, int]:
-        """For how many moments in a row pictures show something else where most of a part should be; which part."""
-        longest = 0, 0
+    def told(self, box_from_world: Float[np.ndarray, "4 4"]) -> list[dict[str, Any]]:
+        """Of each part its number, where it rests, its points, how far they go and how long it is lost.
+
+        Lost: the most moments in a row in which pictures show something else where most of the part should be. How far
+        is a median over points; lengths and places in world units.
+        """
+        world_from_box, out = np.linalg.inv(box_from_world), []
+        scale = float(np.cbrt(np.linalg.det(world_from_box[:3, :3])))
         for m in range(self.movers.parts):
-            lost = self.tracks.lost[:, self.labels == m].mean(1) > 0.5
+            mine = self.labels == m
+            rests = self.surface.xyz[mine]
+            way = np.linalg.norm(self.tracks.xyz[:, mine] - rests, axis=-1).max(0)
+            lost = self.tracks.lost[:, mine].mean(1) > 0.5
             runs = np.diff(np.flatnonzero(~np.r_[False, lost, False])) - 1
-            longest = max(longest, (int(runs.max()), m))
-        return longest
+            at = world_from_box @ np.append(rests.mean(0), 1.0)
+            out.append(
+                {
+                    "part": m + 1,
+                    "at": at[:3].round(3).tolist(),
+                    "points": int(mine.sum()),
+                    "goes": round(float(np.median(way)) * scale, 4),
+                    "longest_lost": int(runs.max()),
+                }
+            )
+        return out
 
 
 def trackable(scene: Scene, rest: RestModel) -> bool:

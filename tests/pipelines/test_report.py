@@ -225,6 +225,15 @@ def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
     assert "147.000" not in page.text and "200.00" not in page.text and "0.25" in page.text
 
 
+def test_parts_that_move_are_listed(tmp_path):
+    part = {"part": 7, "at": [0.25, -1.5, 0.0], "points": 4321, "goes": 0.875, "longest_lost": 3}
+    write_json(tmp_path / "deformation/metrics.json", {"rigid_parts": [part, "damaged"]})
+    _, page = _page(tmp_path)
+    assert "7 0.25, -1.5, 0.0 4321 0.875 3" in page.text
+    write_json(tmp_path / "deformation/metrics.json", {"rigid_parts": "damaged"})
+    assert "as rigid parts" not in _page(tmp_path)[1].text
+
+
 def test_what_is_not_there_is_said(full_run, tmp_path):
     run = shutil.copytree(full_run, tmp_path / "run")
     for stage, said in (("flow", "flow has not run"), ("render", "flow, render have not run")):

@@ -6,15 +6,29 @@ from typing import Any
 import pytest
 from tests.pipelines.trained_run import boxed_model
 
-from devrf.pipelines.viewer.controls import place, stepped
+from devrf.pipelines.viewer.controls import Controls, place, stepped
 from devrf.pipelines.viewer.visit import Visit
 
 
 def test_what_is_in_the_box_alone_is_before_white() -> None:
-    controls = SimpleNamespace(alone=True)
-    visit: Any = SimpleNamespace(_loaded=SimpleNamespace(model=boxed_model()), controls=controls, _alone=None)
+    controls = SimpleNamespace(alone=True, shown=None)
+    visit: Any = SimpleNamespace(_loaded=SimpleNamespace(model=boxed_model()), controls=controls, _some=None)
     alone = Visit._model(visit)
     assert alone.rest.background == "white" and Visit._model(visit) is alone
+
+
+@pytest.mark.parametrize(
+    ("visible", "value", "shown"),
+    [
+        (True, "everything", None),
+        (True, "what stands", (True, ())),
+        (True, "part 12", (False, (12,))),
+        (False, "part 12", None),  # another model came, without parts
+    ],
+)
+def test_parts_can_be_chosen_where_there_are_any(visible: bool, value: str, shown: object) -> None:
+    panel: Any = SimpleNamespace(_parts=SimpleNamespace(visible=visible, value=value))
+    assert Controls.shown.fget(panel) == shown  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

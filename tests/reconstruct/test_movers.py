@@ -21,7 +21,7 @@ from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.guard import diverged
-from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
 from devrf.reconstruct.movers import Movers, render_layered
 from devrf.reconstruct.options import MotionOptions
@@ -79,6 +79,25 @@ def test_parts_that_do_not_move_look_as_at_rest(rest: RestModel, deferred: bool)
     camera = look_at(np.array([1.5, 2.0, 0.7]))
     at_rest, apart = render_view(model, camera, None), render_view(model, camera, 0.4)
     assert np.abs(at_rest - apart).mean() < 0.01 and np.abs(at_rest - 1).mean() > 0.05
+
+
+def test_layers_are_shown_alone(rest: RestModel) -> None:
+    """A quarter of the ball stands, each of two parts is some of the rest; together they are the ball."""
+    stands, own, labels = halves(rest)
+    places = vertices(own.aabb, own.shape)
+    labels = torch.where((labels > 0) & (places[..., 2] > 0), 2, labels).to(torch.uint8)
+    model = DynamicModel.of_movers(rest, replace(rest, canonical=stands), still(own, labels, 2), 3, 0.0)
+    camera = look_at(np.array([1.5, 2.0, 0.7]))
+
+    def opacity(stands: bool, parts: tuple[int, ...]) -> float:
+        return float(render_layers(model.showing(stands, parts), camera, 0.4)[2].sum())
+
+    everything = float(render_layers(model, camera, 0.4)[2].sum())
+    assert opacity(True, (1, 2)) == pytest.approx(everything, rel=1e-3) and opacity(False, ()) == 0
+    each = opacity(True, ()), opacity(False, (1,)), opacity(False, (2,))
+    assert min(each) > 0.1 * everything
+    assert sum(each) > 0.95 * everything and max(each) < 0.7 * everything
+    assert opacity(False, (1, 2)) == pytest.approx(each[1] + each[2], rel=0.1)
 
 
 def test_a_part_looks_as_from_a_camera_that_moves_the_other_way(rest: RestModel) -> None:
@@ -375,7 +394,9 @@ def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
     tracks = Tracks(np.linspace(0, 1, 8), np.tile(xyz, (8, 1, 1)), lost, np.zeros(2))
     surface = Surface(xyz, xyz, xyz, 0.1)
     found = Found(surface, tracks, np.zeros(4, int), model.in_motion.canonical, model.movers, {})
-    assert found.longest_lost() == (3, 0)
+    box_from_world = np.diag([0.5, 0.5, 0.5, 1.0])
+    (told,) = found.told(box_from_world)
+    assert told == {"part": 1, "at": [0.5, 0.5, 0.5], "points": 4, "goes": 0.0, "longest_lost": 3}
     gains = {"movers_gain_db": 4.0, "movers_unshaded_gain_db": 4.0}
     _, row = mover_rows({**gains, "longest_lost": 3, "longest_lost_at": [0.1, 0.25, -1.0]})
     assert row.verdict == "warn" and row.value == 3 and "(0.10, 0.25, -1.00)" in row.remedy
