@@ -9,7 +9,9 @@ import viser
 from devrf.pipelines.viewer.furniture import GROUPS
 from devrf.pipelines.viewer.source import Loaded
 
-EVERYTHING, STANDS, PART = "everything", "what stands", "part"
+EVERYTHING: str = "everything"
+STANDS: str = "what stands"
+PART = "part"
 LAYERS = ("colour", "depth", "opacity", "confidence")
 SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 STEP_S = 0.001  # of the time slider
