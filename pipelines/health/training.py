@@ -8,7 +8,7 @@ from devrf.pipelines.health.rows import HealthRow, listed, row
 
 RESTARTED = "times that training ran away and went back"
 CONTRADICTED = "share of what moves whose flow the pictures contradict"
-MOVED = "clocks moved by what moves"
+MOVED = "largest offset of a clock, by what moves"
 MOVED_MS = 10.0  # at 1 m/s a centimetre
 MOSTLY_SHADED = 0.5  # of what movers gain; rolling things and cast shadows take a quarter
 MENDED = (RESTARTED, CONTRADICTED, MOVED)
@@ -83,20 +83,19 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
     )
 
 
-def clock_rows(offsets_s: Mapping[str, float]) -> list[HealthRow]:
+def moved_clock_rows(offsets_s: Mapping[str, float]) -> list[HealthRow]:
     """Whether clocks were moved because what moves is seen elsewhere on its way than they say."""
     if not offsets_s:
         return []
     name = max(offsets_s, key=lambda camera: abs(offsets_s[camera]))
-    late_ms = {camera: 1e3 * offset_s for camera, offset_s in offsets_s.items()}
+    every = ", ".join(f"{camera} {1e3 * offset_s:+.0f} ms" for camera, offset_s in offsets_s.items())
     return [
         row(
-            f"{MOVED} ({', '.join(f'{camera} {ms:+.0f} ms' for camera, ms in late_ms.items())})",
-            abs(late_ms[name]),
+            MOVED,
+            1e3 * abs(offsets_s[name]),
             "ms",
             warn_above=MOVED_MS,
-            remedy=f"Training took the pictures of {name} {abs(late_ms[name]):.0f} ms "
-            f"{'later' if late_ms[name] > 0 else 'earlier'} than sync says. Set its lag in "
+            remedy=f"Training took pictures later than sync says: {every}. Set the lag of {name} in "
             "calibration.sync.av_lag_s or true times in capture.timestamps, or clap near the middle of the scene.",
         )
     ]

@@ -9,7 +9,7 @@ from devrf.flow.store import read_flows
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
-from devrf.pipelines.health.training import clock_rows, flow_rows, mover_rows, restart_rows
+from devrf.pipelines.health.training import moved_clock_rows, flow_rows, mover_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -62,7 +62,7 @@ def run(context: StageContext) -> None:
     context.health.extend(restart_rows(metrics))
     context.health.extend(mover_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
-    context.health.extend(clock_rows(metrics.get("clock_offsets_s", {})))
+    context.health.extend(moved_clock_rows(metrics.get("clock_offsets_s", {})))
 
 
 def _left_box(share: float) -> HealthRow:

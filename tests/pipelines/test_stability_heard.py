@@ -7,7 +7,7 @@ import pytest
 from devrf.pipelines.bench.stability.case import Complaint, Result
 from devrf.pipelines.bench.stability.heard import Heard, heard
 from devrf.pipelines.bench.stability.points import points
-from devrf.pipelines.health.training import MENDED, clock_rows, flow_rows, restart_rows
+from devrf.pipelines.health.training import MENDED, moved_clock_rows, flow_rows, restart_rows
 
 BLUR = Complaint("ingest", "sharpness", "warn", 3.0, "sharpness")
 NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale", "scale")
@@ -76,7 +76,7 @@ def test_rows_of_mended_damage_are_known_by_their_first_words() -> None:
     rows = [
         *restart_rows({"restarts": 1, "rate": 0.3, "keys_left": 0}),
         *flow_rows({"cam1": 0.9}),
-        *clock_rows({"cam1": 0.1}),
+        *moved_clock_rows({"cam1": 0.1}),
     ]
     assert len(rows) == len(MENDED) and all(r.check.startswith(MENDED) for r in rows)
 

@@ -15,7 +15,7 @@ import devrf.reconstruct.movers as movers_module
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
-from devrf.pipelines.health.training import mover_rows
+from devrf.pipelines.health.training import mover_rows, moved_clock_rows
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
@@ -383,6 +383,15 @@ def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: R
     assert model.movers is None and model.motion is not None
     assert len(metrics["decisions"]) == 1 and "movers" in metrics["decisions"][0]
     assert list(mover_rows(metrics)) == []
+
+
+def test_moved_clocks_are_said() -> None:
+    assert moved_clock_rows({}) == []
+    (row,) = moved_clock_rows({"cam1": 0.004, "cam2": -0.057})
+    assert row.verdict == "warn" and row.value == pytest.approx(57)
+    assert "cam1 +4 ms, cam2 -57 ms" in row.remedy and "lag of cam2" in row.remedy
+    (row,) = moved_clock_rows({"cam1": 0.004})
+    assert row.verdict == "ok"
 
 
 def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
