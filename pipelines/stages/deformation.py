@@ -9,7 +9,7 @@ from devrf.flow.store import read_flows
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
-from devrf.pipelines.health.training import moved_clock_rows, flow_rows, mover_rows, restart_rows
+from devrf.pipelines.health.training import flow_rows, moved_clock_rows, mover_rows, restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory

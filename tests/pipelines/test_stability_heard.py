@@ -7,7 +7,7 @@ import pytest
 from devrf.pipelines.bench.stability.case import Complaint, Result
 from devrf.pipelines.bench.stability.heard import Heard, heard
 from devrf.pipelines.bench.stability.points import points
-from devrf.pipelines.health.training import MENDED, moved_clock_rows, flow_rows, restart_rows
+from devrf.pipelines.health.training import MENDED, flow_rows, moved_clock_rows, restart_rows
 
 BLUR = Complaint("ingest", "sharpness", "warn", 3.0, "sharpness")
 NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale", "scale")

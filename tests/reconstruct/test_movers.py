@@ -15,7 +15,7 @@ import devrf.reconstruct.movers as movers_module
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
-from devrf.pipelines.health.training import mover_rows, moved_clock_rows
+from devrf.pipelines.health.training import moved_clock_rows, mover_rows
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
