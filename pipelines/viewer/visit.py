@@ -146,7 +146,7 @@ class Visit:
         return self.controls.runs and not self.controls.at_rest.value
 
     def _model(self) -> "DynamicModel":
-        """The model, or some of it alone."""
+        """The model, or some of it alone; without what stands, nobody knows what surroundings look like behind it."""
         whole, chosen = self._loaded.model, (self.controls.alone, self.controls.shown)
         assert whole is not None
         if chosen == (False, None):
@@ -154,7 +154,8 @@ class Visit:
         if self._some is None or self._some[0] is not whole or self._some[1] != chosen:
             alone, shown = chosen
             some = whole if shown is None else whole.showing(*shown)
-            self._some = whole, chosen, some.alone(BEHIND) if alone else some
+            bare = alone or (shown is not None and not shown[0])
+            self._some = whole, chosen, some.alone(BEHIND) if bare else some
         return self._some[2]
 
     def _picture(

@@ -17,6 +17,22 @@ def test_what_is_in_the_box_alone_is_before_white() -> None:
     assert alone.rest.background == "white" and Visit._model(visit) is alone
 
 
+def test_a_part_alone_is_before_white_and_what_stands_is_not() -> None:
+    asked: list[tuple[bool, tuple[int, ...]]] = []
+
+    def showing(*shown: Any) -> SimpleNamespace:
+        asked.append(shown)
+        return SimpleNamespace(alone=lambda background: f"before {background}")
+
+    model = SimpleNamespace(showing=showing)
+    controls = SimpleNamespace(alone=False, shown=(False, (2,)))
+    visit: Any = SimpleNamespace(_loaded=SimpleNamespace(model=model), controls=controls, _some=None)
+    assert Visit._model(visit) == "before white"
+    controls.shown = True, ()
+    assert isinstance(Visit._model(visit), SimpleNamespace)
+    assert asked == [(False, (2,)), (True, ())]
+
+
 @pytest.mark.parametrize(
     ("visible", "value", "shown"),
     [
