@@ -238,6 +238,13 @@ class Canonical:
         other.alpha_threshold, other.weight_threshold = alpha_threshold, weight_threshold
         return other
 
+    def only(self, kept: Bool[Tensor, "X Y Z"]) -> "Canonical":
+        """The same scene with some vertices alone, empty elsewhere; its colours are not copied."""
+        other = copy.copy(self)
+        other.density = torch.where(kept[..., None], self.density, EMPTY)
+        other.rebuild_occupancy()
+        return other
+
     def occupied(self) -> Bool[Tensor, "X Y Z"]:
         """Vertices next to which a sample can be opaque enough to count."""
         alpha = 1 - torch.exp(-self.interval * F.softplus(self.density[..., 0] + self.shift))

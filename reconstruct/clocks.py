@@ -1,10 +1,7 @@
-"""When a camera's pictures fit the motion best: their errors as if taken a little earlier and later.
+"""Pictures at other times than their clocks say, and how well the motion explains them there.
 
-Rays carry exact times and the motion field interpolates between key times, so the error of a picture is a function of
-its camera's offset (Sync-NeRF, Kim et al., AAAI 2024, descends it beside the field). The field is held, and a camera's
-pictures are rendered a little before and after the times they are said to have. A parabola through the errors is
-Newton's step by differences: the exact slope has two sides at a key time, where the pictures of synchronous cameras
-lie, and follows fine texture rather than the motion (measured: three such steps went a fifth of the way).
+Rays carry exact times and the motion interpolates between key times, so the error of a picture is a function of its
+camera's offset (Sync-NeRF, Kim et al., AAAI 2024, descends it beside the field).
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +19,6 @@ from devrf.reconstruct.moving_pixels import ChangingPixels, draw_with_importance
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 
-SHIFTS = np.linspace(-1.2, 1.2, 13)  # pictures by which a camera is tried to be early or late
 BEYOND = 1e-3  # of all modelled time, that a picture may lie outside of it
 RAYS = 96  # of each picture, where pictures change
 

@@ -233,10 +233,11 @@ def _in_motion(size: SceneSize, o: MotionOptions, on_gpu: bool) -> tuple[Parts, 
         "checkpoint": vertices * _checkpoint_bytes(1, CHANNELS - 1),
     }
     per_sample = SAMPLE + SAMPLE_PER_UNIT * MLP_WIDTH
-    movers = common | {  # both layers as they were found, and with gradient and moments
+    # Both layers as they were found, with gradient and moments, and as trained before with other clocks.
+    movers = common | {
         "tracking": TRACKED + TRACKED_CAMERA * size.cameras,
         "sweep": _picture_bytes(size, size.still_pixels, size.still_lenses),
-        "models": rest + 2 * vertices * ((TRAINED + 4) * CHANNELS + VERTEX),
+        "models": rest + 2 * vertices * ((TRAINED + 4 + 4) * CHANNELS + VERTEX),
         "samples": o.together_rays * (SAMPLES_PER_RAY_AT_REST * per_sample + _steps_bytes(o, o.stepsize)),
     }
     phases = [reading, beginning, motion, *([tuning, writing] if o.fine_tuning else [])]

@@ -4,7 +4,6 @@ A ray's colour: surroundings before the box, the box with its contents moved, su
 background). Surroundings do not move, so a camera that stands still needs them once.
 """
 
-import copy
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,6 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.canonical import EMPTY
 from devrf.reconstruct.grids import grid_shape, voxel_size
 from devrf.reconstruct.kernels.composite import composite_weights
 from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
@@ -137,9 +135,7 @@ class DynamicModel:
         assert self.movers is not None and self.in_motion is not None  # asked of models with movers only
         canonical = self.in_motion.canonical
         if not stands:
-            canonical = copy.copy(canonical)
-            canonical.density = torch.full_like(canonical.density, EMPTY)
-            canonical.rebuild_occupancy()
+            canonical = canonical.only(torch.zeros_like(self.movers.labels, dtype=torch.bool))
         in_motion = replace(self.in_motion, canonical=canonical)
         return DynamicModel(self.rest, self.motion, in_motion, self.movers.only(parts), self.chunk)
 

@@ -5,7 +5,6 @@ each part's own frame and marched there; all samples are then sorted along the r
 blends across parts. Where two parts meet, both hold the voxels next to the border: a joint has no seam.
 """
 
-import copy
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -101,12 +100,8 @@ class Movers:
         """The same with some of the parts alone, which are counted from 1; all keep their numbers."""
         asked = torch.tensor(sorted(parts), dtype=torch.uint8, device=self.labels.device)
         kept = torch.isin(self.labels, asked)
-        own = copy.copy(self.canonical)
-        own.density = torch.where(kept[..., None], own.density, EMPTY)
-        own.rebuild_occupancy()
-        return Movers(
-            own, torch.where(kept, self.labels, 0), self.times, self.rotations, self.shifts, self.shading
-        )
+        own, labels = self.canonical.only(kept), torch.where(kept, self.labels, 0)
+        return Movers(own, labels, self.times, self.rotations, self.shifts, self.shading)
 
     def at_rest(self, time: Float[Tensor, "1"]) -> Placed:
         """Where nothing has moved, in the light of a time."""

@@ -5,7 +5,8 @@ stands; else, and where that explains too little, motion is a field (`train_moti
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.train_movers import Trained, train_movers
 from devrf.reconstruct.watch import Watch
 
+DIVERGED = "training-diverged"  # code of the error
 TRACKING = 0.5  # share of the progress bar
 LEAST_GAIN_DB = 1.0  # of movers over a scene in which nothing moves; with less, motion is a field
 MOTION = 0.9  # share of the progress bar, before fine-tuning
@@ -81,25 +83,20 @@ def _movers(
         return Decision("movers", "none", "tracked", "too few points of the surface move")
     tracking_s = time.monotonic() - start
     try:
-        each = [
-            train_movers(
-                retimed(boxed, found.offsets_s),
-                rest,
-                found.stands,
-                found.movers,
-                options,
-                device,
-                lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
-                checkpoint.part(f"movers{n}"),
-            )
-            for n, found in enumerate(every)
-        ]
+        found, trained, decisions = _better(
+            boxed,
+            rest,
+            every,
+            options,
+            device,
+            lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
+            checkpoint,
+        )
     except ReconstructError as error:
-        if error.code != "training-diverged":
+        if error.code != DIVERGED:
             raise
         return Decision("movers", "none", f"{every[0].movers.parts} rigid parts", str(error))
-    best = max(range(len(each)), key=lambda n: each[n].gain_db)
-    found, trained, parts = every[best], each[best], every[best].movers.parts
+    parts = found.movers.parts
     gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
     if trained.unshaded_gain_db < LEAST_GAIN_DB:
         reason = f"{parts} rigid parts gained {gains}, expected {LEAST_GAIN_DB} without"
@@ -107,8 +104,6 @@ def _movers(
     keys = min(len(found.tracks.times), options.keys or options.most_keys)
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, keys, boxed.rest_time)
     assert model.motion is not None
-    told = found.told(scene.box_from_world)
-    longest = max(told, key=lambda part: part["longest_lost"])
     metrics = trained.metrics | {
         "keys": keys,
         "grid": list(model.motion.backward.shape[1:4]),
@@ -117,30 +112,50 @@ def _movers(
         "parts": parts,
         "points": len(found.surface),
         "lost_share": round(float(found.tracks.lost.mean()), 4),
-        "longest_lost": longest["longest_lost"],
-        "longest_lost_at": longest["at"],
-        "rigid_parts": told,
+        "rigid_parts": found.told(scene.box_from_world),
         "movers_gain_db": round(trained.gain_db, 3),
         "movers_unshaded_gain_db": round(trained.unshaded_gain_db, 3),
         "tracking_s": round(tracking_s, 1),
         "clock_offsets_s": found.offsets_s,
-        "decisions": [],
+        "decisions": decisions,
         "flow_contradicted": {},
     }
-    if len(each) > 1:
-        metrics["decisions"].append(str(_clocks(every, each, best)))
-    for other in each[:best] + each[best + 1 :]:
-        metrics = _with_cost_of(metrics, other.metrics)
     metrics["seconds"] += tracking_s
     return model, metrics
 
 
-def _clocks(every: list[Found], each: list[Trained], best: int) -> Decision:
-    """Whether clocks were moved, and what pixels held back say."""
-    moved = ", ".join(f"{name} {1e3 * s:+.0f} ms" for name, s in every[-1].offsets_s.items())
-    chosen, offered = ("as they are", moved) if best == 0 else (moved, "as they are")
-    gain_db = each[-1].gain_db - each[0].gain_db
-    return Decision("clocks", chosen, offered, f"moved, pixels held back gain {gain_db:+.2f} dB")
+def _better(
+    boxed: Scene,
+    rest: RestModel,
+    every: Sequence[Found],
+    options: MotionOptions,
+    device: str,
+    progress: Progress,
+    checkpoint: Checkpoint,
+) -> tuple[Found, Trained, list[str]]:
+    """What was found, trained; with clocks moved where pixels held back are explained better so, and why."""
+
+    def train(n: int) -> Trained:
+        scene, found = retimed(boxed, every[n].offsets_s), every[n]
+        part = checkpoint.part(f"movers{n}")
+        return train_movers(scene, rest, found.stands, found.movers, options, device, progress, part)
+
+    found, trained = every[0], train(0)
+    if len(every) == 1:
+        return found, trained, []
+    moved = ", ".join(f"{name} {1e3 * s:+.0f} ms" for name, s in every[1].offsets_s.items())
+    try:
+        again = train(1)
+    except ReconstructError as error:
+        if error.code != DIVERGED:
+            raise
+        return found, trained, [str(Decision("clocks", "as they are", moved, str(error)))]
+    reason = f"moved, pixels held back gain {again.gain_db - trained.gain_db:+.2f} dB"
+    if again.gain_db <= trained.gain_db:
+        trained = replace(trained, metrics=_with_cost_of(trained.metrics, again.metrics))
+        return found, trained, [str(Decision("clocks", "as they are", moved, reason))]
+    again = replace(again, metrics=_with_cost_of(again.metrics, trained.metrics))
+    return every[1], again, [str(Decision("clocks", moved, "as they are", reason))]
 
 
 def _field(

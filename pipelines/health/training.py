@@ -71,10 +71,11 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
         remedy="Brightness that changes explains what motion should: keep lights still and people's shadows out of "
         "the pictures; look at the film whether things move as in the clips, and give what moves more texture.",
     )
-    at = ", ".join(f"{x:.2f}" for x in metrics["longest_lost_at"])
+    worst = max(metrics["rigid_parts"], key=lambda part: part["longest_lost"])
+    at = ", ".join(f"{x:.2f}" for x in worst["at"])
     yield row(
         "longest time that a moving part is lost",
-        float(metrics["longest_lost"]),
+        float(worst["longest_lost"]),
         "moments",
         warn_above=LOST_MOMENTS,
         remedy=f"Pictures show something else where a part should be that rests around ({at}): it goes on with what "

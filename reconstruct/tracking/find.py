@@ -1,6 +1,5 @@
 """From a scene at rest and its fixed cameras to rigid parts, their motion, and the voxels that are theirs."""
 
-import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +12,7 @@ from torch import Tensor
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
-from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel, render_layers
@@ -121,7 +120,7 @@ def find_movers(
         return []
     progress(0.2, f"{int(moves.sum())} of {len(surface)} points move")
     region = _region(rest.canonical, surface, moves)
-    stands = _without(rest.canonical, region)
+    stands = rest.canonical.only(~region)
     clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
     moving = surface.only(moves)
     graph = Graph(moving)
@@ -164,7 +163,7 @@ def _parts(
         moving,
         tracks,
         labels,
-        _without(rest.canonical, region),
+        rest.canonical.only(~region),
         movers_of(rest.canonical, region, moving, tracks, labels),
         {name: offset * span_s for name, offset in offsets if offset},
     )
@@ -183,15 +182,12 @@ def movers_of(
         for mine in (labels == m for m in range(labels.max() + 1))
     ]
     rotations, shifts = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
-    own = copy.copy(canonical)
-    own.density = torch.where(region[..., None], canonical.density, EMPTY)
-    own.rebuild_occupancy()
     of_vertex = torch.zeros(canonical.shape, dtype=torch.uint8, device=canonical.density.device)
     places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()
     nearest = KDTree(surface.xyz).query(places)[1]
     of_vertex[region] = torch.from_numpy(labels[nearest] + 1).to(of_vertex)
     times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
-    return Movers(own, of_vertex, times, R, t)
+    return Movers(canonical.only(region), of_vertex, times, R, t)
 
 
 def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:
@@ -202,14 +198,6 @@ def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"
     region = torch.zeros_like(near)
     region[near] = torch.from_numpy(moves[nearest] & (distance < OWN * surface.spacing)).to(near)
     return region
-
-
-def _without(canonical: Canonical, region: Bool[Tensor, "X Y Z"]) -> Canonical:
-    """The scene at rest with a region emptied."""
-    out = copy.copy(canonical)
-    out.density = torch.where(region[..., None], EMPTY, canonical.density)
-    out.rebuild_occupancy()
-    return out
 
 
 def _with_what_stands(scene: Scene, film: Film, stands: RestModel) -> Film:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 LEAST_WAY = 0.5  # pixels that a point goes from moment to moment, in a camera, to say anything of time
 FEWEST_POINTS = 50  # that do, and are seen by two cameras
-FEWEST_CAMERAS = 2  # at one moment: one says nothing of itself
+FEWEST_CAMERAS = 2  # at one moment: one says nothing of depth, nor of its own clock
 ERROR_PX = 0.5  # that the tracks of one moment are off by, all points together
 MOMENTS = 8  # in a row, and points in one corner of what moves, err together
 BEFORE = 1.0  # standard deviation of a clock before anything is seen, in moments
@@ -73,10 +73,8 @@ class Offsets:
             way: Of all points since the moment before.
             gap: Between both, in the scene's time.
         """
-        place, pull = (
-            np.zeros((len(way), 3, 3)),
-            np.zeros((len(way), 3)),
-        )  # of each point: its normal equations
+        # Of each point: the normal equations of where it is.
+        place, pull = np.zeros((len(way), 3, 3)), np.zeros((len(way), 3))
         cameras, goes = np.zeros(len(way), dtype=int), np.zeros(len(way), dtype=bool)
         along = {}
         for camera, (points, left, derivative, weight) in shown.items():

@@ -3,6 +3,7 @@
 import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.pipelines.health.training import moved_clock_rows, mover_rows
-from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
@@ -32,7 +33,7 @@ from devrf.reconstruct.tracking.find import Found
 from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import train_deformation
-from devrf.reconstruct.train_movers import train_movers
+from devrf.reconstruct.train_movers import Trained, train_movers
 
 TURN = np.array([0.2, -0.3, 0.4])
 OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)
@@ -43,11 +44,7 @@ def halves(rest: RestModel) -> tuple[Canonical, Canonical, torch.Tensor]:
     canonical = rest.canonical
     places = vertices(canonical.aabb, canonical.shape)
     right = places[..., 0] > 0
-    stands, own = copy.copy(canonical), copy.copy(canonical)
-    for part, kept in ((stands, ~right), (own, right)):
-        part.density = torch.where(kept[..., None], canonical.density, EMPTY)
-        part.rebuild_occupancy()
-    return stands, own, (right & (canonical.distance <= 1)).to(torch.uint8)
+    return canonical.only(~right), canonical.only(right), (right & (canonical.distance <= 1)).to(torch.uint8)
 
 
 def still(own: Canonical, labels: torch.Tensor, parts: int = 1) -> Movers:
@@ -58,10 +55,8 @@ def still(own: Canonical, labels: torch.Tensor, parts: int = 1) -> Movers:
 def whole(rest: RestModel, travel: np.ndarray, turn: np.ndarray | None = None) -> DynamicModel:
     """All of the ball is one part that goes, and turns, evenly."""
     canonical = rest.canonical
-    stands = copy.copy(canonical)
-    stands.density = torch.full_like(canonical.density, EMPTY)
-    stands.rebuild_occupancy()
     labels = (canonical.distance <= 1).to(torch.uint8)
+    stands = canonical.only(torch.zeros_like(labels, dtype=torch.bool))
     movers = still(canonical, labels)
     for n, time in enumerate((0.0, 0.5, 1.0)):
         movers.shifts[n, 0] = torch.from_numpy(time * travel)
@@ -360,7 +355,7 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["largest_motion"] == pytest.approx(np.linalg.norm(TRAVEL))
     assert metrics["movers_gain_db"] > 5 and metrics["decisions"] == []
     assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
-    assert metrics["longest_lost"] == 0 and metrics["lost_share"] == 0
+    assert metrics["rigid_parts"][0]["longest_lost"] == 0 and metrics["lost_share"] == 0
     assert metrics["clock_offsets_s"] == {}
 
 
@@ -407,12 +402,14 @@ def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
     (told,) = found.told(box_from_world)
     assert told == {"part": 1, "at": [0.5, 0.5, 0.5], "points": 4, "goes": 0.0, "longest_lost": 3}
     gains = {"movers_gain_db": 4.0, "movers_unshaded_gain_db": 4.0}
-    _, row = mover_rows({**gains, "longest_lost": 3, "longest_lost_at": [0.1, 0.25, -1.0]})
+    _, row = mover_rows(
+        {**gains, "rigid_parts": [{**told, "longest_lost": 1}, {**told, "at": [0.1, 0.25, -1.0]}]}
+    )
     assert row.verdict == "warn" and row.value == 3 and "(0.10, 0.25, -1.00)" in row.remedy
 
 
 def test_shading_that_does_the_work_of_motion_is_said() -> None:
-    lost = {"longest_lost": 2, "longest_lost_at": [0.0, 0.0, 0.0]}
+    lost = {"rigid_parts": [{"longest_lost": 2, "at": [0.0, 0.0, 0.0]}]}
     row, _ = mover_rows({"movers_gain_db": 4.0, "movers_unshaded_gain_db": 1.0, **lost})
     assert row.verdict == "warn" and row.value == pytest.approx(75.0)
 
@@ -427,3 +424,22 @@ def test_movers_whose_training_diverges_give_way_to_a_field(
     monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", runs_away)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and "training diverged" in metrics["decisions"][0]
+
+
+def test_clocks_stay_where_training_with_others_diverges(
+    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained: list[Trained] = []
+
+    def once(*arguments: Any) -> Trained:
+        if trained:
+            raise diverged("the loss")
+        trained.append(train_movers(*arguments))
+        return trained[0]
+
+    tracked(TRAVEL, TRAVEL)
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", once)
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    assert model.movers is not None and metrics["clock_offsets_s"] == {}
+    (decision,) = metrics["decisions"]
+    assert decision.startswith("clocks: as they are instead of cam1 +20 ms") and "diverged" in decision
