@@ -13,7 +13,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.movers import Movers
@@ -27,9 +27,7 @@ from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
-from devrf.reconstruct.training_log import TrainingLog
 
-KEPT = "times", "xyz", "lost", "offsets"  # of tracks
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
@@ -109,7 +107,9 @@ def find_movers(
         rest: The scene at rest; stays as it is.
         estimator: Of optical flow.
         progress: Told how far it is.
-        checkpoint: Where the tracks are kept, which take longest, and taken up from.
+        checkpoint: Where the state of tracking is kept, and taken up from.
+    Raises:
+        OutOfTime: The time for all is over; the state is kept.
     """
     assert scene.rest_time is not None
     clips = films(scene, estimator)
@@ -124,17 +124,14 @@ def find_movers(
     clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
     moving = surface.only(moves)
     graph = Graph(moving)
-    log = TrainingLog("cpu", 1)
-    saved = checkpoint.found(log)
-    if saved is not None and saved.tensors["xyz"].shape[2] == len(moving):
-        stacked = [saved.tensors[name].numpy() for name in KEPT]
-        every = [Tracks(*one) for one in zip(*stacked, strict=True)]
-    else:
-        every = follow_both_ways(
-            moving, graph, clips, scene.rest_time, lambda share: progress(0.25 + 0.65 * share, "tracking")
-        )
-        tensors = {name: torch.from_numpy(np.stack([getattr(t, name) for t in every])) for name in KEPT}
-        checkpoint.write(Saved(1, tensors, {"log": log.state()}))
+    every = follow_both_ways(
+        moving,
+        graph,
+        clips,
+        scene.rest_time,
+        lambda share: progress(0.25 + 0.65 * share, "tracking"),
+        checkpoint,
+    )
     found = [_parts(scene, rest, surface, moves, graph, tracks) for tracks in every]
     return [one for one in found if one is not None]
 

@@ -20,10 +20,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.cores import usable_cores
+from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual
+from devrf.reconstruct.tracking.runs import Arrays, Runs
 from devrf.reconstruct.tracking.shot import Shot, Sum
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import step
@@ -74,6 +76,7 @@ def follow_both_ways(
     films: Sequence[Film],
     rest_time: float,
     progress: Callable[[float], object] = lambda share: None,
+    checkpoint: Checkpoint = NOWHERE,
 ) -> list[Tracks]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
@@ -86,6 +89,9 @@ def follow_both_ways(
         films: With what stands in them.
         rest_time: In [0, 1].
         progress: Told how much is done, of each time.
+        checkpoint: Where to keep the state between two moments, and to take it up from.
+    Raises:
+        OutOfTime: The time for all is over; the state is kept.
     """
     gap = min(float(np.median(np.diff(film.times))) for film in films)
     last = max(float(film.times[-1]) for film in films)
@@ -95,17 +101,25 @@ def follow_both_ways(
         max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
     )
     times = rest_time + gap * np.arange(-before, after + 1)
-    tracks, seen = _both_ways(surface, graph, films, times, before, np.zeros(len(films)), progress)
+    runs = Runs(checkpoint, len(surface))
+
+    def followed(offsets: Float[np.ndarray, " c"], again: int) -> tuple[Tracks, dict[int, Offsets]]:
+        name = f"{again} times again"
+        return _both_ways(surface, graph, films, times, before, offsets, progress, runs, name)
+
+    tracks, seen = followed(np.zeros(len(films)), 0)
     offsets, std = offsets_of(seen, gap)
     if not clear(offsets, std, gap).any():
+        runs.write()
         return [tracks]
     again = tracks
-    for _ in range(MOST_AGAIN):
+    for n in range(MOST_AGAIN):
         known = offsets
-        again, seen = _both_ways(surface, graph, films, times, before, known, progress)
+        again, seen = followed(known, n + 1)
         offsets, _ = offsets_of(seen, gap)
         if np.abs(offsets - known).max() < SETTLED * gap:
             break
+    runs.write()
     return [tracks, replace(again, offsets=offsets)]
 
 
@@ -117,8 +131,13 @@ def _both_ways(
     middle: int,
     offsets: Float[np.ndarray, " c"],
     progress: Callable[[float], object],
+    runs: Runs,
+    name: str,
 ) -> tuple[Tracks, dict[int, Offsets]]:
-    """From one of the times to the last and to the first, and what that says of the offsets, by the sign of time."""
+    """From one of the times to the last and to the first, and what that says of the offsets, by the sign of time.
+
+    The two runs have a common name.
+    """
     done = 0
 
     def tell() -> None:
@@ -127,9 +146,9 @@ def _both_ways(
         progress(done / max(len(times) - 1, 1))
 
     seen = {sign: Offsets(sign * offsets, surface.xyz) for sign in (1, -1)}
-    there = _follow(surface, graph, films, times[middle:], seen[1], tell)
+    there = _follow(surface, graph, films, times[middle:], seen[1], tell, runs, f"{name}, forward")
     back = [film.backwards() for film in films]
-    here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell)
+    here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell, runs, f"{name}, back")
     xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(here, there, strict=True))
     return Tracks(times, xyz.astype(np.float32), lost, offsets), seen
 
@@ -141,12 +160,19 @@ def _follow(
     times: Float[np.ndarray, " t"],
     offsets: Offsets,
     tell: Callable[[], object],
+    runs: Runs,
+    run: str,
 ) -> tuple[Float[np.ndarray, "t p 3"], Bool[np.ndarray, "t p"]]:
     side_by_side = all(film.estimator.parallel for film in films)
     with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
         follower = Follower(surface, graph, films, times, offsets, pool)
+        begun = runs.of(run)
+        if begun is not None:
+            follower.take_up(begun)
         for moment in range(1, len(times)):
-            follower.go_on(moment)
+            if moment == len(follower.xyz):
+                follower.go_on(moment)
+                runs.moved_on(run, len(times) - 1 - moment, follower.state)
             tell()
     return np.stack(follower.xyz), np.stack(follower.lost)
 
@@ -167,9 +193,11 @@ class Follower:
         self.offsets, self.pool = offsets, pool
         self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
         self.pose = self.before = Pose.rest(len(graph.nodes))
+        self.poses = [self.pose]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
+        self.nodes_lost = [self.lost_nodes]
         self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
         self.xyz, self.lost = [surface.xyz], [np.zeros(len(surface), dtype=bool)]
         self.templates = [Templates(film, len(surface)) for film in films]
@@ -192,14 +220,43 @@ class Follower:
             found = self._found_again(shots, found, likeness, moment)
         self.before, self.pose = self.pose, found
         was, now = self.xyz[-1], graph.points(found)
-        self.xyz.append(now)
-        self.lost.append(self._points(self.lost_nodes))
+        self._come_to(found, self.lost_nodes)
         if moment % LEARN_EVERY == 0:
             normals = graph.turned(found, surface.normals)
             for shot in shots:
                 sight = Sight(shot.film, was + shot.share * (now - was), normals, surface.spacing)
                 sight.seen &= ~self.lost[-1]
                 shot.templates.learn(shot.n, sight)
+
+    def _come_to(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> None:
+        self.poses.append(pose)
+        self.nodes_lost.append(lost)
+        self.xyz.append(self.graph.points(pose))
+        self.lost.append(self._points(lost))
+
+    def state(self) -> Arrays:
+        """Everything that the next moment depends on."""
+        out = {
+            "rotations": np.stack([pose.rotations for pose in self.poses]),
+            "shifts": np.stack([pose.shifts for pose in self.poses]),
+            "lost": np.stack(self.nodes_lost),
+            "sought": self.sought,
+        }
+        for camera, known in enumerate(self.templates):
+            out |= {f"picture {camera}": known.picture, f"at {camera}": known.at}
+        return out | self.offsets.state()
+
+    def take_up(self, state: Arrays) -> None:
+        """Go on from a `state`, right after the beginning."""
+        for rotations, shifts, lost in list(
+            zip(state["rotations"], state["shifts"], state["lost"], strict=True)
+        )[1:]:
+            self._come_to(Pose(rotations, shifts), lost)
+        self.before, self.pose = [self.pose, *self.poses][-2:]
+        self.lost_nodes, self.sought = self.nodes_lost[-1], state["sought"].copy()
+        for camera, known in enumerate(self.templates):
+            known.picture, known.at = state[f"picture {camera}"].copy(), state[f"at {camera}"].copy()
+        self.offsets.take_up(state)
 
     def shots(self, moment: int) -> list[Shot]:
         """The pictures around a moment."""

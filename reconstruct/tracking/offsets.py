@@ -113,6 +113,23 @@ class Offsets:
             self.blocks[key] = Block(information, seen)
         self._moments += 1
 
+    def state(self) -> dict[str, np.ndarray]:
+        """What has been seen."""
+        cameras = len(self.now)
+        blocks = self.blocks.values()
+        return {
+            "moments": np.array(self._moments),
+            "keys": np.array(list(self.blocks), dtype=int).reshape(-1, 2),
+            "information": np.array([b.information for b in blocks]).reshape(-1, cameras, cameras),
+            "pull": np.array([b.pull for b in blocks]).reshape(-1, cameras),
+        }
+
+    def take_up(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+        self._moments = int(state["moments"])
+        every = zip(state["keys"].tolist(), state["information"], state["pull"], strict=True)
+        self.blocks = {(moment, corner): Block(a, b) for (moment, corner), a, b in every}
+
 
 def offsets_of(
     seen: Mapping[int, Offsets], gap: float

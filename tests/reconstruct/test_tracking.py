@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -12,8 +13,10 @@ from scipy.spatial.transform import Rotation
 from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
+from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.dis import DisFlow
+from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
@@ -215,6 +218,33 @@ def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[Film]) -> No
     found = follow_both_ways(surface, graph, short, 0.5)[0]
     step_6, step_7 = (np.linalg.norm(found.xyz[n] - found.xyz[n - 1], axis=-1) for n in (REST + 2, REST + 4))
     assert np.median(step_7) == pytest.approx(np.median(step_6), rel=0.1)
+
+
+class Killed(Exception):
+    """In the middle of tracking."""
+
+
+@pytest.mark.parametrize("moments", [2, 6])  # of the first run; of the second
+def test_tracking_that_was_killed_goes_on_where_it_was(
+    films: list[Film], tracks: Tracks, moments: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surface, _ = on_cards()
+    checkpoint = Checkpoint(tmp_path / "state.safetensors", "these", every_s=0.0)
+    goes = Mock(side_effect=Follower.go_on)
+    monkeypatch.setattr(Follower, "go_on", lambda self, moment: goes(self, moment))
+    with pytest.raises(Killed):
+        kill = Mock(side_effect=[None] * (moments - 1) + [Killed])
+        follow_both_ways(surface, Graph(surface), films, 0.5, kill, checkpoint)
+    assert goes.call_count == moments
+    (again,) = follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint)
+    assert goes.call_count == PICTURES - 1
+    assert np.array_equal(again.xyz, tracks.xyz) and np.array_equal(again.lost, tracks.lost)
+    follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint)
+    assert goes.call_count == PICTURES - 1  # what is done is not done again
+    over = Checkpoint(tmp_path / "other.safetensors", "these", until=0.0)
+    with pytest.raises(OutOfTime):
+        follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=over)
+    assert goes.call_count == PICTURES and over.path is not None and over.path.exists()
 
 
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:
