@@ -132,11 +132,11 @@ def find_movers(
         lambda share: progress(0.25 + 0.65 * share, "tracking"),
         checkpoint,
     )
-    found = [_parts(scene, rest, surface, moves, graph, tracks) for tracks in every]
+    found = [parts_of(scene, rest, surface, moves, graph, tracks) for tracks in every]
     return [one for one in found if one is not None]
 
 
-def _parts(
+def parts_of(
     scene: Scene,
     rest: RestModel,
     surface: Surface,

@@ -93,14 +93,8 @@ def follow_both_ways(
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
-    gap = min(float(np.median(np.diff(film.times))) for film in films)
-    last = max(float(film.times[-1]) for film in films)
-    first = min(float(film.times[0]) for film in films)
-    gap = max(gap, (last - first) / MOST_MOMENTS)
-    after, before = (
-        max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
-    )
-    times = rest_time + gap * np.arange(-before, after + 1)
+    times, before = moments(films, rest_time)
+    gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
     runs = Runs(checkpoint, len(surface))
 
     def followed(offsets: Float[np.ndarray, " c"], again: int) -> tuple[Tracks, dict[int, Offsets]]:
@@ -121,6 +115,21 @@ def follow_both_ways(
             break
     runs.write()
     return [tracks, replace(again, offsets=offsets)]
+
+
+def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:
+    """When points are looked for, and the number of the time of rest among them.
+
+    As far apart as the pictures of the film that has most a second, or farther where that were too many.
+    """
+    gap = min(float(np.median(np.diff(film.times))) for film in films)
+    last = max(float(film.times[-1]) for film in films)
+    first = min(float(film.times[0]) for film in films)
+    gap = max(gap, (last - first) / MOST_MOMENTS)
+    after, before = (
+        max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
+    )
+    return rest_time + gap * np.arange(-before, after + 1), before
 
 
 def _both_ways(

@@ -19,7 +19,7 @@ class Runs:
         self._checkpoint, self._points, self._log = checkpoint, points, TrainingLog("cpu", 1)
         self._done, self._states = 0, dict[str, Arrays]()
         saved = checkpoint.found(self._log)
-        if saved is not None and saved.numbers["points"] == points:
+        if saved is not None and saved.numbers.get("points") == points:
             self._done = saved.done
             for name, tensor in saved.tensors.items():
                 run, what = name.split("/")
