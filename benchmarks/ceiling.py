@@ -9,6 +9,7 @@ training together with what stands, and `test_moving` by the true masks. Clocks 
 
 import json
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,12 @@ from benchmarks.script import arguments, finish
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from devrf.calibration.truth import read_truth, similarity
+from devrf.calibration.truth import Clock, read_truth, similarity
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.pipelines.bench.rows import Row
+from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.stages.evaluate import true_masks
 from devrf.pipelines.trained_model import renderer
@@ -59,7 +61,9 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     surface = surface_at_rest(boxed, rest)
     clips = films(boxed, DisFlow())
     times, _ = moments(clips, boxed.rest_time)
-    moves, xyz = carried(surface.xyz, surface.spacing, true_points(scene, truth_file, times, boxed.rest_time))
+    late_s = late(run, scene, truth_file, told["deformation"].get("clock_offsets_s", {}))
+    points = true_points(scene, truth_file, np.append(boxed.rest_time, times), late_s)
+    moves, xyz = carried(surface.xyz, surface.spacing, points)
     moving = surface.only(moves)
     never = np.zeros(xyz.shape[:2], dtype=bool)
     tracks = Tracks(times, xyz.astype(np.float32), never, np.zeros(len(clips)))
@@ -80,10 +84,24 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     ]
 
 
+def late(run: Path, scene: Scene, truth_file: Path, offsets_s: Mapping[str, float]) -> float:
+    """By how much the scene's clock is ahead of the truth's: the median of its training cameras, seconds.
+
+    With the offsets that training gave them.
+    """
+    clocks, truth = clocks_in_use(run), read_truth(truth_file).clocks
+    zero, ahead = truth[next(iter(clocks))], []
+    for name in sorted({f.camera_name for f in scene.dynamic if f.split == "train"}):
+        said = Clock(float(clocks[name]["offset_s"]), float(clocks[name]["drift_ppm"])).true_time(0.0)
+        true = zero.file_time(truth[name].true_time(0.0))
+        ahead.append(said + offsets_s.get(name, 0.0) - true)
+    return float(np.median(ahead))
+
+
 def true_points(
-    scene: Scene, truth_file: Path, times: Float[np.ndarray, " t"], rest_time: float
+    scene: Scene, truth_file: Path, times: Float[np.ndarray, " t"], late_s: float
 ) -> Float[np.ndarray, "t n 3"]:
-    """Where the object's points are at moments, after where they are at rest [1 + t, n, 3], in the box frame."""
+    """Where the object's points are at times of the scene, in the box frame."""
     truth = read_truth(truth_file)
     mine = [(f.camera.centre, truth.static[f.index][:3, 3]) for f in scene.static]
     mine += [(f.camera.centre, truth.cameras[f.camera_name][:3, 3]) for f in scene.dynamic]
@@ -91,7 +109,7 @@ def true_points(
     box_from_true = scene.box_from_world @ similarity(true, recovered)
     with np.load(truth_file.with_name("object_points.npz")) as file:
         known_s, points = file["times_s"], file["points_m"].astype(float)
-    asked_s = scene.t0_s + (scene.t1_s - scene.t0_s) * np.append(rest_time, times)
+    asked_s = scene.t0_s + (scene.t1_s - scene.t0_s) * times - late_s
     at = np.interp(asked_s, known_s, np.arange(len(known_s)))
     first = np.minimum(at.astype(int), len(known_s) - 2)
     share = (at - first)[:, None, None]

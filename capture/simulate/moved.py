@@ -39,7 +39,12 @@ class MovedMasks:
 
 
 def ways(meshes_at: Sequence[Mesh]) -> Float[np.ndarray, "times n 3"]:
-    """Where points of a surface are, at most `POINTS` of them: one mesh for every time."""
-    count = len(meshes_at[0].vertices)
-    chosen = np.linspace(0, count - 1, min(POINTS, count)).round().astype(int)
-    return np.stack([mesh.vertices[chosen] for mesh in meshes_at]).astype(np.float32)
+    """Where `POINTS` points of a surface are, spread evenly over it at first: one mesh for every time."""
+    rng, first = np.random.default_rng(0), meshes_at[0]
+    a, b, c = first.vertices[first.faces].transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    faces = first.faces[rng.choice(len(area), POINTS, p=area / area.sum())]
+    weights = rng.dirichlet((1.0, 1.0, 1.0), POINTS)
+    return np.stack([np.einsum("nk,nki->ni", weights, mesh.vertices[faces]) for mesh in meshes_at]).astype(
+        np.float32
+    )

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -12,6 +13,8 @@ from pydantic import ValidationError
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
+from devrf.capture.simulate.moved import ways
+from devrf.capture.simulate.scenes import Mesh
 from devrf.capture.simulate.session import SCENES, simulate_session
 from devrf.capture.simulate.session_options import SessionOptions
 from devrf.capture.simulate.sound import SAMPLE_RATE_HZ, SPEED_OF_SOUND_M_S
@@ -126,6 +129,16 @@ def test_points_of_the_object_go_as_its_truth_says(session: Path) -> None:
     near = int(np.argmin(np.abs(np.array(thing["times_s"]) - times_s[-1])))
     sparse = np.linalg.norm(np.subtract(thing["points_m"][near], thing["points_m"][0]), axis=-1)
     assert np.median(way) == pytest.approx(np.median(sparse), abs=0.06)
+
+
+def test_points_of_the_truth_are_spread_evenly_over_large_triangles() -> None:
+    corners = np.array([[0.0, 0, 0], [3, 0, 0], [0, 1, 0], [3, 0, 0.01], [3, 0, 0]])
+    faces, uv, texture = np.array([[0, 1, 2], [1, 3, 4]]), np.zeros((5, 2)), np.zeros((2, 2, 3), np.uint8)
+    at_rest = Mesh(corners, faces, uv, texture)
+    points = ways([at_rest, replace(at_rest, vertices=corners + [0, 0, 2.0])])
+    assert points.shape == (2, 2000, 3) and np.allclose(points[1], points[0] + [0, 0, 2.0], atol=1e-6)
+    assert np.allclose(points[0].mean(0), [1, 1 / 3, 0], atol=0.05)  # the second triangle is next to nothing
+    assert (points[0] @ [1 / 3, 1, 0]).max() <= 1 + 1e-6
 
 
 def test_claps_are_heard_when_the_truth_says(session: Path) -> None:
