@@ -93,7 +93,7 @@ def check_rows(
     """What geometry says of the clocks that are used."""
     replaced = [n for n in used if used[n].method == "geometry"]
     if replaced:
-        text = ", ".join(f"{n} {1e3 * check.corrections[n].offset_s:+.1f} ms" for n in replaced)
+        text = ", ".join(f"{n} {1e3 * (used[n].offset_s - clocks[n].offset_s):+.1f} ms" for n in replaced)
         before = ", ".join(sorted({WORDS.get(clocks[n].method, clocks[n].method) for n in replaced}))
         yield note(f"clocks by geometry instead of {before}", text)
         vague = max(replaced, key=lambda n: used[n].std_s)

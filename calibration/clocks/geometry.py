@@ -30,6 +30,7 @@ SHIFT_FRAMES = 0.25  # a minimum farther from 0 than this is no rounding
 SHIFT_SIGMAS = 3.0
 SHARP_CONFIDENCE = 0.9
 GUESS_CONFIDENCE = 0.5  # below, a cue was refused and its own standard deviation says nothing
+LEAST_STD_S = 1e-4  # of a clock that is held
 BETTER = 0.5  # geometry replaces a clock only where its standard deviation is at most half as large
 
 
@@ -75,10 +76,19 @@ class Correction:
 
 @dataclass(frozen=True)
 class GeometryCheck:
-    """The check of all clocks: pairs, corrections of the cameras they reach (not the first), loops, notes."""
+    """The check of all clocks.
+
+    Attributes:
+        pairs: Of cameras.
+        corrections: By geometry alone, of the cameras that pairs reach, but not the first.
+        held: The same with the clocks held that a cue makes known: what the others are to be corrected by. A camera
+            may be well known beside its neighbours, and all of them badly beside the first.
+        loops, notes: Sums around triangles; what could not be seen.
+    """
 
     pairs: tuple[PairCheck, ...]
     corrections: dict[str, Correction]
+    held: dict[str, Correction]
     loops: tuple[Loop, ...]
     notes: tuple[str, ...]
 
@@ -120,13 +130,19 @@ def check_clocks(
         if p is not None and not p.sharp
     ]
     notes += [f"{e.a} and {e.b}: geometry contradicts the other pairs; dropped" for e in dropped]
-    corrections = {
-        n: _correction(solution.offset_s[n], solution.std_s[n], work.step_s(n))
+    said = [
+        Equation(names[0], n, 0.0, 0.0, max(clocks[n].std_s, LEAST_STD_S), "geometry", 1.0)
         for n in names[1:]
-        if n in solution.offset_s
-    }
+        if not _replaceable(clocks[n])
+    ]
+
+    def corrections(by: Solution) -> dict[str, Correction]:
+        known = (n for n in names[1:] if n in by.offset_s)
+        return {n: _correction(by.offset_s[n], by.std_s[n], work.step_s(n)) for n in known}
+
     checked = tuple(p for p in pairs.values() if p is not None)
-    return GeometryCheck(checked, corrections, tuple(loops(names, kept)), tuple(notes))
+    held = corrections(solve(spans, [*kept, *said]))
+    return GeometryCheck(checked, corrections(solution), held, tuple(loops(names, kept)), tuple(notes))
 
 
 def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Clock]:
@@ -135,15 +151,12 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
     It must be sharp, too, unless there is nothing it could be worse than.
     """
     out = dict(clocks)
-    for name, correction in check.corrections.items():
+    for name, correction in check.held.items():
         clock = clocks[name]
-        if clock.method == "reference" or clock.std_s == 0:  # taken as true
-            continue
-        guess = clock.confidence < GUESS_CONFIDENCE
-        std_s = np.inf if guess else clock.std_s
+        std_s = np.inf if _guessed(clock) else clock.std_s
         surer = correction.std_s <= BETTER * std_s
         enough = correction.sharp or not np.isfinite(std_s)
-        if (guess or clock.method in ("motion", "timestamps")) and enough and surer:
+        if _replaceable(clock) and enough and surer:
             out[name] = Clock(
                 clock.offset_s + correction.offset_s,
                 clock.drift_ppm,
@@ -153,6 +166,16 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
                 f"epipolar error smallest {1e3 * correction.offset_s:+.1f} ms from the clock by {clock.method}",
             )
     return out
+
+
+def _replaceable(clock: Clock) -> bool:
+    if clock.method == "reference" or clock.std_s == 0:  # taken as true
+        return False
+    return _guessed(clock) or clock.method in ("motion", "timestamps")
+
+
+def _guessed(clock: Clock) -> bool:
+    return clock.confidence < GUESS_CONFIDENCE
 
 
 class _Work:

@@ -1,6 +1,7 @@
 """Geometry against clocks: pictures with known shifts, the example's clips, and real ones from opposite sides."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, essential, sampson, track_delay
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.geometry import check_clocks, refined
+from devrf.calibration.clocks.geometry import PairCheck, check_clocks, refined
 from devrf.calibration.formats import find_calibration
 from devrf.capture.camera import Camera
 from devrf.capture.video import VideoReader
@@ -135,3 +136,41 @@ def test_the_sampson_error_of_a_point_seen_by_two_cameras_is_zero():
     assert np.abs(sampson(essential(a, b), p, q)).max() < 1e-12
     moved = np.abs(sampson(essential(a, b), p, q + [0.0, 1e-3]))
     assert moved.max() < 1e-3 and moved.max() > 1e-4  # at most the distance moved
+
+
+def test_a_clock_that_is_not_known_is_corrected_beside_those_that_are(monkeypatch: pytest.MonkeyPatch):
+    """Geometry knows badly how cam0 lies beside all others, and well how these lie beside one another."""
+    apart_s = {("cam0", "cam1"): -0.057, ("cam0", "cam2"): -0.057, ("cam1", "cam2"): 0.001}
+
+    class Pairs:
+        def __init__(self, views):
+            pass
+
+        def step_s(self, *names):
+            return 0.04
+
+        def planes(self, a, b):
+            std_s = 0.001 if (a, b) == ("cam1", "cam2") else 0.032
+            return PairCheck(a, b, "planes", apart_s[a, b], std_s, std_s < 0.02, np.zeros(1), np.zeros(1))
+
+        def wide_search(self, *asked):
+            return None
+
+        narrow_search = wide_search
+
+    monkeypatch.setattr("devrf.calibration.clocks.geometry._Work", Pairs)
+    names = ("cam0", "cam1", "cam2")
+    camera = poster("sideways", 0.0, 0.0).camera
+    views = {n: TimedPictures(camera, np.zeros((2, 1, 1), np.uint8), np.array([0.0, 2.0])) for n in names}
+    heard = Clock(0.2, 0.0, 1e-4, "audio", 0.9, "")
+    clocks = {
+        "cam0": replace(heard, offset_s=0.0, method="reference"),
+        "cam1": replace(heard, confidence=0.4),
+    }
+    clocks["cam2"] = heard
+    check = check_clocks(views, clocks)
+    assert check.corrections["cam1"].offset_s == pytest.approx(-0.057, abs=0.002)
+    used = refined(clocks, check)
+    assert used["cam2"] == heard
+    assert used["cam1"].method == "geometry" and used["cam1"].std_s < 0.002
+    assert used["cam1"].offset_s == pytest.approx(0.2, abs=0.002)
