@@ -1,18 +1,21 @@
-"""An animated mesh as one binary glTF 2.0 file (.glb; Khronos, "glTF 2.0 Specification").
+"""Animated meshes as one binary glTF 2.0 file (.glb; Khronos, "glTF 2.0 Specification").
 
-One mesh, whose shape at every key time is a morph target; the animation fades from one to the next, which moves each
-vertex along a straight line between key times. Colours are per vertex and hold the light already, so the material is
-unlit. glTF counts in metres with y up: the node turns the mesh's own axes there.
+A mesh that changes its shape has one at every key time as a morph target; the animation fades from one to the next,
+which moves each vertex along a straight line between key times. One that moves as a whole has a node that turns and
+goes. Colours are per vertex and hold the light already, so the material is unlit. glTF counts in metres with y up: the
+first node turns the meshes' own axes there.
 """
 
 import json
 import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from devrf.capture.srgb import linear_from_srgb
 
@@ -24,49 +27,73 @@ VERTICES, FACES = 34962, 34963  # what a buffer view is for
 
 
 @dataclass(frozen=True)
-class AnimatedMesh:
-    """What is written.
+class Way:
+    """How a mesh moves as a whole: it turns about a point, which goes straight between key times.
 
     Attributes:
+        pivot: The point at rest [3].
+        rotations: From rest, at each key time [k, 3, 3].
+        places: Of the point then [k, 3].
+    """
+
+    pivot: Float[np.ndarray, "3"]
+    rotations: Float[np.ndarray, "k 3 3"]
+    places: Float[np.ndarray, "k 3"]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """One mesh.
+
+    Attributes:
+        name: What it is.
         vertices: At rest [v, 3].
         faces: Vertex numbers, counter-clockwise from outside.
         rgb: sRGB colours in [0, 1].
-        shapes: Vertices at each key time; empty: nothing moves.
-        times_s: Key times, seconds from the beginning, increasing.
-        turn: Rotation from the vertices' axes to glTF's.
+        shapes: Vertices at each key time, where it changes its shape.
+        way: Where it moves as a whole.
     """
 
+    name: str
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     rgb: Float[np.ndarray, "v 3"]
-    shapes: list[Float[np.ndarray, "v 3"]]
-    times_s: list[float]
-    turn: Float[np.ndarray, "3 3"]
+    shapes: Sequence[Float[np.ndarray, "v 3"]] = ()
+    way: Way | None = None
 
 
-def write_glb(path: Path, mesh: AnimatedMesh, name: str, extras: dict[str, Any]) -> None:
-    """Write the file; `extras` are kept in it, under `asset`."""
+def write_glb(
+    path: Path,
+    meshes: Sequence[Mesh],
+    times_s: Sequence[float],
+    turn: Float[np.ndarray, "3 3"],
+    name: str,
+    extras: dict[str, Any],
+) -> None:
+    """Write the file.
+
+    Args:
+        path: The file.
+        meshes: What is in it.
+        times_s: Key times, seconds from the beginning, increasing; empty: nothing moves.
+        turn: Rotation from the meshes' axes to glTF's.
+        name: Of the whole.
+        extras: Kept in the file, under `asset`.
+    """
     parts = _Parts()
-    colours = np.concatenate(
-        [linear_from_srgb(mesh.rgb), np.ones((len(mesh.rgb), 1))], axis=1
-    )  # glTF's colours are linear light
-    primitive: dict[str, Any] = {
-        "attributes": {
-            "POSITION": parts.add(mesh.vertices, FLOAT, VERTICES, bounds=True),
-            "COLOR_0": parts.add(np.round(65535 * colours.clip(0, 1)), USHORT, VERTICES, normalized=True),
-        },
-        "indices": parts.add(mesh.faces.reshape(-1, 1), UINT, FACES),
-        "material": 0,
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    root = {
+        "name": name,
+        "matrix": matrix.T.reshape(-1).tolist(),
+        "children": [n + 1 for n in range(len(meshes))],
     }
-    shape: dict[str, Any] = {"primitives": [primitive], "name": name}
-    turn = np.eye(4)
-    turn[:3, :3] = mesh.turn
     value: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "devrf", "extras": extras},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": name, "matrix": turn.T.reshape(-1).tolist()}],
-        "meshes": [shape],
+        "nodes": [root, *(_node(mesh, n) for n, mesh in enumerate(meshes))],
+        "meshes": [_mesh(parts, mesh) for mesh in meshes],
         "materials": [
             {
                 "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
@@ -76,18 +103,14 @@ def write_glb(path: Path, mesh: AnimatedMesh, name: str, extras: dict[str, Any])
         ],
         "extensionsUsed": ["KHR_materials_unlit"],
     }
-    if mesh.shapes:
-        moves = [parts.add(s - mesh.vertices, FLOAT, VERTICES, bounds=True) for s in mesh.shapes]
-        primitive["targets"] = [{"POSITION": move} for move in moves]
-        weights = np.eye(len(mesh.shapes))  # at each key time one shape alone
-        shape["weights"] = weights[0].tolist()
-        sampler = {
-            "input": parts.add(np.array(mesh.times_s)[:, None], FLOAT, bounds=True),
-            "output": parts.add(weights.reshape(-1, 1), FLOAT),
-            "interpolation": "LINEAR",
-        }
-        channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
-        value["animations"] = [{"name": "motion", "samplers": [sampler], "channels": [channel]}]
+    courses = [(n + 1, *course) for n, mesh in enumerate(meshes) for course in _courses(mesh)]
+    if courses:
+        keys = parts.add(np.array(times_s)[:, None], FLOAT, bounds=True)
+        samplers, channels = [], []
+        for node, moves, values in courses:
+            channels.append({"sampler": len(samplers), "target": {"node": node, "path": moves}})
+            samplers.append({"input": keys, "output": parts.add(values, FLOAT), "interpolation": "LINEAR"})
+        value["animations"] = [{"name": "motion", "samplers": samplers, "channels": channels}]
     value |= parts.described()
     text = json.dumps(value, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
@@ -96,6 +119,46 @@ def write_glb(path: Path, mesh: AnimatedMesh, name: str, extras: dict[str, Any])
         file.write(struct.pack("<III", MAGIC, 2, 28 + len(text) + len(data)))
         file.write(struct.pack("<II", len(text), JSON_CHUNK) + text)
         file.write(struct.pack("<II", len(data), BIN_CHUNK) + data)
+
+
+def _node(mesh: Mesh, number: int) -> dict[str, Any]:
+    node: dict[str, Any] = {"mesh": number, "name": mesh.name}
+    return node if mesh.way is None else node | {"translation": mesh.way.pivot.tolist()}
+
+
+def _mesh(parts: "_Parts", mesh: Mesh) -> dict[str, Any]:
+    colours = np.concatenate(
+        [linear_from_srgb(mesh.rgb), np.ones((len(mesh.rgb), 1))], axis=1
+    )  # glTF's colours are linear light
+    vertices = mesh.vertices if mesh.way is None else mesh.vertices - mesh.way.pivot
+    primitive: dict[str, Any] = {
+        "attributes": {
+            "POSITION": parts.add(vertices, FLOAT, VERTICES, bounds=True),
+            "COLOR_0": parts.add(np.round(65535 * colours.clip(0, 1)), USHORT, VERTICES, normalized=True),
+        },
+        "indices": parts.add(mesh.faces.reshape(-1, 1), UINT, FACES),
+        "material": 0,
+    }
+    shape: dict[str, Any] = {"primitives": [primitive], "name": mesh.name}
+    if mesh.shapes:
+        moves = [parts.add(s - mesh.vertices, FLOAT, VERTICES, bounds=True) for s in mesh.shapes]
+        primitive["targets"] = [{"POSITION": move} for move in moves]
+        shape["weights"] = np.eye(len(moves))[0].tolist()
+    return shape
+
+
+def _courses(mesh: Mesh) -> Iterator[tuple[str, np.ndarray]]:
+    """What of a mesh's node changes, and its values at the key times."""
+    if mesh.shapes:
+        yield "weights", np.eye(len(mesh.shapes)).reshape(-1, 1)  # at each key time one shape alone
+    if mesh.way is not None:
+        quaternions = Rotation.from_matrix(mesh.way.rotations).as_quat()
+        turned_back = (quaternions[1:] * quaternions[:-1]).sum(
+            1
+        ) < 0  # q and -q are one rotation: the nearer one
+        quaternions[1:] *= np.where(np.cumsum(turned_back) % 2, -1.0, 1.0)[:, None]
+        yield "rotation", quaternions
+        yield "translation", mesh.way.places
 
 
 class _Parts:

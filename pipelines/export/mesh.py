@@ -1,10 +1,11 @@
 """Exports of the surface as a triangle mesh: one per time (`mesh`), or one that moves (`glb`)."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devrf.capture.errors import InputError
+from devrf.capture.errors import InputError, ReconstructError
 from devrf.capture.formats import gltf, obj, ply
 from devrf.capture.progress import Progress
 from devrf.pipelines.export.request import Request
@@ -66,50 +67,145 @@ def write(request: Request) -> None:
 
 
 def write_glb(request: Request) -> None:
-    """Write `scene.glb`: the mesh at rest, moved by the forward motion."""
+    """Write `scene.glb`: the mesh at rest, moved by the forward motion; movers are meshes of their own."""
     level, trained = _level(request), Trained(request, KEYS)
-    from devrf.reconstruct.geometry.field import field_at
     from devrf.reconstruct.geometry.seen import solid
-    from devrf.reconstruct.geometry.surface import apart, coloured, moved, surface_of
 
     model = solid(trained.model)
     with request.new_folder() as new, request.talk.progress("export glb") as progress:
-        moments = trained.moments if model.motion is not None else []
-        at_rest = field_at(model, trained.moments[0].time).at_rest()
-        base = surface_of(at_rest, level, marching_cubes)
-        rgb = coloured(_views(trained, model, progress), base, at_rest)
-        shapes, misses = [], []
-        for n, moment in enumerate(moments):
-            field = field_at(model, moment.time)
-            shapes.append(moved(base, field))
-            misses.append(apart(shapes[-1], surface_of(field, level, marching_cubes).vertices))
-            progress(0.5 + 0.5 * (n + 1) / len(moments), f"time {n + 1} of {len(moments)}")
+        make = _one_mesh if model.movers is None else _rigid_meshes
+        made = make(trained, model, level, progress)
         turn = GLTF_FROM_UPRIGHT @ trained.upright_from_world
-        start = moments[0].time_s or 0.0 if moments else 0.0
-        times_s = [(moment.time_s or 0.0) - start for moment in moments]
-        world = [trained.to_world(shape) for shape in shapes]
-        mesh = gltf.AnimatedMesh(trained.to_world(base.vertices), base.faces, rgb, world, times_s, turn)
+        start = made.times_s[0] if made.times_s else 0.0
         extras = {"unit": trained.unit, "axes": GLTF_AXES, "first_time_s": start}
-        gltf.write_glb(new / "scene.glb", mesh, request.title, extras)
-        facts: dict[str, Any] = {
-            "files": [{"file": "scene.glb", "vertices": len(base.vertices), "faces": len(base.faces)}],
-            "level": level,
-            "crumbs_left_out": base.crumbs,
-            "first_time_s": start,
-            "key_times_s": [moment.time_s for moment in moments],
-            "gltf_from_world": turn.tolist(),
-            **bounds_of(np.concatenate([mesh.vertices, *mesh.shapes])),
-        }
-        if misses:
-            facts["forward_motion"] = _agreement(trained, misses)
+        times_s = [time_s - start for time_s in made.times_s]
+        gltf.write_glb(new / "scene.glb", made.meshes, times_s, turn, request.title, extras)
+        counts = {"vertices": made.vertices, "faces": sum(len(mesh.faces) for mesh in made.meshes)}
         trained.describe(
             new,
-            files="scene.glb: the mesh at rest and, as morph targets, where the forward motion takes it at each key "
-            f"time; the animation `motion` plays them; its second 0 is {start:.4f} s. {_made(level)} Colours are "
-            "per vertex, unlit.",
+            files=f"scene.glb: {made.said}; the animation `motion` plays them; its second 0 is {start:.4f} s. "
+            f"{_made(level)} Colours are per vertex, unlit.",
             axes=GLTF_AXES,
-            facts=facts,
+            facts={
+                "files": [{"file": "scene.glb"} | counts],
+                "level": level,
+                "crumbs_left_out": made.crumbs,
+                "first_time_s": start,
+                "key_times_s": made.times_s,
+                "gltf_from_world": turn.tolist(),
+                **made.facts,
+                **bounds_of(made.reached),
+            },
         )
+
+
+@dataclass(frozen=True)
+class _Made:
+    """What goes into a glb.
+
+    Attributes:
+        meshes: In the world.
+        times_s: Key times; empty where nothing moves.
+        crumbs: Small pieces that were left out.
+        reached: All vertices at rest and at all key times [n, 3].
+        said: What the meshes are, in words.
+        facts: More for programs.
+    """
+
+    meshes: list[gltf.Mesh]
+    times_s: list[float]
+    crumbs: int
+    reached: np.ndarray
+    said: str
+    facts: dict[str, Any]
+
+    @property
+    def vertices(self) -> int:
+        """Of all meshes."""
+        return sum(len(mesh.vertices) for mesh in self.meshes)
+
+
+def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
+    """All in one, whose shape changes."""
+    from devrf.reconstruct.geometry.field import field_at
+    from devrf.reconstruct.geometry.surface import apart, coloured, moved, surface_of
+
+    moments = trained.moments if model.motion is not None else []
+    at_rest = field_at(model, trained.moments[0].time).at_rest()
+    base = surface_of(at_rest, level, marching_cubes)
+    rgb = coloured(_views(trained, model, progress), base, at_rest)
+    shapes, misses = [], []
+    for n, moment in enumerate(moments):
+        field = field_at(model, moment.time)
+        shapes.append(moved(base, field))
+        misses.append(apart(shapes[-1], surface_of(field, level, marching_cubes).vertices))
+        progress(0.5 + 0.5 * (n + 1) / len(moments), f"time {n + 1} of {len(moments)}")
+    vertices, world = trained.to_world(base.vertices), [trained.to_world(shape) for shape in shapes]
+    return _Made(
+        [gltf.Mesh("scene", vertices, base.faces, rgb, world)],
+        [moment.time_s or 0.0 for moment in moments],
+        base.crumbs,
+        np.concatenate([vertices, *world]),
+        "the mesh at rest and, as morph targets, where the forward motion takes it at each key time",
+        {"forward_motion": _agreement(trained, misses)} if misses else {},
+    )
+
+
+def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
+    """What stands, and each rigid part on a node that moves exactly as the model does, at all its moments."""
+    import torch
+
+    from devrf.reconstruct.geometry.field import Field
+    from devrf.reconstruct.geometry.surface import coloured, surface_of
+
+    assert model.movers is not None and model.in_motion is not None
+    movers, views = model.movers, _views(trained, model, progress)
+    times = movers.times
+    times_s = (
+        trained.scene.t0_s + times.double().numpy() * (trained.scene.t1_s - trained.scene.t0_s)
+    ).tolist()
+    if trained.request.options.times is not None:
+        times = torch.tensor([moment.time or 0.0 for moment in trained.moments])
+        times_s = [moment.time_s or 0.0 for moment in trained.moments]
+    placed = movers.placed(times)
+    rotations, shifts = (x.double().cpu().numpy() for x in (placed.rotations, placed.shifts))
+    turn = trained.world_from_box[:3, :3] / trained.scale
+    meshes, reached, crumbs, empty = [], [], 0, []
+    for part in range(movers.parts + 1):
+        canonical = movers.only((part,)).canonical if part else model.in_motion.canonical
+        progress(
+            0.5 + 0.5 * part / (movers.parts + 1), f"part {part} of {movers.parts}" if part else "what stands"
+        )
+        field = Field(canonical)
+        try:
+            found = surface_of(field, level, marching_cubes)
+        except ReconstructError:  # nothing of it is that opaque
+            empty.append(part)
+            continue
+        rgb, vertices = coloured(views, found, field), trained.to_world(found.vertices)
+        crumbs += found.crumbs
+        way = None
+        if part:
+            middle = movers.middles()[part - 1]
+            R, t = rotations[:, part - 1], shifts[:, part - 1]
+            places = trained.to_world(np.einsum("kij,j->ki", R, middle) + t)
+            way = gltf.Way(trained.to_world(middle[None])[0], turn @ R @ turn.T, places)
+            moved = np.einsum("kij,vj->kvi", way.rotations, vertices - way.pivot) + way.places[:, None]
+            reached.append(moved.reshape(-1, 3))
+        name = f"part {part}" if part else "what stands"
+        meshes.append(gltf.Mesh(name, vertices, found.faces, rgb, way=way))
+        reached.append(vertices)
+    if not meshes:
+        raise ReconstructError(
+            "model-without-surface", f"nothing solid found at level {level:g}; give another --level"
+        )
+    if empty:
+        names = ", ".join(f"part {part}" if part else "what stands" for part in empty)
+        trained.request.notes.append(f"without {names}: nothing of it is that opaque, or only crumbs")
+    said = (
+        f"what stands, and {movers.parts} rigid parts, each a mesh of its own on a node that turns and goes"
+    )
+    return _Made(meshes, times_s, crumbs, np.concatenate(reached), said, {"parts": movers.parts})
 
 
 def marching_cubes(volume: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:

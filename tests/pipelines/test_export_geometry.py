@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import typer
 import yaml
+from scipy.spatial.transform import Rotation
 from tests.glb import read_glb
-from tests.reconstruct.moving_ball import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball
+from tests.reconstruct.moving_ball import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball, rigid_ball
 from tests.refused import refused
 
 from devrf.capture.errors import InputError, ReconstructError
@@ -24,7 +25,7 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.export.command import export
 from devrf.pipelines.export.formats import FORMATS
 from devrf.pipelines.export.request import Options
-from devrf.reconstruct.model_io import FILE, save_motion, save_rest
+from devrf.reconstruct.model_io import FILE, save_deformation, save_motion, save_rest
 
 UNIT = 1 / 1.25  # of the world in the box frame, as odd_scene has it
 R = RADIUS * UNIT
@@ -110,6 +111,27 @@ def test_one_animated_mesh(run_dir: Path) -> None:
     np.testing.assert_allclose(scene.bounds, [[-R] * 3, [R] * 3], atol=0.1 * R)
     np.testing.assert_allclose(mesh.rgb.mean(0), COLOUR, atol=0.05)
     assert max(facts["forward_motion"]["median"]) < facts["forward_motion"]["voxel"]
+
+
+@pytest.mark.parametrize("times", [None, "2s,3.5s"])
+def test_rigid_parts_are_nodes_that_move_as_the_model_does(run_dir: Path, times: str | None) -> None:
+    pytest.importorskip("skimage")
+    trimesh = pytest.importorskip("trimesh")
+    save_deformation(run_dir / "deformation", rigid_ball())
+    folder, facts = exported(run_dir, "glb", times=times)
+    mesh = read_glb(folder / "scene.glb")
+    assert mesh.names == ["part 1"] and facts["parts"] == 1
+    assert any("without what stands" in note for note in facts["notes"])
+    assert mesh.times_s == pytest.approx(np.linspace(0, 3, 5) if times is None else [0, 1.5])
+    assert facts["first_time_s"] == 2.0
+    for time_s, shape in zip(mesh.times_s, mesh.shapes, strict=True):
+        turn = Rotation.from_rotvec([0, 0, np.pi / 2 * time_s / 3]).as_matrix()
+        np.testing.assert_allclose(shape, mesh.vertices @ turn.T + centre_at(2.0 + time_s), atol=2e-3)
+    scene = trimesh.load(folder / "scene.glb")
+    (thing,) = scene.geometry.values()
+    assert thing.is_watertight and thing.volume == pytest.approx(4 / 3 * np.pi * R**3, rel=0.08)
+    np.testing.assert_allclose(scene.bounds, [[-R] * 3, [R] * 3], atol=0.1 * R)
+    np.testing.assert_allclose(mesh.rgb.mean(0), COLOUR, atol=0.05)
 
 
 def test_a_glb_is_as_the_specification_has_it(run_dir: Path) -> None:

@@ -1,11 +1,16 @@
 """A model made by hand whose answers are known: a ball of one colour at the origin that moves along x."""
 
+from dataclasses import replace
+
+import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
 
@@ -38,3 +43,17 @@ def moving_ball(background: str = "white", resolution: int = 40) -> DynamicModel
         shell = Shell.new(AABB, 12, 12, near=0.3, device="cpu")
         shell.rebuild_occupancy()
     return DynamicModel(RestModel(canonical, shell, background, 0.3, 9.0, {}), motion)
+
+
+def rigid_ball() -> DynamicModel:
+    """The same ball as a rigid part that goes as far, and makes a quarter turn about z."""
+    rest = moving_ball().rest
+    canonical = rest.canonical
+    stands = canonical.only(torch.zeros(canonical.shape, dtype=torch.bool))
+    labels = (canonical.distance <= 1).to(torch.uint8)
+    times = torch.linspace(0, 1, 5)
+    turns = Rotation.from_rotvec(np.outer(times.numpy(), [0, 0, np.pi / 2])).as_matrix()
+    rotations = torch.from_numpy(turns).float()[:, None]
+    shifts = times[:, None, None] * torch.tensor([TRAVEL, 0.0, 0.0])
+    movers = Movers(canonical, labels, times, rotations, shifts)
+    return DynamicModel.of_movers(rest, replace(rest, canonical=stands), movers, KEYS, 0.0)
