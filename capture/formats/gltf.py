@@ -61,6 +61,13 @@ class Mesh:
     shapes: Sequence[Float[np.ndarray, "v 3"]] = ()
     way: Way | None = None
 
+    def at_key_times(self, count: int) -> Float[np.ndarray, "k v 3"]:
+        """Where the vertices are at so many key times."""
+        if self.way is None:
+            return np.stack(self.shapes) if self.shapes else np.repeat(self.vertices[None], count, axis=0)
+        turned = np.einsum("kij,vj->kvi", self.way.rotations, self.vertices - self.way.pivot)
+        return turned + self.way.places[:, None]
+
 
 def write_glb(
     path: Path,

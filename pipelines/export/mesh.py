@@ -11,12 +11,17 @@ from devrf.capture.progress import Progress
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import KEYS
 from devrf.pipelines.export.trained import AXES, Trained, bounds_of
+from devrf.reconstruct.pictures import spread
 
 if TYPE_CHECKING:  # it needs torch
+    from torch import Tensor
+
     from devrf.reconstruct.geometry.seen import SeenView
     from devrf.reconstruct.model import DynamicModel
+    from devrf.reconstruct.movers import Movers
 
-TIMES = "10"
+TIMES, STANDS = "10", "what stands"
+COMPARED = 5  # moments at which meshes that move are held against the surface then
 GLTF_FROM_UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # y up; the front looks along +z
 GLTF_AXES = (
     "glTF's: x right, y up, the front along +z. Vertices are in the world of the calibration, as in the other exports "
@@ -155,57 +160,67 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
     """What stands, and each rigid part on a node that moves exactly as the model does, at all its moments."""
     import torch
 
-    from devrf.reconstruct.geometry.field import Field
-    from devrf.reconstruct.geometry.surface import coloured, surface_of
+    from devrf.reconstruct.geometry.field import Field, field_at
+    from devrf.reconstruct.geometry.surface import apart, coloured, surface_of
 
     assert model.movers is not None and model.in_motion is not None
-    movers, views = model.movers, _views(trained, model, progress)
-    times = movers.times
-    times_s = (
-        trained.scene.t0_s + times.double().numpy() * (trained.scene.t1_s - trained.scene.t0_s)
-    ).tolist()
+    movers, scene, views = model.movers, trained.scene, _views(trained, model, progress)
+    times, times_s = (
+        movers.times.tolist(),
+        [scene.t0_s + t * (scene.t1_s - scene.t0_s) for t in movers.times.tolist()],
+    )
     if trained.request.options.times is not None:
-        times = torch.tensor([moment.time or 0.0 for moment in trained.moments])
+        times = [moment.time or 0.0 for moment in trained.moments]
         times_s = [moment.time_s or 0.0 for moment in trained.moments]
-    placed = movers.placed(times)
-    rotations, shifts = (x.double().cpu().numpy() for x in (placed.rotations, placed.shifts))
-    turn = trained.world_from_box[:3, :3] / trained.scale
-    meshes, reached, crumbs, empty = [], [], 0, []
+    ways = _ways(trained, movers, torch.tensor(times))
+    meshes, moved, crumbs, empty = [], [], 0, []
     for part in range(movers.parts + 1):
-        canonical = movers.only((part,)).canonical if part else model.in_motion.canonical
-        progress(
-            0.5 + 0.5 * part / (movers.parts + 1), f"part {part} of {movers.parts}" if part else "what stands"
-        )
-        field = Field(canonical)
+        name = f"part {part}" if part else STANDS
+        progress(0.5 + 0.4 * part / (movers.parts + 1), name)
+        field = Field(movers.only((part,)).canonical if part else model.in_motion.canonical)
         try:
             found = surface_of(field, level, marching_cubes)
         except ReconstructError:  # nothing of it is that opaque
-            empty.append(part)
+            empty.append(name)
             continue
-        rgb, vertices = coloured(views, found, field), trained.to_world(found.vertices)
         crumbs += found.crumbs
-        way = None
-        if part:
-            middle = movers.middles()[part - 1]
-            R, t = rotations[:, part - 1], shifts[:, part - 1]
-            places = trained.to_world(np.einsum("kij,j->ki", R, middle) + t)
-            way = gltf.Way(trained.to_world(middle[None])[0], turn @ R @ turn.T, places)
-            moved = np.einsum("kij,vj->kvi", way.rotations, vertices - way.pivot) + way.places[:, None]
-            reached.append(moved.reshape(-1, 3))
-        name = f"part {part}" if part else "what stands"
-        meshes.append(gltf.Mesh(name, vertices, found.faces, rgb, way=way))
-        reached.append(vertices)
-    if not meshes:
-        raise ReconstructError(
-            "model-without-surface", f"nothing solid found at level {level:g}; give another --level"
+        way = ways[part - 1] if part else None
+        mesh = gltf.Mesh(
+            name, trained.to_world(found.vertices), found.faces, coloured(views, found, field), way=way
         )
+        meshes.append(mesh)
+        moved.append(mesh.at_key_times(len(times)))
+    if not meshes:
+        text = f"nothing solid found at level {level:g}; give another --level"
+        raise ReconstructError("model-without-surface", text)
     if empty:
-        names = ", ".join(f"part {part}" if part else "what stands" for part in empty)
-        trained.request.notes.append(f"without {names}: nothing of it is that opaque, or only crumbs")
-    said = (
-        f"what stands, and {movers.parts} rigid parts, each a mesh of its own on a node that turns and goes"
+        trained.request.notes.append(
+            f"without {', '.join(empty)}: nothing of it is that opaque, or only crumbs"
+        )
+    shapes, misses = np.concatenate(moved, axis=1), []
+    for n in spread(range(len(times)), COMPARED):
+        progress(0.9 + 0.1 * n / len(times), f"compared at {times_s[n]:.2f} s")
+        anew = surface_of(field_at(model, times[n]), level, marching_cubes)
+        misses.append(apart(shapes[n], trained.to_world(anew.vertices)) / trained.scale)
+    return _Made(
+        meshes,
+        times_s,
+        crumbs,
+        np.concatenate([mesh.vertices for mesh in meshes] + list(shapes)),
+        f"what stands, and {movers.parts} rigid parts, each a mesh of its own on a node that turns and goes",
+        {"parts": movers.parts, "forward_motion": _agreement(trained, misses)},
     )
-    return _Made(meshes, times_s, crumbs, np.concatenate(reached), said, {"parts": movers.parts})
+
+
+def _ways(trained: Trained, movers: "Movers", times: "Tensor") -> list[gltf.Way]:
+    """Of the parts, in the world. They turn about their middles, as they do between the moments of the model."""
+    placed = movers.placed(times)
+    rotations, shifts = (x.double().cpu().numpy() for x in (placed.rotations, placed.shifts))
+    turn, out = trained.world_from_box[:3, :3] / trained.scale, []
+    for middle, R, t in zip(movers.middles(), rotations.swapaxes(0, 1), shifts.swapaxes(0, 1), strict=True):
+        places = trained.to_world(np.einsum("kij,j->ki", R, middle) + t)
+        out.append(gltf.Way(trained.to_world(middle[None])[0], turn @ R @ turn.T, places))
+    return out
 
 
 def marching_cubes(volume: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
