@@ -133,6 +133,9 @@ def render(
     beside: Annotated[
         str | None, typer.Option(help="Put the true pictures of this camera on the left")
     ] = None,
+    without: Annotated[
+        str | None, typer.Option(help="Leave out rigid parts, by their numbers in the report: 2 or 1,3")
+    ] = None,
     film_format: Annotated[
         str | None,
         typer.Option(
@@ -158,7 +161,21 @@ def render(
     from devrf.pipelines.film.asked import Asked
 
     asked = Asked(
-        path, seconds, fps, speed, slow, time, begin, end, ping_pong, size, layers, beside, film_format, out
+        path,
+        seconds,
+        fps,
+        speed,
+        slow,
+        time,
+        begin,
+        end,
+        ping_pong,
+        size,
+        layers,
+        beside,
+        without,
+        film_format,
+        out,
     )
     if asked.nothing:
         run_command.only("render", scene, preset, overrides, talk, device)

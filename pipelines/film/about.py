@@ -29,7 +29,7 @@ def made_from_of(run_dir: Path, plan: Film) -> str:
     lens = plan.cameras[0]
     value = {
         "pictures": [cameras, plan.times, plan.fps, lens.width, lens.height, lens.model],
-        "shown": [plan.layers, plan.format, [[f.camera_name, f.index] for f in plan.beside]],
+        "shown": [plan.layers, plan.format, [[f.camera_name, f.index] for f in plan.beside], plan.without],
         "model": {name: stamp_content(run_dir / name) for name in READS},
         "code": code_version("devrf.pipelines.film.make"),
     }
@@ -72,6 +72,7 @@ def film_json(
         "times_s": [None if time is None else world.t0_s + time * length_s for time in plan.times],
         "layers": {layer: scales.get(layer, {}) for layer in plan.layers},
         "beside": [[frame.camera_name, frame.index] for frame in plan.beside],
+        "without": plan.without,
         "notes": list(notes),
         "rendered": made.rendered,
         "made_in_s": round(made.seconds, 3),

@@ -37,6 +37,7 @@ class Asked:
     size: str | None = None
     layers: str | None = None
     beside: str | None = None
+    without: str | None = None
     format: str | None = None
     out: Path | None = None
 
@@ -82,6 +83,9 @@ class Asked:
         self.layer_names()
         if (self.format or "mp4") not in FORMATS:
             raise InputError("option-unknown-value", f"--format {self.format}: expected {', '.join(FORMATS)}")
+        if self.left_out() and "confidence" in self.layer_names():
+            text = f"--without {self.without}: how sure a picture is, is known of the whole scene; leave out confidence"
+            raise InputError("option-misplaced", text)
         if self.beside is not None and self.layer_names() != ("colour",):
             text = f"--beside {self.beside}: true pictures have no {self.layers}; leave out --layers"
             raise InputError("option-misplaced", text)
@@ -125,6 +129,18 @@ class Asked:
             text = f"--layers {self.layers}: expected some of {','.join(LAYERS)}"
             raise InputError("option-unknown-value", text)
         return tuple(layer for layer in LAYERS if layer in asked)
+
+    def left_out(self) -> tuple[int, ...]:
+        """Rigid parts that are not shown, counted from 1.
+
+        Raises:
+            InputError: Not numbers.
+        """
+        words = [] if self.without is None else [word.strip() for word in self.without.split(",")]
+        if not all(re.fullmatch(r"0*[1-9]\d{0,2}", word) for word in words):
+            text = f"--without {self.without}: expected numbers of parts, such as 2 or 1,3 (the report lists them)"
+            raise InputError("option-malformed", text)
+        return tuple(sorted({int(word) for word in words}))
 
     def slow_texts(self) -> tuple[str, str] | None:
         """The two times of --slow.

@@ -88,7 +88,7 @@ def _make(
     from devrf.pipelines.trained_model import load_trained
     from devrf.reconstruct.film.layers import DepthScale
 
-    model = load_trained(job.run_dir, job.device)
+    model = _showing(load_trained(job.run_dir, job.device), plan.without)
     for line in (left := _leaving(plan, model)):
         talk.say(f"  note: {line}", style="yellow")
     world_per_box = 1 / float(np.cbrt(np.linalg.det(world.box_from_world[:3, :3])))
@@ -120,6 +120,21 @@ def _make(
     for path in sorted(folder.iterdir()):
         if path.is_dir() or path.name != FILM:
             talk.say(f"  film: {path}")
+
+
+def _showing(model: "DynamicModel", without: tuple[int, ...]) -> "DynamicModel":
+    """The model without some of its rigid parts."""
+    if not without:
+        return model
+    said = f"--without {','.join(map(str, without))}"
+    if model.movers is None:
+        raise InputError("option-misplaced", f"{said}: what moves in this scene is not made of rigid parts")
+    count = model.movers.parts
+    if max(without) > count:
+        raise InputError(
+            "option-out-of-range", f"{said}: expected parts of 1 to {count}; the report lists them"
+        )
+    return model.showing(True, [part for part in range(1, count + 1) if part not in without])
 
 
 def _folder(job: Run, asked: Asked) -> Path:

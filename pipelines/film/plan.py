@@ -35,6 +35,7 @@ class Film:
         layers: What is shown, of `asked.LAYERS`.
         format: One of `asked.FORMATS`.
         beside: The true picture beside each, or none.
+        without: Rigid parts that are not shown, counted from 1.
     """
 
     scene: Scene
@@ -45,6 +46,7 @@ class Film:
     layers: tuple[str, ...]
     format: str
     beside: tuple[PosedFrame, ...] = ()
+    without: tuple[int, ...] = ()
 
     @property
     def count(self) -> int:
@@ -85,7 +87,16 @@ def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Film:
         path = [_still(scene, spoken.partition(":")[2], asked)] * count
     else:
         raise _unknown(spoken)
-    film = Film(scene, spoken, tuple(path), times, fps, asked.layer_names(), asked.format or "mp4")
+    film = Film(
+        scene,
+        spoken,
+        tuple(path),
+        times,
+        fps,
+        asked.layer_names(),
+        asked.format or "mp4",
+        without=asked.left_out(),
+    )
     if film.format == "webp" and film.count > MOST_ANIMATED:
         raise InputError(
             "film-too-long",

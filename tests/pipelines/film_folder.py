@@ -1,6 +1,7 @@
 """A finished run whose model is made by hand: a coloured ball before white that moves along a straight line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, save_motion, save_rest
 from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rest_model import RestModel
 
 AABB = np.array([[-1.0, -1, -1], [1, 1, 1]])
@@ -44,6 +46,18 @@ def ball_model() -> DynamicModel:
         motion.forward[key] = torch.tensor(TRAVEL * key / 2)
         motion.backward[key] = -motion.forward[key]
     return DynamicModel(RestModel(canonical, None, "white", 0.3, 9.0, {}), motion)
+
+
+def halves_model() -> DynamicModel:
+    """The same ball of two rigid parts, the lower one first, which stay where they are."""
+    rest = ball_model().rest
+    canonical = rest.canonical
+    upper = vertices(canonical.aabb, canonical.shape)[..., 2] > 0
+    labels = torch.where(canonical.distance <= 1, 1 + upper.int(), 0).to(torch.uint8)
+    stands = canonical.only(torch.zeros_like(upper))
+    turns, shifts = torch.eye(3).expand(3, 2, 3, 3).clone(), torch.zeros(3, 2, 3)
+    movers = Movers(canonical, labels, torch.linspace(0, 1, 3), turns, shifts)
+    return DynamicModel.of_movers(rest, replace(rest, canonical=stands), movers, 3, 0.0)
 
 
 def ring_camera(angle: float, height: float = 0.6, distance: float = 3.0) -> Camera:

@@ -14,7 +14,7 @@ import av
 import numpy as np
 import pytest
 from PIL import Image
-from tests.pipelines.film_folder import AABB, RADIUS, TRAVEL, WORLD_PER_BOX, write_ball_run
+from tests.pipelines.film_folder import AABB, RADIUS, TRAVEL, WORLD_PER_BOX, halves_model, write_ball_run
 from tests.refused import refused
 
 from devrf.capture.camera import Camera
@@ -25,6 +25,7 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.film import command
 from devrf.pipelines.film.asked import Asked
 from devrf.pipelines.film.draw import Drawer
+from devrf.reconstruct.model_io import save_deformation
 
 SMALL = {"size": "48x36", "fps": 4.0, "seconds": 1.0}
 
@@ -90,6 +91,24 @@ def test_layers_hold_depth_in_millimetres_motion_in_pixels_and_confidence(scene:
     assert not read_flow_file(folder / "flow" / "000000.npz")[1].any()
     grey = np.array(Image.open(folder / "confidence" / "000001.png"))
     assert grey.shape == (36, 48) and grey.std() > 1
+
+
+def test_parts_can_be_left_out(scene: Path) -> None:
+    save_deformation(scene.parent / "run" / "deformation", halves_model())
+    asked = {"path": "still:witness", "time": "0.5", "seconds": 0.25, "format": "png"}
+
+    def dark(without: str | None) -> np.ndarray:
+        folder = film(scene, without=without, **asked)
+        assert about(folder)["without"] == [int(part) for part in (without or "").split(",") if part]
+        return np.asarray(Image.open(folder / "colour" / "000000.png")).min(axis=-1) < 180
+
+    whole, first, second, none = (dark(w) for w in (None, "2", "1", "1,2"))
+    assert not none.any() and first.sum() > 20 and second.sum() > 20
+    rows = [np.nonzero(part)[0].mean() for part in (second, whole, first)]  # the first part is the lower one
+    assert rows[0] < rows[1] - 1 < rows[2] - 2
+    assert ((first | second) & whole).sum() > 0.9 * whole.sum()
+    with refused("option-out-of-range", "--without 3: expected parts of 1 to 2", kind=InputError):
+        film(scene, without="3", **asked)
 
 
 def test_true_pictures_stand_beside_at_their_own_times(scene: Path) -> None:
@@ -186,6 +205,14 @@ def test_another_model_is_another_film(scene: Path, capsys: pytest.CaptureFixtur
         ({"format": "avi"}, "option-unknown-value", "mp4, png, webp"),
         ({"beside": "cam9"}, "camera-unknown", "--beside cam9: "),
         ({"beside": "cam0", "layers": "depth"}, "option-misplaced", "--beside cam0: "),
+        ({"without": "ball"}, "option-malformed", "--without ball: expected numbers of parts"),
+        ({"without": "0"}, "option-malformed", "--without 0: "),
+        ({"without": "1", "layers": "confidence"}, "option-misplaced", "leave out confidence"),
+        (
+            {"without": "1"},
+            "option-misplaced",
+            "--without 1: what moves in this scene is not made of rigid parts",
+        ),
         ({"fps": 200.0, "seconds": 200.0}, "film-too-long", " 20000 "),
         ({"format": "webp", "fps": 30.0, "seconds": 20.0}, "film-too-long", " 500 "),
     ],
