@@ -40,10 +40,8 @@ from devrf.reconstruct.tracking.surface import surface_at_rest
 from devrf.reconstruct.train_movers import train_movers
 
 NEAR = 2.5  # spacings of the surface: points farther from every true one stand
-AROUND, KEPT = (
-    16,
-    8,
-)  # true points around one; of these, those that stay at their distances best say how it goes
+AROUND = 16  # true points around one
+KEPT = 8  # of these, those that stay at their distances best: they say how it goes
 
 
 def ceiling(scene_yaml: Path, run: Path) -> list[Row]:

@@ -4,7 +4,6 @@ Where fixed cameras film what moves, it is tracked and split into rigid parts, w
 stands; else, and where that explains too little, motion is a field (`train_motion.py`).
 """
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,6 +26,7 @@ from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.tracking.find import Found, find_movers, trackable
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.train_movers import Trained, train_movers
+from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
 DIVERGED = "training-diverged"  # code of the error
@@ -73,15 +73,15 @@ def _movers(
     estimator: FlowEstimator,
 ) -> tuple[DynamicModel, dict[str, Any]] | Decision:
     """The model with movers and what was measured, or why there is none: they explain too little."""
-    start = time.monotonic()
+    log = TrainingLog("cpu", 1)
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # trackable
     every = find_movers(
-        boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks")
+        boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
     )
     if not every:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
-    tracking_s = time.monotonic() - start
+    tracking_s = log.seconds
     try:
         found, trained, decisions = _better(
             boxed,

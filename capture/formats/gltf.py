@@ -40,6 +40,10 @@ class Way:
     rotations: Float[np.ndarray, "k 3 3"]
     places: Float[np.ndarray, "k 3"]
 
+    def carried(self, rest: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "k v 3"]:
+        """Where points that go along are at the key times."""
+        return np.einsum("kij,vj->kvi", self.rotations, rest - self.pivot) + self.places[:, None]
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -60,13 +64,6 @@ class Mesh:
     rgb: Float[np.ndarray, "v 3"]
     shapes: Sequence[Float[np.ndarray, "v 3"]] = ()
     way: Way | None = None
-
-    def at_key_times(self, count: int) -> Float[np.ndarray, "k v 3"]:
-        """Where the vertices are at so many key times."""
-        if self.way is None:
-            return np.stack(self.shapes) if self.shapes else np.repeat(self.vertices[None], count, axis=0)
-        turned = np.einsum("kij,vj->kvi", self.way.rotations, self.vertices - self.way.pivot)
-        return turned + self.way.places[:, None]
 
 
 def write_glb(
@@ -160,10 +157,8 @@ def _courses(mesh: Mesh) -> Iterator[tuple[str, np.ndarray]]:
         yield "weights", np.eye(len(mesh.shapes)).reshape(-1, 1)  # at each key time one shape alone
     if mesh.way is not None:
         quaternions = Rotation.from_matrix(mesh.way.rotations).as_quat()
-        turned_back = (quaternions[1:] * quaternions[:-1]).sum(
-            1
-        ) < 0  # q and -q are one rotation: the nearer one
-        quaternions[1:] *= np.where(np.cumsum(turned_back) % 2, -1.0, 1.0)[:, None]
+        away = (quaternions[1:] * quaternions[:-1]).sum(1) < 0  # q and -q are one rotation: take the nearer
+        quaternions[1:] *= np.where(np.cumsum(away) % 2, -1.0, 1.0)[:, None]
         yield "rotation", quaternions
         yield "translation", mesh.way.places
 

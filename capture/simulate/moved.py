@@ -45,6 +45,5 @@ def ways(meshes_at: Sequence[Mesh]) -> Float[np.ndarray, "times n 3"]:
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     faces = first.faces[rng.choice(len(area), POINTS, p=area / area.sum())]
     weights = rng.dirichlet((1.0, 1.0, 1.0), POINTS)
-    return np.stack([np.einsum("nk,nki->ni", weights, mesh.vertices[faces]) for mesh in meshes_at]).astype(
-        np.float32
-    )
+    moved = [np.einsum("nk,nki->ni", weights, mesh.vertices[faces]) for mesh in meshes_at]
+    return np.stack(moved).astype(np.float32)

@@ -85,7 +85,9 @@ def write_glb(request: Request) -> None:
         extras = {"unit": trained.unit, "axes": GLTF_AXES, "first_time_s": start}
         times_s = [time_s - start for time_s in made.times_s]
         gltf.write_glb(new / "scene.glb", made.meshes, times_s, turn, request.title, extras)
-        counts = {"vertices": made.vertices, "faces": sum(len(mesh.faces) for mesh in made.meshes)}
+        counts = {
+            name: sum(len(getattr(mesh, name)) for mesh in made.meshes) for name in ("vertices", "faces")
+        }
         trained.describe(
             new,
             files=f"scene.glb: {made.said}; the animation `motion` plays them; its second 0 is {start:.4f} s. "
@@ -124,11 +126,6 @@ class _Made:
     said: str
     facts: dict[str, Any]
 
-    @property
-    def vertices(self) -> int:
-        """Of all meshes."""
-        return sum(len(mesh.vertices) for mesh in self.meshes)
-
 
 def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
     """All in one, whose shape changes."""
@@ -139,18 +136,18 @@ def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: P
     at_rest = field_at(model, trained.moments[0].time).at_rest()
     base = surface_of(at_rest, level, marching_cubes)
     rgb = coloured(_views(trained, model, progress), base, at_rest)
-    shapes, misses = [], []
+    vertices, shapes, misses = trained.to_world(base.vertices), [], []
     for n, moment in enumerate(moments):
         field = field_at(model, moment.time)
-        shapes.append(moved(base, field))
-        misses.append(apart(shapes[-1], surface_of(field, level, marching_cubes).vertices))
+        shapes.append(trained.to_world(moved(base, field)))
+        anew = surface_of(field, level, marching_cubes)
+        misses.append(apart(shapes[-1], trained.to_world(anew.vertices)))
         progress(0.5 + 0.5 * (n + 1) / len(moments), f"time {n + 1} of {len(moments)}")
-    vertices, world = trained.to_world(base.vertices), [trained.to_world(shape) for shape in shapes]
     return _Made(
-        [gltf.Mesh("scene", vertices, base.faces, rgb, world)],
+        [gltf.Mesh("scene", vertices, base.faces, rgb, shapes)],
         [moment.time_s or 0.0 for moment in moments],
         base.crumbs,
-        np.concatenate([vertices, *world]),
+        np.concatenate([vertices, *shapes]),
         "the mesh at rest and, as morph targets, where the forward motion takes it at each key time",
         {"forward_motion": _agreement(trained, misses)} if misses else {},
     )
@@ -165,13 +162,11 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
 
     assert model.movers is not None and model.in_motion is not None
     movers, scene, views = model.movers, trained.scene, _views(trained, model, progress)
-    times, times_s = (
-        movers.times.tolist(),
-        [scene.t0_s + t * (scene.t1_s - scene.t0_s) for t in movers.times.tolist()],
-    )
-    if trained.request.options.times is not None:
+    if trained.request.options.times is None:
+        times: list[float] = movers.times.tolist()
+    else:
         times = [moment.time or 0.0 for moment in trained.moments]
-        times_s = [moment.time_s or 0.0 for moment in trained.moments]
+    times_s = [scene.t0_s + time * (scene.t1_s - scene.t0_s) for time in times]
     ways = _ways(trained, movers, torch.tensor(times))
     meshes, moved, crumbs, empty = [], [], 0, []
     for part in range(movers.parts + 1):
@@ -184,12 +179,9 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
             empty.append(name)
             continue
         crumbs += found.crumbs
-        way = ways[part - 1] if part else None
-        mesh = gltf.Mesh(
-            name, trained.to_world(found.vertices), found.faces, coloured(views, found, field), way=way
-        )
-        meshes.append(mesh)
-        moved.append(mesh.at_key_times(len(times)))
+        way, vertices = ways[part - 1] if part else None, trained.to_world(found.vertices)
+        meshes.append(gltf.Mesh(name, vertices, found.faces, coloured(views, found, field), way=way))
+        moved.append(np.repeat(vertices[None], len(times), axis=0) if way is None else way.carried(vertices))
     if not meshes:
         text = f"nothing solid found at level {level:g}; give another --level"
         raise ReconstructError("model-without-surface", text)
@@ -201,7 +193,7 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
     for n in spread(range(len(times)), COMPARED):
         progress(0.9 + 0.1 * n / len(times), f"compared at {times_s[n]:.2f} s")
         anew = surface_of(field_at(model, times[n]), level, marching_cubes)
-        misses.append(apart(shapes[n], trained.to_world(anew.vertices)) / trained.scale)
+        misses.append(apart(shapes[n], trained.to_world(anew.vertices)))
     return _Made(
         meshes,
         times_s,
@@ -261,8 +253,8 @@ def _views(trained: Trained, model: "DynamicModel", progress: Progress) -> "list
 
 
 def _agreement(trained: Trained, misses: list[np.ndarray]) -> dict[str, Any]:
-    """How far the mesh that moves lies from the surface of each time; told."""
-    medians, most = ([float(np.quantile(m, q)) * trained.scale for m in misses] for q in (0.5, 0.95))
+    """How far the mesh that moves lies from the surface of each time, in the world; told."""
+    medians, most = ([float(np.quantile(m, q)) for m in misses] for q in (0.5, 0.95))
     unit = "m" if trained.scene.metric else "units"
     canonical = trained.model.rest.canonical
     voxel = (

@@ -27,6 +27,7 @@ from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
+from devrf.reconstruct.training_log import TrainingLog
 
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
@@ -97,6 +98,7 @@ def find_movers(
     estimator: FlowEstimator,
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
+    log: TrainingLog | None = None,
 ) -> list[Found]:
     """Rigid parts and their motion; nothing where too little moves.
 
@@ -108,6 +110,7 @@ def find_movers(
         estimator: Of optical flow.
         progress: Told how far it is.
         checkpoint: Where the state of tracking is kept, and taken up from.
+        log: Counts the seconds, those before it was killed too.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -131,6 +134,7 @@ def find_movers(
         scene.rest_time,
         lambda share: progress(0.25 + 0.65 * share, "tracking"),
         checkpoint,
+        log,
     )
     found = [parts_of(scene, rest, surface, moves, graph, tracks) for tracks in every]
     return [one for one in found if one is not None]

@@ -31,6 +31,7 @@ from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.solve import step
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.templates import Templates
+from devrf.reconstruct.training_log import TrainingLog
 
 SIGMAS = (
     (2.5, 1.2),
@@ -77,6 +78,7 @@ def follow_both_ways(
     rest_time: float,
     progress: Callable[[float], object] = lambda share: None,
     checkpoint: Checkpoint = NOWHERE,
+    log: TrainingLog | None = None,
 ) -> list[Tracks]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
@@ -90,12 +92,13 @@ def follow_both_ways(
         rest_time: In [0, 1].
         progress: Told how much is done, of each time.
         checkpoint: Where to keep the state between two moments, and to take it up from.
+        log: Counts the seconds, those before it was killed too.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
     times, before = moments(films, rest_time)
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    runs = Runs(checkpoint, len(surface))
+    runs = Runs(checkpoint, len(surface), log or TrainingLog("cpu", 1))
 
     def followed(offsets: Float[np.ndarray, " c"], again: int) -> tuple[Tracks, dict[int, Offsets]]:
         name = f"{again} times again"
@@ -201,12 +204,11 @@ class Follower:
         self.surface, self.graph, self.times = surface, graph, times
         self.offsets, self.pool = offsets, pool
         self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
-        self.pose = self.before = Pose.rest(len(graph.nodes))
-        self.poses = [self.pose]
+        self.poses = [Pose.rest(len(graph.nodes))]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
-        self.nodes_lost = [self.lost_nodes]
+        self.nodes_lost = [self.lost_nodes]  # at each moment
         self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
         self.xyz, self.lost = [surface.xyz], [np.zeros(len(surface), dtype=bool)]
         self.templates = [Templates(film, len(surface)) for film in films]
@@ -219,7 +221,7 @@ class Follower:
         """To the next moment."""
         graph, surface, shots = self.graph, self.surface, self.shots(moment)
         self._come(shots, moment)
-        expected = self.carried(_ahead(self.before, self.pose), self.lost_nodes)
+        expected = self.carried(_ahead(*[self.poses[0], *self.poses][-2:]), self.lost_nodes)
         found = expected
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS)
@@ -227,9 +229,8 @@ class Follower:
             self.lost_nodes = self._lost(likeness)
             self._time(shots, found)
             found = self._found_again(shots, found, likeness, moment)
-        self.before, self.pose = self.pose, found
-        was, now = self.xyz[-1], graph.points(found)
         self._come_to(found, self.lost_nodes)
+        was, now = self.xyz[-2:]
         if moment % LEARN_EVERY == 0:
             normals = graph.turned(found, surface.normals)
             for shot in shots:
@@ -257,11 +258,9 @@ class Follower:
 
     def take_up(self, state: Arrays) -> None:
         """Go on from a `state`, right after the beginning."""
-        for rotations, shifts, lost in list(
-            zip(state["rotations"], state["shifts"], state["lost"], strict=True)
-        )[1:]:
+        after = (state[name][1:] for name in ("rotations", "shifts", "lost"))
+        for rotations, shifts, lost in zip(*after, strict=True):
             self._come_to(Pose(rotations, shifts), lost)
-        self.before, self.pose = [self.pose, *self.poses][-2:]
         self.lost_nodes, self.sought = self.nodes_lost[-1], state["sought"].copy()
         for camera, known in enumerate(self.templates):
             known.picture, known.at = state[f"picture {camera}"].copy(), state[f"at {camera}"].copy()
@@ -281,7 +280,7 @@ class Follower:
         """Where points come from the pictures before."""
         now = self.xyz[-1]
         was = self.xyz[-2] if len(self.xyz) > 1 else now
-        normals = self.graph.turned(self.pose, self.surface.normals)
+        normals = self.graph.turned(self.poses[-1], self.surface.normals)
         begun = []
         for shot in shots:
             if shot.n > 0:
@@ -403,7 +402,7 @@ class Follower:
 
     def _stopped(self, pose: Pose) -> Pose:
         """The pose with what is lost where it was."""
-        return _with(pose, self.pose, np.flatnonzero(self.lost_nodes))
+        return _with(pose, self.poses[-1], np.flatnonzero(self.lost_nodes))
 
 
 def _with(pose: Pose, other: Pose, nodes: Int[np.ndarray, " k"]) -> Pose:

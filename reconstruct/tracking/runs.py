@@ -14,9 +14,9 @@ Arrays = dict[str, np.ndarray]
 class Runs:
     """The state of each run by its name: where one that has not ended goes on, and the result of one that has."""
 
-    def __init__(self, checkpoint: Checkpoint, points: int) -> None:
-        """Take up what a checkpoint has of as many points, if anything."""
-        self._checkpoint, self._points, self._log = checkpoint, points, TrainingLog("cpu", 1)
+    def __init__(self, checkpoint: Checkpoint, points: int, log: TrainingLog) -> None:
+        """Take up what a checkpoint has of as many points, if anything, and the seconds that it took."""
+        self._checkpoint, self._points, self._log = checkpoint, points, log
         self._done, self._states = 0, dict[str, Arrays]()
         saved = checkpoint.found(self._log)
         if saved is not None and saved.numbers.get("points") == points:

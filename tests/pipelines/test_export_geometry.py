@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import typer
 import yaml
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 from tests.glb import read_glb
 from tests.reconstruct.moving_ball import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball, rigid_ball
 from tests.refused import refused
@@ -26,6 +27,7 @@ from devrf.pipelines.export.command import export
 from devrf.pipelines.export.formats import FORMATS
 from devrf.pipelines.export.request import Options
 from devrf.reconstruct.model_io import FILE, save_deformation, save_motion, save_rest
+from devrf.reconstruct.tracking.rigid import motion_of
 
 UNIT = 1 / 1.25  # of the world in the box frame, as odd_scene has it
 R = RADIUS * UNIT
@@ -135,6 +137,25 @@ def test_rigid_parts_are_nodes_that_move_as_the_model_does(run_dir: Path, times:
     assert thing.is_watertight and thing.volume == pytest.approx(4 / 3 * np.pi * R**3, rel=0.08)
     np.testing.assert_allclose(scene.bounds, [[-R] * 3, [R] * 3], atol=0.1 * R)
     np.testing.assert_allclose(mesh.rgb.mean(0), COLOUR, atol=0.05)
+
+
+def test_nodes_go_between_moments_as_the_model_does(run_dir: Path) -> None:
+    """By the specification: rotations along the arc, places along the line."""
+    pytest.importorskip("skimage")
+    model = rigid_ball()
+    assert model.movers is not None
+    model.movers.rotations[1, 0] = torch.from_numpy(Rotation.from_rotvec([1.0, 0.4, 0.2]).as_matrix()).float()
+    model.movers.shifts[1, 0] = torch.tensor([0.1, -0.2, 0.3])
+    save_deformation(run_dir / "deformation", model)
+    keys = read_glb(exported(run_dir, "glb")[0] / "scene.glb")
+    turns, shifts = motion_of(keys.vertices, np.stack(keys.shapes[:2]))
+    middle = model.movers.middles()[0] * UNIT
+    turn = Slerp([0, 1], Rotation.from_matrix(turns))(0.3).as_matrix()
+    place = np.array([0.7, 0.3]) @ (turns @ middle + shifts)
+    shutil.rmtree(run_dir / "export")
+    between = read_glb(exported(run_dir, "glb", times=f"{2 + 0.3 * 0.75}s")[0] / "scene.glb")
+    expected = (keys.vertices - middle) @ turn.T + place
+    np.testing.assert_allclose(between.shapes[0], expected, atol=2e-4)
 
 
 def test_a_glb_is_as_the_specification_has_it(run_dir: Path) -> None:
