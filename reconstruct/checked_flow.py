@@ -1,10 +1,12 @@
 """Flow held against the pictures that it is between: what they contradict does not count, and is counted."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from devrf.capture.cores import usable_cores
 from devrf.flow.agreement import MOSTLY_CONTRADICTED, Agreement, agreement
 from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RaySet
@@ -43,15 +45,23 @@ def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
         order = sorted(mine)
         before = {index: mine[earlier] for earlier, index in zip(order, order[1:], strict=False)}
         agrees = np.full(clip.valid.shape, BEST, np.uint8)
-        found: dict[int, Agreement] = {}
-        for n, index in enumerate(clip.index.tolist()):
+
+        def ask(
+            n: int, clip: CameraFlow = clip, mine: dict[int, int] = mine, before: dict[int, int] = before
+        ) -> Agreement | None:
+            index = int(clip.index[n])
             if index not in before:
-                continue
+                return None
             current, previous = rays.picture(mine[index]), rays.picture(before[index])
             if not current.shape == previous.shape == (*clip.valid[n].shape, 3):
-                continue
-            found[n] = agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
-            agrees[n] = np.rint(BEST * found[n].weight)
+                return None
+            return agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
+
+        with ThreadPoolExecutor(usable_cores()) as pool:  # its filters let other threads run
+            answers = enumerate(pool.map(ask, range(len(clip.index))))
+            found = {n: answer for n, answer in answers if answer is not None}
+        for n, pair in found.items():
+            agrees[n] = np.rint(BEST * pair.weight)
         asked, against = (sum(getattr(pair, x) for pair in found.values()) for x in ("asked", "contradicted"))
         if asked:
             contradicted[name] = against / asked

@@ -23,8 +23,8 @@ class KeyPictures:
 
     def __init__(self, cameras: Sequence[str], tau: Float[Tensor, " F"], keys: int) -> None:
         self._cameras: Sequence[str] = cameras
-        self._tau, self._keys = tau, keys
-        self._all = self.by_camera(torch.arange(len(tau), device=tau.device))
+        self._tau, self._keys = tau.cpu(), keys  # pictures are drawn there
+        self._all = self.by_camera(torch.arange(len(tau)))
 
     def around(self, key: int, direction: int) -> Int[Tensor, " f"]:
         """Pictures between a key's neighbours; `direction`, in which keys are visited: 1, or -1 back in time."""
@@ -52,7 +52,7 @@ class KeyPictures:
         numbers: list[int] = pictures.tolist()
         for picture in numbers:
             cameras.setdefault(self._cameras[picture], []).append(picture)
-        return [torch.tensor(cameras[name], device=pictures.device) for name in sorted(cameras)]
+        return [torch.tensor(cameras[name]) for name in sorted(cameras)]
 
     def _within_reach(self, key: int, ahead: float, direction: int) -> Int[Tensor, " f"]:
         away = (self._tau - key) * direction

@@ -5,6 +5,7 @@ A change of colour tells, and so does flow: what moves over a ground of its own 
 
 from collections import defaultdict
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.capture.cores import usable_cores
 from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
 
@@ -26,26 +28,33 @@ GROW = 0.015  # of the picture's width, around what changed: motion that is stil
 
 
 class ChangingPixels:
-    """Pixels that change, per camera."""
+    """Pixels that change, per picture; those of one camera share them."""
 
     def __init__(self, of_frame: list[Int[Tensor, " _"]]) -> None:
         self.of_frame = of_frame
+        distinct = {id(pixels): pixels for pixels in of_frame}
+        ends = np.cumsum([len(pixels) for pixels in distinct.values()]).tolist()
+        self._all, end = torch.cat([*distinct.values()]), dict(zip(distinct, ends, strict=True))
+        self._first = [end[id(pixels)] - len(pixels) for pixels in of_frame]
 
     def draw(
         self, n: int, frames: Int[Tensor, " f"], generator: torch.Generator
     ) -> tuple[Int[Tensor, " m"], Int[Tensor, " m"]]:
-        """About `n` pixels of `frames`, each picture alike: (picture, pixel). None of pictures without change."""
+        """About `n` pixels of `frames`, each picture alike: (picture, pixel). None of pictures without change.
+
+        Drawn on the CPU and sent to the pixels' device at once.
+        """
         usable = [f for f in frames.tolist() if len(self.of_frame[f])]
         if not usable:
-            return frames[:0], frames[:0]
+            return self._all[:0], self._all[:0]
         counts = [n // len(usable) + (i < n % len(usable)) for i in range(len(usable))]
-        frame, pixel = [], []
-        for f, count in zip(usable, counts, strict=True):
-            choice = self.of_frame[f]
-            pick = torch.randint(len(choice), (count,), generator=generator).to(choice.device)
-            pixel.append(choice[pick])
-            frame.append(torch.full_like(pixel[-1], f))
-        return torch.cat(frame), torch.cat(pixel)
+        drawn = [
+            self._first[f] + torch.randint(len(self.of_frame[f]), (count,), generator=generator)
+            for f, count in zip(usable, counts, strict=True)
+        ]
+        frame = torch.tensor(usable).repeat_interleave(torch.tensor(counts))
+        sent = torch.stack([frame, torch.cat(drawn)]).to(self._all.device)
+        return sent[0], self._all[sent[1]]
 
 
 def changing_pixels(rays: RaySet, flows: Mapping[str, CameraFlow] | None = None) -> ChangingPixels:
@@ -99,12 +108,18 @@ def same(rays: RaySet, a: int, b: int) -> bool:
 def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) -> np.ndarray:
     """True where the pictures of one camera change or move [H, W], and a little around."""
     camera = rays.cameras[members[0]]
-    smooth = np.stack([_smooth(rays.picture(n)) for n in members])
-    apart = np.empty(smooth.shape[1:3], np.float32)
-    rows = max(1, AT_ONCE // smooth[:, 0].size)
-    for at in range(0, len(apart), rows):  # in floating point all would be many times as large
-        band = smooth[:, at : at + rows].astype(np.float32) / 255
-        apart[at : at + rows] = np.abs(band - np.median(band, axis=0)).max(axis=(0, 3))
+    with ThreadPoolExecutor(usable_cores()) as pool:  # NumPy and SciPy let other threads run
+        smooth = np.stack([*pool.map(lambda n: _smooth(rays.picture(n)), members)])
+        apart = np.empty(smooth.shape[1:3], np.float32)
+        rows = max(1, AT_ONCE // smooth[:, 0].size)
+
+        def compare(at: int) -> None:
+            band = smooth[:, at : at + rows].astype(np.float32) / 255
+            apart[at : at + rows] = np.abs(band - np.median(band, axis=0)).max(axis=(0, 3))
+
+        list(
+            pool.map(compare, range(0, len(apart), rows))
+        )  # in floating point all would be many times as large
     blocks = _as_a_whole(apart)
     for name in {rays.frames[n].camera_name for n in members} & flows.keys() if flows else ():
         if flows[name].flow.shape[1:3] == blocks.shape:

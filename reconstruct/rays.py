@@ -145,19 +145,24 @@ class RaySet:
         return len(self.cameras)
 
     def draw(self, n: int, generator: torch.Generator, frames: Int[Tensor, " f"] | None = None) -> RayBatch:
-        """Draw `n` rays, each kept pixel of all pictures (or any of `frames`, each picture alike) with equal chance."""
+        """Draw `n` rays, each kept pixel of all pictures (or any of `frames`, each picture alike) with equal chance.
+
+        `frames` are best on the CPU, as the generator is.
+        """
         if frames is None:
             among = int(self.first[-1]) if self.kept is None else len(self.kept)
-            at = torch.randint(among, (n,), generator=generator, device=generator.device).to(self.device)
+            at = torch.randint(among, (n,), generator=generator).to(self.device)
             if self.kept is not None:
                 at = self.kept[at].long()
             frame = torch.searchsorted(self.first, at, right=True) - 1
             return self.at(frame, at - self.first[frame])
-        pick = torch.randint(len(frames), (n,), generator=generator, device=generator.device)
-        frame = frames[pick.to(self.device)]
-        share = torch.rand(n, generator=generator, device=generator.device, dtype=torch.float64)
-        count = self.first[frame + 1] - self.first[frame]
-        return self.at(frame, (share.to(self.device) * count).long())
+        pick = torch.randint(len(frames), (n,), generator=generator)
+        share = torch.rand(n, generator=generator, dtype=torch.float64)
+        sent = torch.stack([frames.cpu()[pick].double(), share]).to(
+            self.device
+        )  # at once: a GPU waits for each
+        frame = sent[0].long()
+        return self.at(frame, (sent[1] * (self.first[frame + 1] - self.first[frame])).long())
 
     def picture(self, n: int) -> UInt8[np.ndarray, "h w 3"]:
         """A picture of the set as it is trained on."""

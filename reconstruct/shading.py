@@ -26,6 +26,11 @@ class Shading(torch.nn.Module):
         super().__init__()
         self.aabb, self.t_first, self.t_last = aabb, t_first, t_last
         self.grid = torch.nn.Parameter(grid)
+        ends = torch.cartesian_prod(*[torch.arange(2)] * 4) * torch.tensor(grid.stride()[1:])
+        # On the grid's device once: constants that are sent to a GPU in each iteration are what it waits for.
+        self.register_buffer("_corners", ends.sum(1).to(grid.device), persistent=False)
+        self.register_buffer("_last", torch.tensor(grid.shape[1:]).to(grid.device) - 1, persistent=False)
+        self.register_buffer("_box", aabb.to(grid.device), persistent=False)
 
     @staticmethod
     def none(aabb: Float[Tensor, "2 3"], t_first: float, t_last: float, device: torch.device) -> "Shading":
@@ -38,21 +43,16 @@ class Shading(torch.nn.Module):
         self, layer: Int[Tensor, " S"], x: Float[Tensor, "S 3"], time: Float[Tensor, " S"]
     ) -> Float[Tensor, " S"]:
         """Logarithms of the factor at points of a layer (0 stands, 1 moves), linear in place and time."""
-        shape = torch.tensor(self.grid.shape[1:], device=x.device)
-        lo, hi = self.aabb.to(x)
+        lo, hi = self._box.to(x)
         span = max(self.t_last - self.t_first, 1e-9)
         unit = torch.cat([((time - self.t_first) / span)[:, None], (x - lo) / (hi - lo)], dim=1)
-        at = unit.clamp(0, 1) * (shape - 1)
-        first = torch.minimum(at.floor().long(), shape - 2)
-        share = at - first
-        strides = torch.tensor(self.grid.stride(), device=x.device)
-        base = layer * strides[0] + (first * strides[1:]).sum(1)
-        flat, out = self.grid.reshape(-1), torch.zeros_like(time)
-        for corner in range(16):
-            ends = torch.tensor([corner >> axis & 1 for axis in range(4)], device=x.device)
-            weight = torch.where(ends.bool(), share, 1 - share).prod(1)
-            out = out + weight * flat[base + (ends * strides[1:]).sum()]
-        return out
+        at = unit.clamp(0, 1) * self._last
+        first = torch.minimum(at.floor().long(), self._last - 1)
+        ends = torch.stack([1 - (at - first), at - first], dim=1)
+        weights = torch.einsum("na,nb,nc,nd->nabcd", *ends.unbind(2)).reshape(len(x), 16)
+        layers, *strides = self.grid.stride()
+        base = layer * layers + sum(first[:, axis] * stride for axis, stride in enumerate(strides))
+        return (weights * self.grid.reshape(-1)[base[:, None] + self._corners]).sum(1)
 
     def penalty(self) -> Float[Tensor, ""]:
         """What keeps it smooth and near to no change."""

@@ -123,11 +123,12 @@ def train_motion(
             watch(log, lambda: recipe.motion)
     recipe.leave_level()
     log.close_row()
+    left_box, seen = recipe.looked_up.tolist()
     metrics = log.summary() | {
         "keys": recipe.motion.keys,
         "grid": list(recipe.motion.backward.shape[1:4]),
         "pictures": len(frames),
-        "left_box_share": recipe.left_box / max(1, recipe.seen),
+        "left_box_share": left_box / max(1, seen),
         "largest_motion": max(float(key.norm(dim=-1).max()) for key in recipe.motion.forward),
         "flow_pictures": recipe.flow.pictures,
         "flow_contradicted": recipe.flow_contradicted,
@@ -198,7 +199,8 @@ class _Recipe:
         extent = box[1] - box[0]
         # Published units per unit of the box frame; in normalised device coordinates they are the same.
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
-        self.left_box = self.seen = 0
+        # Samples that the motion led out of the box, and all: asked for at the end, since a GPU would be waited for.
+        self.looked_up = torch.zeros(2, dtype=torch.int64, device=device)
         self.guard = Guard()
         self.keys_left = 0  # as they were before, because training made them worse
         self.level, self.key, self.step_of_key = 0, 0, 0
@@ -231,8 +233,9 @@ class _Recipe:
             "backward": self.motion.backward,
             "forward": self.motion.forward,
             "generator": self.generator.get_state(),
+            "looked_up": self.looked_up,
         }
-        names = ("level", "left_box", "seen", "errors", "gains", "keys_left")
+        names = ("level", "errors", "gains", "keys_left")
         numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
         numbers["guard"] = self.guard.state()
         numbers["motion"] = self.motion.numbers() | {"aabb": self.motion.aabb.tolist()}  # to look at it
@@ -248,6 +251,7 @@ class _Recipe:
         fields = {name: tensors[name] for name in ("backward", "forward")}
         self.motion = replace(self.motion, **fields).stored(self.device)
         self.generator.set_state(tensors["generator"])
+        self.looked_up.copy_(tensors["looked_up"])
         return done
 
     def leave_level(self) -> None:
@@ -281,13 +285,13 @@ class _Recipe:
         choose = self.key_pictures.around if self.level else self.key_pictures.tracked
         self.pictures = choose(key, self.direction)
         self.views = self.key_pictures.by_camera(self.pictures)
-        looked_at = self.tau_of_frame[torch.cat([self.pictures, self.flow.previous[self.pictures]])]
+        looked_at = self.tau_of_frame[torch.cat([self.pictures, self.flow.previous[self.pictures].cpu()])]
         self.first = max(0, min(int(looked_at.min()), key - 1))
         last = max(int(looked_at.max().ceil()), key, self.first + 1)
         self.window = motion.window(self.first, last, self.device)
         self.key = key - self.first
         self.begun = [field[self.key].clone() for field in (self.window.backward, self.window.forward)]
-        self.counted = self.left_box, self.seen
+        self.counted = self.looked_up.clone()
         self.judged = self._drawn(JUDGED, torch.Generator().manual_seed(self.options.seed))
         self.error_before = max(float(self._errors(self.judged).mean()), ROUNDED)
         cameras = len(self.views) if self.options.one_camera else 1
@@ -335,7 +339,7 @@ class _Recipe:
             raise diverged(f"the loss of the {where} is not a number")
         for field, begun in zip((self.window.backward, self.window.forward), self.begun, strict=True):
             field[self.key] = begun
-        self.left_box, self.seen = self.counted
+        self.looked_up.copy_(self.counted)
         again = self.guard.go_back(log, where)
         self.keys_left += not again
         self._begin()
@@ -403,8 +407,7 @@ class _Recipe:
                 BETAS,
                 EPS,
             )
-        self.left_box += int(seen.samples.left_box)
-        self.seen += int(seen.samples.seen)
+        self.looked_up += torch.stack([seen.samples.left_box, seen.samples.seen])
         return parts
 
     def _tau(self, frames: Int[Tensor, " f"]) -> Float[Tensor, " f"]:

@@ -187,7 +187,7 @@ class _Recipe:
         """One iteration; returns the unweighted losses."""
         if iteration and iteration % OCCUPANCY_EVERY == 0:
             self._look()
-        chosen = torch.randperm(len(self.rays), generator=self.generator)[:PICTURES].to(self.device)
+        chosen = torch.randperm(len(self.rays), generator=self.generator)[:PICTURES]
         batch = self.held_back.without(
             draw_with_importance(
                 self.rays, self.changing, self.options.together_rays, 1.0, chosen, self.generator
@@ -280,7 +280,7 @@ class _Recipe:
         still = DynamicModel(self.rest)
         placed = self.movers.placed(self.rays.times)
         sums = torch.zeros(3, dtype=torch.float64)
-        batch = self.held_back.rays_of(torch.arange(0, len(self.rays), HELD_EVERY, device=self.device))
+        batch = self.held_back.rays_of(torch.arange(0, len(self.rays), HELD_EVERY))
         assert batch is not None  # some pixel of many pictures is held back
         for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
             some = self.rays.at(frame, pixel)
