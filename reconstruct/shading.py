@@ -20,6 +20,10 @@ class Shading(torch.nn.Module):
         grid: Logarithms of the factor [2, T, X, Y, Z].
     """
 
+    _corners: Tensor
+    _last: Tensor
+    _box: Tensor
+
     def __init__(
         self, aabb: Float[Tensor, "2 3"], t_first: float, t_last: float, grid: Float[Tensor, "2 T X Y Z"]
     ) -> None:
