@@ -142,5 +142,5 @@ def _remembered(
 
 
 def _grey(high: Picture) -> UInt8[np.ndarray, "h w 3"]:
-    level = (high.mean(-1) * GREY_GAIN + 128).clip(0, 255).astype(np.uint8)
+    level = ((high[..., 0] + high[..., 1] + high[..., 2]) / 3 * GREY_GAIN + 128).clip(0, 255).astype(np.uint8)
     return np.repeat(level[..., None], 3, axis=-1)

@@ -38,7 +38,7 @@ def motion_of(
         counts = np.where((~lost).sum(1, keepdims=True) >= FEWEST, ~lost, counts)
     weights = counts / counts.sum(1, keepdims=True)
     middle, middles = weights @ rest, np.einsum("tp,tpi->ti", weights, tracks)
-    turned = np.einsum("tp,tpi,tpj->tij", weights, rest - middle[:, None], tracks - middles[:, None])
+    turned = (weights[..., None] * (rest - middle[:, None])).mT @ (tracks - middles[:, None])
     U, _, V = np.linalg.svd(turned)
     U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
     rotations = (U @ V).transpose(0, 2, 1)
@@ -50,8 +50,8 @@ def residual(
 ) -> np.ndarray:
     """Mean squared distance of each point from where a rigid motion has it [p]."""
     rotations, shifts = motion
-    expected = np.einsum("tij,pj->tpi", rotations, rest) + shifts[:, None]
-    return ((expected - tracks) ** 2).sum(-1).mean(0)
+    apart = rest @ rotations.mT + (shifts[:, None] - tracks)
+    return np.einsum("tpi,tpi->p", apart, apart) / len(tracks)
 
 
 def rigid_parts(

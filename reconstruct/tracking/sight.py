@@ -42,24 +42,20 @@ def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[n
     near = np.isfinite(at).all(1) & (z > 0)
     near &= ((at > -LARGEST) & (at < np.array([width, height]) + LARGEST)).all(1)
     points = np.flatnonzero(near)
-    radius = np.clip(np.ceil(0.5 * spacing * camera.K[0, 0] / z[points]), 1, LARGEST).astype(int)
-    centre = np.floor(at[points]).astype(int)
-    pixels, owners = [], []
+    points = points[
+        np.argsort(-z[points], kind="stable")
+    ]  # of several for a pixel the last one stays, the nearest
+    radius = np.clip(np.ceil(0.5 * spacing * camera.K[0, 0] / z[points]), 1, LARGEST).astype(int)  # rises
+    margin = 2 * LARGEST  # no square of these points ends beyond it
+    wide = width + 2 * margin
+    ids = np.full((height + 2 * margin) * wide, -1)
+    centre = (np.floor(at[points]).astype(int) + margin) @ [1, wide]
     for r in np.unique(radius):
         y, x = np.mgrid[-r : r + 1, -r : r + 1]
-        disc = np.stack([x, y], -1)[x * x + y * y <= r * r + 1]
+        disc = (y * wide + x)[x * x + y * y <= r * r + 1]
         mine = radius == r
-        pixels.append((centre[mine, None] + disc).reshape(-1, 2))
-        owners.append(np.repeat(points[mine], len(disc)))
-    ids, depth = np.full(width * height, -1), np.full(width * height, np.inf)
-    if pixels:
-        pixel, owner = np.concatenate(pixels), np.concatenate(owners)
-        inside = ((pixel >= 0) & (pixel < [width, height])).all(1)
-        flat, owner = pixel[inside, 1] * width + pixel[inside, 0], owner[inside]
-        far_first = np.argsort(-z[owner], kind="stable")  # of several values for a pixel the last one stays
-        ids[flat[far_first]] = owner[far_first]
-        on = ids >= 0
-        depth[on] = z[ids[on]]
-        hidden = film.depth.reshape(-1) < depth - BEHIND
-        ids[hidden] = -1
-    return ids.reshape(height, width), depth.reshape(height, width)
+        ids[centre[mine, None] + disc] = points[mine, None]
+    ids = ids.reshape(-1, wide)[margin:-margin, margin:-margin]
+    depth = np.where(ids >= 0, z[ids], np.inf)
+    ids = np.where(film.depth < depth - BEHIND, -1, ids)
+    return ids, depth

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.graph import Graph, Pose, skew
@@ -37,9 +38,11 @@ def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     J = csr_matrix(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(first, 6 * nodes)
     )
-    A = (J.T @ J).toarray()
-    A[np.diag_indices(6 * nodes)] = A.diagonal() * (1 + DAMPED) + LEAST
-    move = np.linalg.solve(A, -(J.T @ residuals)).reshape(nodes, 6)
+    A = csc_matrix(J.T @ J)
+    A.setdiag(A.diagonal() * (1 + DAMPED) + LEAST)
+    # Positive definite, and nodes meet only their neighbours: no pivots, few of the zeros are filled.
+    factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    move = factors.solve(-(J.T @ residuals)).reshape(nodes, 6)
     turn, shift = move[:, :3], move[:, 3:]
     too_far = max(1.0, np.abs(shift).max() / LONGEST_STEP, np.abs(turn).max() / LARGEST_TURN)
     turn, shift = turn / too_far, shift / too_far
