@@ -251,13 +251,14 @@ class Movers:
 
     def _volume(self, part: int) -> Volume | None:
         k = self.canonical
-        own = grown(self.labels == part)
-        if not bool(own.any()):
+        mine = self.labels == part
+        if not bool(mine.any()):
             return None
-        lo, hi, cut = _around(own, 1)
-        density = torch.where(own[cut], k.density[cut][..., 0], EMPTY).contiguous()
+        lo, hi, cut = _around(mine, 2)  # it grows by one, and another one around it is empty
+        own = grown(mine[cut])
+        density = torch.where(own, k.density[cut][..., 0], EMPTY).contiguous()
         alpha = 1 - torch.exp(-k.interval * F.softplus(density + k.shift))
-        occupied = grown(alpha > k.alpha_threshold) & own[cut]
+        occupied = grown(alpha > k.alpha_threshold) & own
         low, high = k.aabb
         step = (high - low) / (torch.tensor(k.shape) - 1)
         box = low + torch.stack([lo, hi]).cpu() * step

@@ -56,7 +56,9 @@ class Shading(torch.nn.Module):
         weights = torch.einsum("na,nb,nc,nd->nabcd", *ends.unbind(2)).reshape(len(x), 16)
         layers, *strides = self.grid.stride()
         base = layer * layers + sum(first[:, axis] * stride for axis, stride in enumerate(strides))
-        return (weights * self.grid.reshape(-1)[base[:, None] + self._corners]).sum(1)
+        # gather's gradient adds up in the same order each time; that of an index does not.
+        corners = self.grid.reshape(-1).gather(0, (base[:, None] + self._corners).reshape(-1))
+        return (weights * corners.reshape(-1, 16)).sum(1)
 
     def penalty(self) -> Float[Tensor, ""]:
         """What keeps it smooth and near to no change."""
