@@ -20,7 +20,7 @@ from jaxtyping import Float, UInt8, UInt16
 
 from devrf.capture.errors import CaptureError, DevrfError, InputError
 from devrf.capture.limits import check_pixels
-from devrf.capture.raw_compression import compression_words
+from devrf.capture.raw_compression import compression_of, compression_words
 from devrf.capture.srgb import LEVEL_OF_LINEAR
 from devrf.capture.upright import Upright, by_exif
 
@@ -207,6 +207,8 @@ def _open(path: Path) -> "RawPy":
     try:
         file = rawpy.imread(str(path))
     except rawpy.LibRawError as error:
+        if path.suffix.lower() == ".dng" and compression_of(path) is not None:
+            raise _unread(path) from None
         text = f"{path}: not a RAW file that LibRaw reads ({_reason(error)}); convert it to DNG"
         raise InputError("file-not-raw", text) from None
     try:
@@ -237,14 +239,16 @@ def _damaged(path: Path, error: Exception) -> DevrfError:
 
     # It opened, so it is the way its pixels are stored.
     if isinstance(error, rawpy.LibRawFileUnsupportedError):
-        words = compression_words(path) or "a way that it does not name"
-        wrong = f"{path}: compressed by {words}, which LibRaw does not read"
-        remedy = (
-            "set the camera to lossless or none, convert them by Adobe DNG Converter or dnglab, or give JPEG"
-        )
-        return InputError("raw-compression-unread", f"{wrong}; {remedy}")
+        return _unread(path)
     text = f"{path}: the RAW data is damaged ({_reason(error)}); copy it from the camera again"
     return CaptureError("file-damaged", text)
+
+
+def _unread(path: Path) -> InputError:
+    words = compression_words(path) or "a way that it does not name"
+    wrong = f"{path}: compressed by {words}, which LibRaw does not read"
+    remedy = "set the camera to lossless or none, convert them by Adobe DNG Converter or dnglab, or give JPEG"
+    return InputError("raw-compression-unread", f"{wrong}; {remedy}")
 
 
 def _header(path: Path, file: "RawPy") -> RawHeader:

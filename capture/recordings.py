@@ -1,8 +1,8 @@
 """Which files of a card belong to one recording: chapters that the camera cut it into, small copies, clips of photos.
 
-GoPro names its chapters: GX010012 and GX020012, or GOPR0042 and GP010042. Others count on (C0001 and C0002, MVI_0007
-and MVI_0008, DJI_0003 and DJI_0004, 00000 and 00001); two of those are one recording where the second begins as the
-first ends, or where the first is as large as a file on a card can be.
+GoPro names its chapters: GX010012 and GX020012, or GOPR0042 and GP010042. Others count on: C0001 and C0002, MVI_0007
+and MVI_0008, 00000 and 00001, DJI_0003 and DJI_0004, or with a time between, DJI_20240512143000_0003_D. Two of those
+are one recording where the second begins as the first ends, or where the first is as large as a file on a card can be.
 """
 
 import re
@@ -17,6 +17,7 @@ from devrf.capture.video import probe_video
 CHAPTER = re.compile(r"(G[HXLSP])(\d{2})(\d{4})")  # kind, chapter, recording
 FIRST_OF_OLD = re.compile(r"GOPR(\d{4})")
 NUMBERED = re.compile(r"(.*?)(\d{4,})")  # as cameras count; `cam1` and `cam2` are two of them
+DATED = re.compile(r"(DJI_)\d{14}_(\d{4})(_\w+)?")  # each with its own time
 CARD_BYTES = (0.93 * 2**32, 2.0**32)  # of FAT; cameras stop somewhat before the end
 AT_ONCE_S = 1.0  # created in whole seconds; nobody stops and starts a camera so fast
 NEXT_FRAME_S = 0.1  # by timecode
@@ -100,7 +101,13 @@ def _named_alike(path: Path) -> list[Path]:
 
 
 def _neighbour(path: Path, step: int) -> Path | None:
-    """The file whose name counts one further, or one back."""
+    """The file whose name counts one further, or one back; None where there is none, or several."""
+    dated = DATED.fullmatch(path.stem)
+    if dated is not None:
+        wanted = (dated[1], int(dated[2]) + step, dated[3])
+        others = [(p, DATED.fullmatch(p.stem)) for p in path.parent.iterdir() if p.suffix == path.suffix]
+        next_to = [p for p, found in others if found and (found[1], int(found[2]), found[3]) == wanted]
+        return next_to[0] if len(next_to) == 1 else None
     found = NUMBERED.fullmatch(path.stem)
     if found is None or _chapter(path) is not None:
         return None

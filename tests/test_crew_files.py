@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,7 @@ def test_chapters_and_small_copies_are_no_cameras(copy: Copy, devrf: Command) ->
         "right/GX010007.MP4",
     ]
     assert "card/SUB/C0001S03.MP4: " in page and "ffmpeg -f concat" in page
+    assert page.count("2 chapters of one recording") == 2
     assert all(f"GX010012.MP4 GX020012.MP4 > chapters.txt{end}" in page for end in ("", " && "))
 
 
@@ -144,6 +146,11 @@ def test_raw_photos_compressed_in_a_way_that_is_not_read(copy: Copy, devrf: Comm
     assert done.code == 2 and "IMG_0000.DNG" in done.err and "JPEG XL (compression 52546)" in done.err
     assert [len(preflight(CaptureSession(static=folder / kind))) for kind in ("plain", "jpeg_xl")] == [0, 1]
     assert [compression_of(folder / kind / "IMG_0001.DNG") for kind in ("plain", "jpeg_xl")] == [1, 52546]
+    odd = folder / "plain" / "IMG_0009.DNG"  # one photo among others, of a kind that nobody knows
+    known, unknown = (struct.pack("<HHIH", 259, 3, 1, number) for number in (52546, 60000))
+    odd.write_bytes((folder / "jpeg_xl" / "IMG_0001.DNG").read_bytes().replace(known, unknown))
+    (fault,) = preflight(CaptureSession(static=folder / "plain"))
+    assert "IMG_0009.DNG" in fault and "(compression 60000)" in fault
     cut = folder / "IMG_0002.DNG"
     cut.write_bytes((folder / "plain" / "IMG_0000.DNG").read_bytes()[:3000])
     for size in range(0, 3000, 97):

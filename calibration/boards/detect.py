@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from devrf.calibration.boards.spec import BoardSpec, charuco_board, dictionary, marker_count
+from devrf.calibration.boards.spec import BoardSpec, charuco_board, dictionary, marker_count, marker_finder
 
 Grey = UInt8[np.ndarray, "h w"]
 Found = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"]]
@@ -21,7 +21,10 @@ MISREAD = 0.1  # squares; corners that lie further from a smooth picture of the 
 MIN_SMOOTH = 9  # corners of which a smooth picture can be told: its 14 unknowns leave some over
 WINDOW = 0.35  # of the distance between corners: as far as an edge runs without meeting the next corner
 LARGEST_WINDOW = 30  # pixels, to each side
-MARKER_WINDOW = 0.12  # of a marker's side: within the black border, a seventh of a 5x5 marker
+MARKER_WINDOW = {
+    1: 0.12,
+    2: 0.2,
+}  # of a marker's side, by `border`: within the black border, a seventh of a 5x5 marker
 BLUR_REACH = 0.45  # of an edge's length, to both sides of it: where black and white are read
 BLUR_NEAR = 0.12  # where the edge itself must lie: markers begin beyond
 BLUR_SAMPLES = 91
@@ -48,7 +51,7 @@ def detector(spec: BoardSpec, second_try: bool = False) -> Detector:
         if len(ids) < MIN_SMOOTH:
             return ids, xy + 0.5
         side = _side(spec, ids, xy)
-        fine = _refined(grey, xy, (MARKER_WINDOW if spec.type == "aruco_grid" else WINDOW) * side)
+        fine = refined(grey, xy, _window(spec) * side)
         xy = min((xy, fine), key=lambda corners: misfit(spec, ids, corners))
         return _nothing() if misread(spec, ids, xy) else (ids, xy + 0.5)
 
@@ -129,7 +132,7 @@ def _charuco(spec: BoardSpec, _second_try: bool) -> Detector:
 
 
 def _aruco_grid(spec: BoardSpec, _second_try: bool) -> Detector:
-    finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
+    finder = marker_finder(dictionary(spec.dictionary), spec.border)
     count = marker_count(spec)
 
     def detect(grey: Grey) -> Found:
@@ -184,7 +187,14 @@ def _neighbours(spec: BoardSpec, ids: Int[np.ndarray, " n"]) -> Int[np.ndarray, 
     return pairs[(pairs >= 0).all(axis=1)]
 
 
-def _refined(grey: Grey, xy: Float[np.ndarray, "n 2"], window_px: float) -> Float[np.ndarray, "n 2"]:
+def _window(spec: BoardSpec) -> float:
+    """How far around a corner nothing else is printed, in lengths of an edge."""
+    if spec.type != "aruco_grid" or spec.marker_m is None:
+        return WINDOW
+    return min(MARKER_WINDOW[spec.border], spec.square_m / spec.marker_m - 1)
+
+
+def refined(grey: Grey, xy: Float[np.ndarray, "n 2"], window_px: float) -> Float[np.ndarray, "n 2"]:
     """Corners by the gradients around them (cornerSubPix), so far to each side."""
     window = int(np.clip(window_px, 2, LARGEST_WINDOW))
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-3)

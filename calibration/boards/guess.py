@@ -13,28 +13,31 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.boards.detect import MIN_CORNERS, detector
+from devrf.calibration.boards.detect import MARKER_WINDOW, MIN_CORNERS, detector, refined
 from devrf.calibration.boards.layout import (
     FIT_SQUARES,
     SEEN_TWICE,
     TRIAL_MARKERS,
     Markers,
+    covered,
     layout_error,
     repeated_ids,
+    variants,
 )
-from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_places
+from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_finder, marker_places
 
 Grey = UInt8[np.ndarray, "_ _"]  # pictures of different cameras have different sizes
 
-FAMILIES = (  # larger dictionaries of a family begin with the smaller ones
+Family = tuple[str, ...]
+APRILTAGS: tuple[Family, ...] = (("DICT_APRILTAG_16h5",), ("DICT_APRILTAG_25h9",), ("DICT_APRILTAG_36h11",))
+FAMILIES: tuple[Family, ...] = (  # larger dictionaries of a family begin with the smaller ones
     *((f"DICT_{n}X{n}_50", f"DICT_{n}X{n}_100", f"DICT_{n}X{n}_250", f"DICT_{n}X{n}_1000") for n in (4, 5, 6, 7)),
-    ("DICT_APRILTAG_16h5",),
-    ("DICT_APRILTAG_25h9",),
+    *APRILTAGS,
     ("DICT_APRILTAG_36h10",),
-    ("DICT_APRILTAG_36h11",),
     ("DICT_ARUCO_MIP_36h12",),
     ("DICT_ARUCO_ORIGINAL",),
 )  # fmt: skip
+OF_BORDER = {1: FAMILIES, 2: APRILTAGS}  # Kalibr prints AprilTags with a border of two cells
 ENOUGH_VIEWS = 8  # pictures with markers that settle a layout
 LARGEST_SIDE = 24  # squares; larger boards have markers too small for most clips
 CHESSBOARD_FROM = (5, 4)  # inner corners; smaller ones are seen in tiles and windows
@@ -69,7 +72,7 @@ def board_pictures(greys: Sequence[Grey], guess: BoardGuess) -> int:
     spec = guess.spec
     if spec.type == "chessboard":
         return sum(chessboard_size(grey) == spec.squares for grey in greys)
-    finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
+    finder = marker_finder(dictionary(spec.dictionary), spec.border)
     count = 0
     for grey in greys:
         _, ids, _ = finder.detectMarkers(255 - grey if spec.inverted is True else grey)
@@ -81,9 +84,20 @@ def board_pictures(greys: Sequence[Grey], guess: BoardGuess) -> int:
 
 
 def _guess_markers(greys: Sequence[Grey]) -> BoardGuess | None:
-    seen: dict[int, list[Markers]] = {n: [] for n in range(len(FAMILIES))}
+    looks = [(*_most_seen(greys, border), border) for border in OF_BORDER]
+    family, seen, border = max(looks, key=lambda look: covered(look[1]))
+    guess = _layout(family, seen, border) if len(seen) >= SEEN_TWICE else None
+    if guess is None:
+        return None
+    return replace(guess, spec=replace(guess.spec, marker_m=_marker_share(guess.spec, greys)))
+
+
+def _most_seen(greys: Sequence[Grey], border: int) -> tuple[Family, list[Markers]]:
+    """The family of which most markers with such a border are seen, and these."""
+    families = OF_BORDER[border]
+    seen: dict[int, list[Markers]] = {n: [] for n in range(len(families))}
     searched = list(seen)
-    finder = cv2.aruco.ArucoDetector([dictionary(FAMILIES[n][-1]) for n in searched])
+    finder = marker_finder([dictionary(families[n][-1]) for n in searched], border)
     for grey in greys:
         corners, ids, _, which = finder.detectMarkersMultiDict(grey)
         if ids is None or which is None:
@@ -101,48 +115,42 @@ def _guess_markers(greys: Sequence[Grey]) -> BoardGuess | None:
             len(searched) > 1 and max(views.values()) >= SEEN_TWICE
         ):  # all dictionaries take a second a picture
             searched = [max(searched, key=lambda n: sum(len(ids) for ids, _ in seen[n]))]
-            finder = cv2.aruco.ArucoDetector([dictionary(FAMILIES[searched[0]][-1])])
+            finder = marker_finder([dictionary(families[searched[0]][-1])], border)
     best = max(seen, key=lambda n: sum(len(ids) for ids, _ in seen[n]))
-    if len(seen[best]) < SEEN_TWICE:
-        return None
-    guess = _layout(FAMILIES[best], seen[best])
-    if guess is None:
-        return None
-    return replace(guess, spec=replace(guess.spec, marker_m=_marker_share(guess.spec, greys)))
+    return families[best], seen[best]
 
 
-def _layout(family: Sequence[str], seen: list[Markers]) -> BoardGuess | None:
+def _layout(family: Family, seen: list[Markers], border: int) -> BoardGuess | None:
     """Kind, columns and rows that put the markers where they are seen."""
     ids = repeated_ids(seen)
     largest = ids[-1]
     name = next((n for n in family if dictionary(n).bytesList.shape[0] > largest), family[-1])
-    found = [_best_from(first, name, largest, seen) for first in sorted({0, ids[0]})]
+    found = [_best_from(first, name, largest, seen, border) for first in sorted({0, ids[0]})]
     error, _, best = min(found, key=lambda fit: (fit[0] > FIT_SQUARES, fit[2].first_id, fit[0]))
     return BoardGuess(best, largest) if error <= FIT_SQUARES else None
 
 
-def _best_from(first: int, name: str, largest: int, seen: list[Markers]) -> tuple[float, int, BoardSpec]:
+def _best_from(
+    first: int, name: str, largest: int, seen: list[Markers], border: int
+) -> tuple[float, int, BoardSpec]:
     """The layout with a first marker of this number that fits best: how far markers miss it, its place, and itself."""
     guesses = []
-    for kind in ("charuco", "aruco_grid"):
+    for kind in ("charuco", "aruco_grid") if border == 1 else ("aruco_grid",):
         for columns in range(2, LARGEST_SIDE + 1):
             markers_per_two_rows = columns if kind == "charuco" else 2 * columns
             rows = max(2, int(np.ceil(2 * (largest + 1 - first) / markers_per_two_rows)))
             if rows > LARGEST_SIDE:
                 continue
-            for legacy in (False, True) if kind == "charuco" and rows % 2 == 0 else (False,):
-                spec = BoardSpec(kind, (columns, rows), 1.0, 0.75, name, False, legacy, first)
+            legacies = (False, True) if rows % 2 == 0 else (False,)
+            one = BoardSpec(kind, (columns, rows), 1.0, 0.75, name, False, first_id=first, border=border)
+            for spec in variants(one, legacies):
                 guesses.append((layout_error(spec, seen), len(guesses), spec))
     return min(guesses)
 
 
 def _marker_share(spec: BoardSpec, greys: Sequence[Grey]) -> float:
     """Side of a marker over that of a square: centres of markers do not depend on it, and give the plane."""
-    refined = cv2.aruco.DetectorParameters()
-    refined.cornerRefinementMethod = (
-        cv2.aruco.CORNER_REFINE_SUBPIX
-    )  # else markers come out half a pixel too small
-    finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary), refined)
+    finder = marker_finder(dictionary(spec.dictionary), spec.border)
     centres = {i: corners.mean(0) for i, corners in marker_places(spec).items()}
     sides: list[float] = []
     for grey in greys:
@@ -153,6 +161,8 @@ def _marker_share(spec: BoardSpec, greys: Sequence[Grey]) -> float:
         quads = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)[[i in centres for i in numbers]]
         if len(quads) < TRIAL_MARKERS:
             continue
+        side_px = float(np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=2).min())
+        quads = refined(grey, quads.reshape(-1, 2), MARKER_WINDOW[spec.border] * side_px).reshape(-1, 4, 2)
         on_board = np.array([centres[i] for i in numbers if i in centres])
         H, _ = cv2.findHomography(quads.mean(1), on_board, cv2.RANSAC, FIT_SQUARES)
         if H is not None:

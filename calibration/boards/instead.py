@@ -3,15 +3,17 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from devrf.calibration.boards.guess import FAMILIES, Grey, chessboard_size
+from devrf.calibration.boards.guess import OF_BORDER, Grey, chessboard_size
 from devrf.calibration.boards.layout import TRIAL_MARKERS, spread
-from devrf.calibration.boards.spec import dictionary
+from devrf.calibration.boards.spec import dictionary, marker_finder
 from devrf.capture.pictures import read_grey
 
 PICTURES = 4  # all dictionaries take a second in each
+LOOKS = (  # mirrored, white on black, cells of border
+    (False, False, 1), (False, False, 2), (False, True, 1), (True, False, 1), (True, True, 1),
+)  # fmt: skip
 MIRRORED = (
     ", in mirrored pictures: switch the camera's mirroring off, or film the board with the camera as it is"
 )
@@ -20,21 +22,21 @@ MIRRORED = (
 def seen_instead(files: Sequence[Path]) -> str:
     """What a few of the pictures show, in words; empty where it is nothing that is known."""
     greys = [read_grey(file) for _, file in zip(range(PICTURES), spread(files), strict=False)]
-    for mirrored in (False, True):
-        for inverted in (False, True):
-            turned = [grey[:, ::-1] if mirrored else grey for grey in greys]
-            found = _markers([np.ascontiguousarray(255 - g if inverted else g) for g in turned])
-            if found is not None:
-                name, ids = found
-                count = f"{len(ids)} markers of {name}, ids from {min(ids)} to {max(ids)}"
-                return f"{count}{', white on black' if inverted else ''}{MIRRORED if mirrored else ''}"
+    for mirrored, inverted, border in LOOKS:
+        turned = [grey[:, ::-1] if mirrored else grey for grey in greys]
+        found = _markers([np.ascontiguousarray(255 - g if inverted else g) for g in turned], border)
+        if found is not None:
+            name, ids = found
+            count = f"{len(ids)} markers of {name}, ids from {min(ids)} to {max(ids)}"
+            return f"{count}{', white on black' if inverted else ''}{MIRRORED if mirrored else ''}"
     sizes = {size for grey in greys if (size := chessboard_size(grey)) is not None}
     return " or ".join(f"a chessboard of {columns}x{rows} inner corners" for columns, rows in sorted(sizes))
 
 
-def _markers(greys: Sequence[Grey]) -> tuple[str, set[int]] | None:
+def _markers(greys: Sequence[Grey], border: int) -> tuple[str, set[int]] | None:
     """The dictionary of which most markers are seen in one picture or more, and their numbers."""
-    finder = cv2.aruco.ArucoDetector([dictionary(family[-1]) for family in FAMILIES])
+    families = OF_BORDER[border]
+    finder = marker_finder([dictionary(family[-1]) for family in families], border)
     seen: dict[int, set[int]] = {}
     for grey in greys:
         _, ids, _, which = finder.detectMarkersMultiDict(grey)
@@ -48,5 +50,5 @@ def _markers(greys: Sequence[Grey]) -> tuple[str, set[int]] | None:
     if not seen:
         return None
     best = max(seen, key=lambda n: len(seen[n]))
-    name = next(n for n in FAMILIES[best] if dictionary(n).bytesList.shape[0] > max(seen[best]))
+    name = next(n for n in families[best] if dictionary(n).bytesList.shape[0] > max(seen[best]))
     return name, seen[best]

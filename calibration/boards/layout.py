@@ -1,4 +1,4 @@
-"""How a board was printed, found out from pictures: inverted, legacy, columns and rows swapped.
+"""How a board was printed, found out from pictures: inverted, legacy, columns and rows swapped, how it is numbered.
 
 A wrong description still detects, with nonsense corners; what is right shows in the markers: their corners must
 fit the description's plane by one homography. Chessboards have no markers: another size is tried where the
@@ -15,7 +15,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.calibration.boards.detect import detector
-from devrf.calibration.boards.spec import BoardSpec, dictionary, marker_count, marker_places
+from devrf.calibration.boards.spec import (
+    ORDERS,
+    BoardSpec,
+    dictionary,
+    marker_count,
+    marker_finder,
+    marker_places,
+)
 from devrf.capture.errors import HealthError
 from devrf.capture.pictures import read_grey
 
@@ -24,6 +31,7 @@ TRIAL_PICTURES = 8  # in which a chessboard of another size is looked for
 TRIAL_MARKERS = 4
 SEEN_TWICE = 2  # pictures; one alone is chance, or another thing with markers
 MOST_FIRSTS = 64  # numbers of the first marker that are tried
+BORDERS = {"charuco": (1,), "aruco_grid": (1, 2)}  # black cells around a code, by type of board
 FIT_SQUARES = 0.25  # a layout whose markers miss their places by more than this share of a square is wrong
 
 
@@ -38,10 +46,10 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
         InputError: No such dictionary.
         HealthError: The markers do not fit any layout.
     """
-    inverted, seen = _marker_trial(files, spec)
+    printed, seen = _marker_trial(files, spec)
     if not seen:
         return None
-    error, best = _best_layout(replace(spec, inverted=inverted), seen)
+    error, best = _best_layout(printed, seen)
     if error > FIT_SQUARES:
         error, best = _first_elsewhere(best, seen, error)
     ids = repeated_ids(seen)
@@ -53,7 +61,7 @@ def settle(name: str, files: Sequence[Path], spec: BoardSpec, required: bool = T
         misses = f"{spec.squares[0]}x{spec.squares[1]} layout (they miss by {error:.2f} squares)"
         remedy = "check squares, square_m, marker_m and dictionary of capture.board"
         if spec.type == "aruco_grid":
-            remedy += " (rows that count from below, as on Kalibr's aprilgrid, are not read)"
+            remedy += " (markers that are not numbered row by row are not read)"
         raise HealthError("board-layout-wrong", f"{seen_in} {misses}; {remedy}")
     wrong = [("squares", f"[{best.squares[0]}, {best.squares[1]}]")] if best.squares != spec.squares else []
     for key in ("legacy", "inverted"):
@@ -104,11 +112,10 @@ Markers = tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 4 2"]]
 
 
 def _best_layout(spec: BoardSpec, seen: list[Markers]) -> tuple[float, BoardSpec]:
-    """The layout that fits best, of both ways to count and both patterns, and by how much markers miss it."""
+    """The layout that fits best, of both ways to count, patterns and orders, and by how much markers miss it."""
     fits = []
     for squares in (spec.squares, spec.squares[::-1]):
-        for legacy in _tries(spec.legacy) if spec.type == "charuco" else (False,):
-            layout = replace(spec, squares=squares, legacy=legacy)
+        for layout in variants(replace(spec, squares=squares), _tries(spec.legacy)):
             fits.append((layout_error(layout, seen), len(fits), layout))
     error, _, best = min(fits)
     return error, best
@@ -125,30 +132,44 @@ def _first_elsewhere(spec: BoardSpec, seen: list[Markers], error: float) -> tupl
     return good[0] if len(good) == 1 else (error, spec)
 
 
+def variants(spec: BoardSpec, legacies: Sequence[bool]) -> list[BoardSpec]:
+    """A board with markers in both patterns, or a grid in every order."""
+    if spec.type == "charuco":
+        return [replace(spec, legacy=legacy) for legacy in legacies]
+    return [
+        replace(spec, legacy=False, order=order) for order in sorted(ORDERS, key=lambda o: o != spec.order)
+    ]
+
+
+def covered(seen: Sequence[Markers]) -> float:
+    """Square pixels that markers cover in all pictures: read with too thin a border, fewer and smaller ones are."""
+    return sum((cv2.contourArea(quad.astype(np.float32)) for _, quads in seen for quad in quads), 0.0)
+
+
 def _tries(told: object) -> tuple[bool, bool]:
     """What is told first, then the other."""
     return (True, False) if told is True else (False, True)
 
 
-def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[bool, list[Markers]]:
-    """Whether the print is inverted, and the markers of the first pictures that show some."""
-    finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary))
-    polarities = _tries(spec.inverted)
-    seen: dict[bool, list[Markers]] = {p: [] for p in polarities}
+def _marker_trial(files: Sequence[Path], spec: BoardSpec) -> tuple[BoardSpec, list[Markers]]:
+    """The board with `inverted` and `border` settled, and the markers of the first pictures that show some."""
+    finders = {border: marker_finder(dictionary(spec.dictionary), border) for border in BORDERS[spec.type]}
+    prints = [(polarity, border) for polarity in _tries(spec.inverted) for border in finders]
+    seen: dict[tuple[bool, int], list[Markers]] = {p: [] for p in prints}
     for file in spread(files):
         grey = read_grey(file)
-        for polarity in polarities:
-            corners, ids, _ = finder.detectMarkers(255 - grey if polarity else grey)
+        for polarity, border in prints:
+            corners, ids, _ = finders[border].detectMarkers(255 - grey if polarity else grey)
             if ids is None:
                 continue
             numbers = np.asarray(ids).reshape(-1)
             if len(numbers) >= TRIAL_MARKERS:
                 quads = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-                seen[polarity].append((numbers.astype(np.int64), quads))
+                seen[polarity, border].append((numbers.astype(np.int64), quads))
         if max(len(s) for s in seen.values()) >= TRIAL_VIEWS:
             break
-    best = max(polarities, key=lambda p: sum(len(ids) for ids, _ in seen[p]))
-    return best, seen[best]
+    best = max(prints, key=lambda p: covered(seen[p]))
+    return replace(spec, inverted=best[0], border=best[1]), seen[best]
 
 
 def layout_error(layout: BoardSpec, seen: list[Markers]) -> float:

@@ -1,8 +1,9 @@
 """What is printed on a calibration board, and where its corners are; a view of it in a picture."""
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -12,6 +13,10 @@ from devrf.capture.errors import InputError
 
 Auto = Literal["auto"] | bool
 BoardType = Literal["charuco", "chessboard", "aruco_grid"]
+Order = Literal["down", "up", "kalibr"]
+"""How the markers of a grid are numbered, row by row: from the top left as OpenCV does, from the bottom left, or from
+the bottom left with every marker upside down, as Kalibr prints its aprilgrid."""
+ORDERS: tuple[Order, ...] = get_args(Order)
 
 
 @dataclass(frozen=True)
@@ -19,13 +24,14 @@ class BoardSpec:
     """What is printed.
 
     Attributes:
-        type: `charuco`, `chessboard` or `aruco_grid` (OpenCV's GridBoard).
+        type: `charuco`, `chessboard` or `aruco_grid` (OpenCV's GridBoard, Kalibr's aprilgrid).
         squares: Columns and rows: squares of a ChArUco board, inner corners of a chessboard, markers of a grid.
         square_m: Side of a square; of a grid, from one marker's edge to the next marker's same edge. Metres.
         marker_m: Side of a marker, metres.
         dictionary: OpenCV's name of the marker dictionary.
         inverted, legacy: Known, or "auto".
-        first_id: Number of the first marker; found by `find_board`.
+        first_id, order: Number of the first marker, and where in a grid it is; found by `find_board`.
+        border: Black cells around a marker's code; Kalibr's markers have 2. Found by `find_board`.
         corrections: Key and value of what pictures show otherwise than was told; filled by `find_board`.
     """
 
@@ -37,17 +43,21 @@ class BoardSpec:
     inverted: Auto = "auto"
     legacy: Auto = "auto"
     first_id: int = 0
+    order: Order = "down"
+    border: int = 1
     corrections: tuple[tuple[str, str], ...] = ()
 
     @property
     def corners(self) -> Float[np.ndarray, "corners 3"]:
         """Positions of the corners by id [N, 3], metres, z = 0: inner corners, or four of each marker in turn."""
         columns, rows = self.squares if self.type != "charuco" else (n - 1 for n in self.squares)
-        grid = np.mgrid[0:rows, 0:columns][::-1].reshape(2, -1).T * self.square_m
+        grid = np.mgrid[0:rows, 0:columns][::-1] * self.square_m
+        grid = (grid if self.order == "down" else grid[:, ::-1]).reshape(2, -1).T
         if self.type == "charuco":
             grid = grid + self.square_m
         elif self.type == "aruco_grid":
             around = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (self.marker_m or 0.0)
+            around = around if self.order != "kalibr" else np.roll(around, 2, axis=0)
             grid = (grid[:, None] + around).reshape(-1, 2)
         return np.column_stack([grid, np.zeros(len(grid))])
 
@@ -71,6 +81,7 @@ class BoardSpec:
             (self.legacy is True, ", legacy layout"),
             (self.inverted is True, ", white on black"),
             (self.first_id > 0, first),
+            (self.order != "down", ", numbered from the bottom"),
         )
         return f"{self.squares[0]}x{self.squares[1]} {self.type}{marks}" + "".join(
             t for yes, t in found if yes
@@ -107,6 +118,15 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
         text = f"capture.board.dictionary: OpenCV has no dictionary {name}; did you mean {', '.join(near)}?"
         raise InputError("board-dictionary-unknown", text)
     return cv2.aruco.getPredefinedDictionary(number)
+
+
+def marker_finder(
+    dictionaries: cv2.aruco.Dictionary | Sequence[cv2.aruco.Dictionary], border: int
+) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector of markers with so many black cells around the code."""
+    options = cv2.aruco.DetectorParameters()
+    options.markerBorderBits = border
+    return cv2.aruco.ArucoDetector(dictionaries, options)
 
 
 def marker_count(spec: BoardSpec) -> int:

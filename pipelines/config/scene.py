@@ -74,7 +74,7 @@ class BoardConfig(_Section):
     """A calibration board: intrinsics of the cameras, and metric scale."""
 
     type: Literal["charuco", "chessboard", "aruco_grid"] = "charuco"
-    """What is printed; aruco_grid is OpenCV's GridBoard, markers from 0 on."""
+    """What is printed; aruco_grid is OpenCV's GridBoard, or Kalibr's aprilgrid (dictionary DICT_APRILTAG_36h11)."""
     squares: Annotated[tuple[Squares, Squares], BeforeValidator(_as_tuple)]
     """Columns and rows, from 2 to 100: squares of a ChArUco board, inner corners of a chessboard, markers of an
     ArUco grid. Swapped, or a chessboard's squares for its corners: found out and said."""

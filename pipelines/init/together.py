@@ -50,8 +50,9 @@ def sort_clips(folder: Path, material: Material) -> Sorted:
                 later |= dict.fromkeys(parts, parts[0].name)
                 names = ", ".join(part.name for part in parts)
                 out.doubts.append(
-                    f"{name}: {names} are chapters of one recording, and only the first is used. Join them in "
-                    f"{clip.parent.name}, without coding anew, and name the result instead: {join_command(parts)}"
+                    f"{name}: {names} are {len(parts)} chapters of one recording, and only the first is used. "
+                    f"Join them in {clip.parent.name}, without coding anew, and name the result instead: "
+                    f"{join_command(parts)}"
                 )
     out.left |= _by_folder(folder, live, "taken along with photos of the same names (live photos)", "clip")
     return out

@@ -35,7 +35,10 @@ def draw(
 ) -> np.ndarray:
     """A picture of the flat print, with a lens without distortion."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spec.dictionary))
-    if spec.type == "aruco_grid":
+    if spec.type == "aruco_grid" and spec.order != "down":
+        print_ = from_below(spec)
+        origin = (spec.marker_m or 0.0) - spec.square_m
+    elif spec.type == "aruco_grid":
         assert spec.marker_m is not None
         gap = round((spec.square_m - spec.marker_m) / spec.square_m * PIXELS_PER_SQUARE)
         ids = spec.first_id + np.arange(spec.squares[0] * spec.squares[1])
@@ -222,6 +225,8 @@ def test_a_board_that_is_never_seen_is_refused(tmp_path):
 
 
 GRID = BoardSpec("aruco_grid", (5, 4), 0.05, 0.04, "DICT_5X5_100")
+APRILGRID = BoardSpec("aruco_grid", (5, 4), 0.06, 0.05, "DICT_APRILTAG_36h11")
+KALIBR = replace(APRILGRID, order="kalibr", border=2)
 
 
 @pytest.mark.parametrize("spec", [SPEC, replace(SPEC, squares=(5, 7)), GRID], ids=["6x4", "5x7", "grid"])
@@ -247,8 +252,9 @@ def test_a_board_whose_first_marker_has_another_number(tmp_path, spec, first):
         (replace(SPEC, dictionary="DICT_6X6_250"), False, ("DICT_6X6_50", "ids from 0 to 11")),
         (SPEC, True, ("DICT_5X5_50", "ids from 0 to 11", "mirror")),
         (BoardSpec("chessboard", (8, 5), 0.05), False, ("8x5",)),
+        (KALIBR, False, ("DICT_APRILTAG_36h11", "ids from 0 to 19")),
     ],
-    ids=["another dictionary", "mirrored", "chessboard"],
+    ids=["another dictionary", "mirrored", "chessboard", "Kalibr's grid"],
 )
 def test_what_is_seen_instead_of_the_board_is_named(tmp_path, printed, mirrored, named):
     rng = np.random.default_rng(7)
@@ -258,17 +264,52 @@ def test_what_is_seen_instead_of_the_board_is_named(tmp_path, printed, mirrored,
         find_board("clip", files, SPEC)
 
 
-def test_a_grid_that_counts_otherwise_is_named(tmp_path):
-    """As Kalibr's aprilgrid: its rows count from below."""
+def from_below(spec: BoardSpec, by_columns: bool = False) -> np.ndarray:
+    """A print whose markers are numbered from the bottom left; Kalibr's are upside down, with squares between them."""
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    sheet = np.full((440, 620), 255, np.uint8)
-    for n in range(6):
-        row, column = 1 - n // 3, n % 3
-        at = slice(40 + 200 * row, 200 + 200 * row), slice(40 + 200 * column, 200 + 200 * column)
-        sheet[at] = cv2.aruco.generateImageMarker(tags, n, 160, borderBits=2)
-    spec = replace(GRID, squares=(3, 2), dictionary="DICT_APRILTAG_36h11")
-    with refused("board-layout-wrong", "DICT_APRILTAG_36h11", "ids from 0 to 5", "Kalibr", kind=HealthError):
-        find_board("clip", write(tmp_path, [sheet]), spec)
+    side = round(PIXELS_PER_SQUARE * (spec.marker_m or 0.0) / spec.square_m)
+    gap, (columns, rows) = PIXELS_PER_SQUARE - side, spec.squares
+    sheet = np.full((rows * PIXELS_PER_SQUARE + gap, columns * PIXELS_PER_SQUARE + gap), 255, np.uint8)
+    for row, column in np.ndindex(rows, columns):
+        number = column * rows + row if by_columns else row * columns + column
+        marker = cv2.aruco.generateImageMarker(tags, number, side, borderBits=spec.border)
+        top, left = gap + (rows - 1 - row) * PIXELS_PER_SQUARE, gap + column * PIXELS_PER_SQUARE
+        sheet[top : top + side, left : left + side] = marker[::-1, ::-1] if spec.order == "kalibr" else marker
+    if spec.order == "kalibr":
+        for row, column in np.ndindex(rows + 1, columns + 1):
+            top, left = row * PIXELS_PER_SQUARE, column * PIXELS_PER_SQUARE
+            sheet[top : top + gap, left : left + gap] = 0
+    return sheet
+
+
+@pytest.mark.parametrize(
+    ("order", "border", "distance"), [("up", 1, 0.5), ("kalibr", 2, 0.5), ("kalibr", 2, 0.8)]
+)
+def test_grids_that_are_numbered_from_below(tmp_path, order, border, distance):
+    """As Kalibr's aprilgrid. Near, markers with two cells of border are read as smaller ones with one, too."""
+    rng, printed = np.random.default_rng(5), replace(APRILGRID, order=order, border=border)
+    poses = [board_pose(rng, printed, distance) for _ in range(3)]
+    pictures = [draw(printed, pose) for pose in poses]
+    views, settled = find_board("clip", write(tmp_path, pictures), APRILGRID)
+    assert settled == replace(printed, inverted=False, legacy=False) and len(views) == 3
+    for view, pose in zip(views, poses, strict=True):
+        number, corner = np.divmod(view.ids, 4)
+        place = np.stack([number % 5, 3 - number // 5], axis=1) * 0.06  # from the top left marker's corner
+        around = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[(corner + 2) % 4 if order == "kalibr" else corner]
+        points = np.column_stack([place + 0.05 * around, np.zeros(len(place))])
+        error = Camera(*SIZE, K, pose).project(points) - view.xy
+        assert len(view.ids) >= 60 and np.median(np.linalg.norm(error, axis=1)) < 0.25
+    guess = guess_board(pictures)
+    assert guess is not None and guess.spec.squares == (5, 4)
+    assert (guess.spec.order, guess.spec.border) == (order, border)
+    assert guess.spec.marker_m == pytest.approx(5 / 6, abs=0.02)
+
+
+def test_a_grid_that_counts_otherwise_is_named(tmp_path):
+    sheet = np.pad(from_below(APRILGRID, by_columns=True), 40, constant_values=255)
+    names = ("DICT_APRILTAG_36h11", "ids from 0 to 19", "row by row")
+    with refused("board-layout-wrong", *names, kind=HealthError):
+        find_board("clip", write(tmp_path, [sheet]), APRILGRID)
 
 
 def test_a_wrong_description_is_refused(tmp_path):

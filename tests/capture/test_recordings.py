@@ -56,7 +56,14 @@ def test_cameras_that_somebody_numbered_are_no_chapters(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "names", [("C0001.MP4", "C0002.MP4"), ("MVI_0009.MP4", "MVI_0010.MP4"), ("00000.MP4", "00001.MP4")]
+    "names",
+    [
+        ("C0001.MP4", "C0002.MP4"),
+        ("MVI_0009.MP4", "MVI_0010.MP4"),
+        ("DJI_0003.MP4", "DJI_0004.MP4"),
+        ("DJI_20240512143000_0003_D.MP4", "DJI_20240512143004_0004_D.MP4"),
+        ("00000.MP4", "00001.MP4"),
+    ],
 )
 def test_chapters_that_count_on_where_one_begins_as_the_other_ends(tmp_path, names):
     parts = [recording(tmp_path / names[0], 0.0, 100), recording(tmp_path / names[1], 4.0, 25)]
