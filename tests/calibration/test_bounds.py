@@ -77,6 +77,17 @@ def test_near_does_not_cut_the_box_and_far_reaches_the_walls():
         assert bounds.far / unit >= np.percentile(np.linalg.norm(points - camera.centre, axis=1), 99)
 
 
+def test_far_is_what_the_sweep_has_seen():
+    sweep, points = ring(12, 2.2), room(np.random.default_rng(0))
+    seen = np.linalg.norm(
+        points - BALL, axis=1
+    )  # less than from any of the cameras to the wall across the room
+    bounds = scene_bounds(sweep, [], points, seen)
+    unit = np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
+    across = max(np.percentile(np.linalg.norm(points - c.centre, axis=1), 99) for c in sweep)
+    assert np.percentile(seen, 99) <= bounds.far / unit < across
+
+
 def test_up_is_up():
     bounds = scene_bounds(ring(12, 5.0), [], np.zeros((0, 3)), np.zeros(0))
     z = bounds.box_from_world[2, :3]
