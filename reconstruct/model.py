@@ -182,10 +182,10 @@ class DynamicModel:
         key = camera.view
         if key not in self._around:
             device = str(self.rest.canonical.density.device)
-            parts = []
+            parts, near = [], self.rest.near_for(camera)
             for o, d in _chunks(*camera_rays(camera, device), self.chunk):
                 between()
-                parts.append(self.around(o, d))
+                parts.append(self.around(o, d, near))
             self._around[key] = Around(
                 *(torch.cat([getattr(p, name) for p in parts]) for name in ("front", "through", "back"))
             )
@@ -222,17 +222,20 @@ class DynamicModel:
         torch.cuda.empty_cache()  # does nothing where there is none
 
     @torch.no_grad()
-    def around(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Around:
-        """Surroundings of rays."""
+    def around(
+        self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"], near: float | None = None
+    ) -> Around:
+        """Surroundings of rays, from a distance on; None: that of the scene."""
         rest, n = self.rest, len(rays_o)
+        near = rest.near if near is None else near
         plain = plain_of(rest.background, rays_o.device)
         if plain is not None:
             return Around(torch.zeros_like(rays_o), rays_o.new_ones(n), plain.expand(n, 3).contiguous())
         assert rest.shell is not None  # surroundings are modelled wherever nothing plain is behind
-        t_in, t_out, _ = intersect(rays_o, rays_d, rest.canonical.aabb, rest.near)
+        t_in, t_out, _ = intersect(rays_o, rays_d, rest.canonical.aabb, near)
         middle = rays_o.new_full((n,), 0.5)
-        near = torch.full_like(t_in, rest.near)
-        front, through, _ = rest.shell.render(RaySegments(rays_o, rays_d, near, t_in, middle), False)
+        begin = torch.full_like(t_in, near)
+        front, through, _ = rest.shell.render(RaySegments(rays_o, rays_d, begin, t_in, middle), False)
         back, _, _ = rest.shell.render(RaySegments(rays_o, rays_d, t_out, t_out, middle), True)
         return Around(front, through, back)
 

@@ -63,6 +63,7 @@ def save_rest(path: Path, model: RestModel) -> None:
     if shell is not None:
         density, colour = shell.grid[..., :1], shell.grid[..., 1:]
         tensors["shell.aabb"] = shell.aabb
+        tensors["shell.points"] = shell.points.half()
         tensors |= _kept("shell", shell.distance == 0, shell.reachable(), density, colour)
     _save(path, tensors, meta)
 
@@ -219,7 +220,8 @@ def _rest(tensors: dict[str, Tensor], meta: dict[str, Any], device: str) -> Rest
     if "shell" in meta:
         N = int(meta["shell"]["size"])
         occupied = mask_of(tensors["shell.occupied"].cpu(), (N, N, N)).to(device)
-        shell = shell_of(meta, tensors["shell.aabb"], torch.empty(N, N, N, 4, device=device))
+        grid = torch.empty(N, N, N, 4, device=device)
+        shell = shell_of(meta, tensors["shell.aabb"], grid, tensors.get("shell.points"))
         shell.distance = distance(occupied)
         shell.grid = torch.cat(_spread("shell", tensors, shell.reachable()), dim=-1)
         model.shell = shell
@@ -242,10 +244,10 @@ def rest_of(
     return RestModel(canonical, None, meta["background"], float(meta["near"]), float(meta["far"]), {})
 
 
-def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor) -> Shell:
-    """Its surroundings."""
+def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor, points: Tensor | None = None) -> Shell:
+    """Its surroundings; files of before have no points."""
     final, near, reach = (meta["shell"][name] for name in ("final", "near", "reach"))
-    return Shell(aabb, grid, final=int(final), near=float(near), reach=float(reach))
+    return Shell(aabb, grid, final=int(final), near=float(near), reach=float(reach), points=points)
 
 
 def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:

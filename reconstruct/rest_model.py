@@ -3,7 +3,9 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from devrf.capture.camera import Camera
 from devrf.reconstruct.canonical import NUMBERS, Canonical, ColourNet
+from devrf.reconstruct.near_plane import near_plane
 from devrf.reconstruct.shell import Shell
 
 
@@ -17,6 +19,12 @@ class RestModel:
     near: float
     far: float
     metrics: dict[str, Any]
+
+    def near_for(self, camera: Camera) -> float:
+        """Where a camera's surroundings begin, `near` or farther; the camera is in the box frame."""
+        if self.shell is None:
+            return self.near
+        return near_plane(camera, self.shell.points, self.canonical.aabb, self.near)
 
     def numbers(self) -> dict[str, Any]:
         """All of it that is no tensor, as JSON has it: what files of models and of trainings keep.

@@ -60,6 +60,7 @@ class Shell:
         near: Where rays start.
         reach: Half sizes of the box that the grid holds; what is farther lies on its faces, where rays end.
         inside: The box's inside is modelled here, too (for a first, coarse model of everything).
+        points: Points of the scene, by which cameras have near planes of their own (`near_plane.py`); on the CPU.
     """
 
     def __init__(
@@ -71,9 +72,11 @@ class Shell:
         near: float,
         reach: float = REACH,
         inside: bool = False,
+        points: Float[Tensor, "n 3"] | None = None,
     ) -> None:
         self.aabb, self.grid, self.final = aabb.cpu().float(), grid, final
         self.near, self.reach, self.inside = near, reach, inside
+        self.points = torch.zeros(0, 3) if points is None else points.cpu().float()
         self.distance = torch.zeros(grid.shape[:3], dtype=torch.uint8, device=grid.device)
 
     @staticmethod
@@ -86,10 +89,11 @@ class Shell:
         reach: float = REACH,
         device: str,
         inside: bool = False,
+        points: Float[Tensor, "n 3"] | None = None,
     ) -> "Shell":
         """Translucent grey surroundings, empty in the box unless `inside`."""
         grid = torch.zeros(size, size, size, 4, device=device)
-        shell = Shell(aabb, grid, final=final, near=near, reach=reach, inside=inside)
+        shell = Shell(aabb, grid, final=final, near=near, reach=reach, inside=inside, points=points)
         shell.clear_inside()
         shell.rebuild_occupancy()
         return shell

@@ -29,6 +29,7 @@ from devrf.reconstruct.losses import (
     variation_weight,
 )
 from devrf.reconstruct.ndc import Ndc
+from devrf.reconstruct.near_plane import points_of
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
 from devrf.reconstruct.plates import draw_with_plates, plates
 from devrf.reconstruct.rays import RayBatch, RaySet
@@ -177,6 +178,7 @@ class _Recipe:
                 near=scene.near,
                 reach=reach_of(scene),
                 device=device,
+                points=points_of(scene),
             )
         self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), LR_MLP, BETAS, EPS)
         self.decay = 1.0

@@ -132,7 +132,7 @@ def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell |
     is_body = points.isfinite().all(-1)
     points[~torch.from_numpy(view.kept).to(device)] = torch.nan
     if coded is not None:
-        front, left, back = _surroundings(coded, model.rest.near, *camera_rays(camera, device))
+        front, left, back = _surroundings(coded, model.rest.near_for(camera), *camera_rays(camera, device))
         points = torch.where(is_body[..., None], points, back.reshape(size))
         hidden = (left < 1 - SOLID).reshape(size[:2])
         points, is_body = torch.where(hidden[..., None], front.reshape(size), points), is_body & ~hidden
