@@ -132,10 +132,7 @@ class SceneSize:
 
 
 def footprint(
-    scene: Scene | SceneSize,
-    options: CanonicalOptions | MotionOptions,
-    device: str = "cpu",
-    held: int = 0,
+    scene: Scene | SceneSize, options: CanonicalOptions | MotionOptions, device: str = "cpu", held: int = 0
 ) -> Footprint:
     """Predicted peak of a training.
 

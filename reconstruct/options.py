@@ -355,10 +355,5 @@ def preset(
     if fine_tuning_iterations is not None:
         motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
     canonical = replace(canonical, learning_rate=learning_rate, seed=seed)
-    motion = replace(
-        motion,
-        learning_rate=learning_rate,
-        keys=key_times,
-        seed=seed,
-    )
+    motion = replace(motion, learning_rate=learning_rate, keys=key_times, seed=seed)
     return Options(canonical, motion)

@@ -97,9 +97,8 @@ def _guess_markers(greys: Sequence[Grey]) -> BoardGuess | None:
         views = {n: len(seen[n]) for n in searched}
         if max(views.values()) >= ENOUGH_VIEWS:
             break
-        if (
-            len(searched) > 1 and max(views.values()) >= SEEN_TWICE
-        ):  # all dictionaries take a second a picture
+        # all dictionaries take a second a picture
+        if len(searched) > 1 and max(views.values()) >= SEEN_TWICE:
             searched = [max(searched, key=lambda n: sum(len(ids) for ids, _ in seen[n]))]
             finder = cv2.aruco.ArucoDetector([dictionary(FAMILIES[searched[0]][-1])])
     best = max(seen, key=lambda n: sum(len(ids) for ids, _ in seen[n]))
@@ -139,9 +138,8 @@ def _best_from(first: int, name: str, largest: int, seen: list[Markers]) -> tupl
 def _marker_share(spec: BoardSpec, greys: Sequence[Grey]) -> float:
     """Side of a marker over that of a square: centres of markers do not depend on it, and give the plane."""
     refined = cv2.aruco.DetectorParameters()
-    refined.cornerRefinementMethod = (
-        cv2.aruco.CORNER_REFINE_SUBPIX
-    )  # else markers come out half a pixel too small
+    # else markers come out half a pixel too small
+    refined.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     finder = cv2.aruco.ArucoDetector(dictionary(spec.dictionary), refined)
     centres = {i: corners.mean(0) for i, corners in marker_places(spec).items()}
     sides: list[float] = []

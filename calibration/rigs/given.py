@@ -145,9 +145,8 @@ def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, st
     if unique and None not in ours and set(ours) <= set(theirs):
         chosen = {name: found[theirs.index(number)] for name, number in zip(names, ours, strict=True)}
         return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
-    if len(names) == len(found) and not set(names) & set(
-        found
-    ):  # where some agree, one is missing, not renamed
+    # where some agree, one is missing, not renamed
+    if len(names) == len(found) and not set(names) & set(found):
         chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))
         remedy = f"Names do not tell which camera is which; name capture.cameras as the calibration does ({where})."
         return chosen, GivenNote(

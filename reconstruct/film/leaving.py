@@ -87,9 +87,8 @@ def _in_solid(model: DynamicModel, place: Float[np.ndarray, "3"], time: float | 
     device = canonical.density.device
     x = torch.tensor(place[None], dtype=torch.float32, device=device)
     if ndc is not None:
-        return bool(
-            place[2] >= NEAR
-        )  # rays begin on the near plane: from behind it they would begin before it
+        # rays begin on the near plane: from behind it they would begin before it
+        return bool(place[2] >= NEAR)
     lo, hi = canonical.aabb.to(x)
     if bool(((x >= lo) & (x <= hi)).all()):
         return bool(canonical.alpha(field_at(model, time).to_rest(x)) > SOLID)

@@ -101,10 +101,7 @@ def expand(y: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
 
 
 def background_ref(
-    rays: RaySegments,
-    surroundings: Surroundings,
-    closed: bool,
-    target: Float[Tensor, "R 3"] | None = None,
+    rays: RaySegments, surroundings: Surroundings, closed: bool, target: Float[Tensor, "R 3"] | None = None
 ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, " R"]]:
     """The same, all rays a step at a time."""
     lo, hi = surroundings.aabb.to(rays.rays_o)

@@ -57,9 +57,8 @@ def launch(
     if len(last) == 1:
         wp.launch(kernel, dim=size, inputs=[0, *arguments, *last[0]], device=name)
         return
-    kernel.module.load(
-        name, block_dim=1
-    )  # compile once, here: what the threads' launches would all start to do
+    # compile once, here: what the threads' launches would all start to do
+    kernel.module.load(name, block_dim=1)
     bounds = [size * n // len(last) for n in range(len(last) + 1)]
 
     def part(n: int) -> None:

@@ -423,12 +423,7 @@ OPENCV_FILE = "%YAML:1.0\n---\ncamera_matrix: {rows: ROWS, cols: COLS, data: [1.
         ),
         ("c.yaml", KALIBR.replace("pinhole", "omni"), "lens-unread", ("camera_model", "'omni'")),
         ("c.yaml", KALIBR.replace("radtan", "fov"), "lens-unread", ("distortion_model", "'fov'")),
-        (
-            "c.yaml",
-            KALIBR.replace("T_cn_cnm1", "T_c1_c0"),
-            "entry-missing",
-            ("cam1: T_cn_cnm1", "4x4"),
-        ),
+        ("c.yaml", KALIBR.replace("T_cn_cnm1", "T_c1_c0"), "entry-missing", ("cam1: T_cn_cnm1", "4x4")),
         ("c.yaml", KALIBR.replace("  resolution: [752, 480]\n", ""), "entry-missing", ("resolution",)),
         ("c.yaml", KALIBR.replace("[752, 480]", "1" + ":00" * 200 + ".0"), "calibration-unread", ()),
         ("c.yaml", KALIBR.replace("radtan", "[radtan]"), "lens-unread", ("distortion_model", "['radtan']")),

@@ -234,9 +234,8 @@ def test_names_with_backslashes(tmp_path: Path):
     file.write_text(file.read_text().replace("7 a ", "7 left\\"))
     (tmp_path / "sparse/test.txt").write_text("left/1.png\n")
     assert [f.split for f in read_dataset("colmap", tmp_path).static] == ["train", "test", "train"]
-    file.write_text(
-        "".join(line + "\n" for line in file.read_text().splitlines()[:3])
-    )  # one picture: a fixed camera
+    # one picture: a fixed camera
+    file.write_text("".join(line + "\n" for line in file.read_text().splitlines()[:3]))
     assert list(find_calibration(tmp_path).cameras) == ["left"]
 
 

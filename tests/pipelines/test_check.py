@@ -51,9 +51,8 @@ def turned(room: np.ndarray, degrees: float) -> np.ndarray:
     """The room from one place, the camera turned: 320x240, 60 degrees wide."""
     K = np.array([[277.0, 0, 160], [0, 277, 120], [0, 0, 1]])
     R = cv2.Rodrigues(np.array([0.0, np.radians(degrees), 0.0]))[0]
-    base = np.array(
-        [[1.6, 0, 64], [0, 1.6, 48], [0, 0, 1]]
-    )  # the picture of the straight view in the texture
+    # the picture of the straight view in the texture
+    base = np.array([[1.6, 0, 64], [0, 1.6, 48], [0, 0, 1]])
     return cv2.warpPerspective(room, base @ K @ R @ np.linalg.inv(K), (320, 240), flags=cv2.WARP_INVERSE_MAP)
 
 

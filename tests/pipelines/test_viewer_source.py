@@ -58,11 +58,7 @@ def test_what_is_shown_follows_the_run(run: ViewerRun, ball: Ball, rest: RestMod
     assert "finished model" in told(run, loaded)
 
 
-def test_a_training_shows_only_while_a_run_is_at_work(
-    run: ViewerRun,
-    ball: Ball,
-    rest: RestModel,
-) -> None:
+def test_a_training_shows_only_while_a_run_is_at_work(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
     run.scene(ball.scene)
     run.rest(rest)
     run.motion(rest)
@@ -92,11 +88,7 @@ def test_a_training_shows_only_while_a_run_is_at_work(
     assert progress(run.run_dir) == {}
 
 
-def test_a_motion_of_another_scene_at_rest_is_not_shown(
-    run: ViewerRun,
-    ball: Ball,
-    rest: RestModel,
-) -> None:
+def test_a_motion_of_another_scene_at_rest_is_not_shown(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
     run.scene(ball.scene)
     run.rest(rest)
     run.motion(rest, made_of="something else")
