@@ -59,7 +59,7 @@ def displacement(
     longer, width = max(first.shape), first.shape[1]
     side, reach = _side(first), max(LEAST_SEARCH, round(SEARCH * longer))
     at, found = [], []
-    blocks = _textured_blocks(first, asked)
+    blocks = textured_blocks(first, asked)
     for x, y in blocks:
         top, left = max(0, y - reach), max(0, x - reach)
         area = second[top : y + side + reach, left : x + side + reach]
@@ -74,16 +74,9 @@ def displacement(
 
 
 def textured_blocks(
-    picture: Float[np.ndarray, "height width"], asked: Bool[np.ndarray, "height width"] | None = None
-) -> int:
-    """How many blocks of a grey picture have texture, of those that lie in `asked` for the most part."""
-    return len(_textured_blocks(picture, asked))
-
-
-def _textured_blocks(
     picture: Float[np.ndarray, "height width"], asked: Bool[np.ndarray, "height width"] | None
 ) -> list[tuple[int, int]]:
-    """Their first pixels (x, y)."""
+    """First pixels (x, y) of a grey picture's blocks with texture, of those that lie in `asked` for the most part."""
     height, width = picture.shape
     side = _side(picture)
     fine = picture - gaussian_filter(picture, side / 2)

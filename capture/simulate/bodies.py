@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import UInt8
 
 from devrf.capture.simulate.growths import flower
 from devrf.capture.simulate.scenes import PLATFORM_M, WOOD, Mesh, MovingObject, Paint, box
@@ -215,11 +214,12 @@ def _object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
     meshes = [part.rest for part in parts]
     width = max(mesh.texture.shape[1] for mesh in meshes)
     height = sum(mesh.texture.shape[0] for mesh in meshes)
-    uv, row = [], 0
+    uv, textures, row = [], [], 0
     for mesh in meshes:
         rows, columns = mesh.texture.shape[:2]
         inner = np.clip(mesh.uv, 0.5 / np.array([columns, rows]), 1 - 0.5 / np.array([columns, rows]))
         uv.append((inner * [columns, rows] + [0, row]) / [width, height])
+        textures.append(np.pad(mesh.texture, ((0, 0), (0, width - columns), (0, 0)), mode="edge"))
         row += rows
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
 
@@ -230,14 +230,10 @@ def _object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
         vertices_at(0.0),
         np.concatenate([mesh.faces + n for mesh, n in zip(meshes, first[:-1], strict=True)]),
         np.concatenate(uv),
-        np.concatenate([_wide(mesh.texture, width) for mesh in meshes]),
+        np.concatenate(textures),
         smooth=True,
     )
     return MovingObject(rest, vertices_at, tuple(stand))
-
-
-def _wide(picture: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "h width 3"]:
-    return np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), mode="edge")
 
 
 def _limb(rng: np.random.Generator, paint: Paint, length_m: Number, top_m: Number, end_m: Number) -> Mesh:

@@ -103,7 +103,7 @@ class Workspace:
 
     def discard(self, folder: Path) -> list[Path]:
         """Remove what an unfinished stage wrote, but for the logs of native programs; where those are now."""
-        stage = _stage_of(folder, NEW)
+        stage = folder.name.removeprefix(NEW).split("-", 1)[0]
         kept = []
         for log in sorted(folder.glob("*.log")):
             place = self.run_dir / LOGS / f"{stage}-{log.name}"
@@ -190,10 +190,6 @@ def size_of(path: Path) -> int:
         except OSError:
             pass
     return total
-
-
-def _stage_of(folder: Path, prefix: str) -> str:
-    return folder.name.removeprefix(prefix).split("-", 1)[0]
 
 
 def _is_checkpoint(path: Path) -> bool:
