@@ -137,12 +137,9 @@ def test_kalibr_chain_steps_from_camera_to_camera(tmp_path: Path) -> None:
     assert "T_cn_cnm1" not in chain["cam0"]
 
 
-def test_kalibr_refuses_a_lens_that_it_cannot_hold(tmp_path: Path) -> None:
+def test_a_lens_that_a_format_cannot_hold_or_name_is_refused(tmp_path: Path) -> None:
     with refused("lens-unwritable", "'left'", "k3 = 0.0666", "rig-anipose", kind=InputError):
         RIG_WRITERS["rig-kalibr"](tmp_path, rig_cameras(), True)
-
-
-def test_easymocap_refuses_a_lens_that_it_cannot_name(tmp_path: Path) -> None:
     with refused("lens-unwritable", "'wide'", "rig-opencv", kind=InputError):
         RIG_WRITERS["rig-easymocap"](tmp_path, rig_cameras(), True)
 

@@ -203,20 +203,18 @@ def test_colmap_text_as_others_leave_it(tmp_path: Path, change):
     same_cameras(tmp_path / "changed", tmp_path / "plain")
 
 
-def test_keypoints_that_are_cut_off_are_no_image(tmp_path: Path):
+def test_keypoints_that_are_cut_off_and_text_in_utf_16_are_named(tmp_path: Path):
     colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
     file = tmp_path / "sparse/images.txt"
-    file.write_text(file.read_text().replace("4.5 -1", "4.5"))
+    whole = file.read_text()
+    file.write_text(whole.replace("4.5 -1", "4.5"))
     with refused("file-damaged", "images.txt", "1.5 2.5 11 3.5 4.5", "two lines", kind=CaptureError):
         read_dataset("colmap", tmp_path)
-
-
-@pytest.mark.parametrize("name", ["sparse/cameras.txt", "sparse/test.txt"])
-def test_text_in_utf_16_is_named(tmp_path: Path, name: str):
-    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
-    (tmp_path / name).write_text("7 SIMPLE_PINHOLE 48 32 40 23 15\n", "utf-16")
-    with refused("encoding-wrong", name, "UTF-8", kind=CaptureError):
-        read_dataset("colmap", tmp_path)
+    file.write_text(whole)
+    for name in ("sparse/test.txt", "sparse/cameras.txt"):
+        (tmp_path / name).write_text("7 SIMPLE_PINHOLE 48 32 40 23 15\n", "utf-16")
+        with refused("encoding-wrong", name, "UTF-8", kind=CaptureError):
+            read_dataset("colmap", tmp_path)
 
 
 def test_a_list_of_test_pictures_with_a_signature(tmp_path: Path):

@@ -39,16 +39,16 @@ def mistakes(scene: Path, text: str) -> str:
      "board_a", "joint_a", ""],
 )  # fmt: skip
 def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
-    said = mistakes(
-        scene, json.dumps({"name": "x", "capture": {"static": "a.mp4", "cameras": {name: "b.mp4"}}})
-    )
-    assert f"capture.cameras: {name!r} " in said
+    assert f"capture.cameras: {name!r} " in _of_cameras(scene, name)
 
 
 def test_names_that_differ_only_in_case(scene: Path) -> None:
-    cameras = {"cam": "a.mp4", "Cam": "b.mp4"}
-    said = mistakes(scene, json.dumps({"name": "x", "capture": {"static": "s.mp4", "cameras": cameras}}))
-    assert "'cam' and 'Cam' " in said
+    assert "'cam' and 'Cam' " in _of_cameras(scene, "cam", "Cam")
+
+
+def _of_cameras(scene: Path, *names: str) -> str:
+    capture = {"static": "a.mp4", "cameras": dict.fromkeys(names, "b.mp4")}
+    return mistakes(scene, json.dumps({"name": "x", "capture": capture}))
 
 
 @pytest.mark.parametrize(
