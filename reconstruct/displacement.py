@@ -20,9 +20,8 @@ TEXTURE = 0.02  # standard deviation of brightness without its slow changes: noi
 CORNER = 0.1  # of the stronger gradient's energy, across it: along an edge alone nothing can be told
 LEAST_PEAK = 0.5  # correlation of a block that was found: a quarter of its variance is explained
 LEAST_FOUND = 8  # blocks, for an affine map's six numbers
-MANY = (
-    3  # times as many blocks with texture: were it the same place, more than a third of them would be found
-)
+# times as many blocks with texture: were it the same place, more than a third of them would be found
+MANY = 3
 ROUNDS = 5  # of reweighting
 HUBER = 1.345  # standard deviations (Huber, Robust Statistics, 1981)
 

@@ -187,9 +187,8 @@ def _fitted(
     if width * clip_height != height * clip_width:
         wrong = f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
         expected = "expected the same size, or all of the picture made larger or smaller"
-        raise InputError(
-            "picture-size-wrong", f"{wrong}; {expected}; a cropped clip needs a calibration of its own"
-        )
+        why = f"{wrong}; {expected}; a cropped clip needs a calibration of its own"
+        raise InputError("picture-size-wrong", why)
     scale = clip_width / width
     text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
     return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), GivenNote(check, text)

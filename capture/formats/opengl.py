@@ -133,9 +133,8 @@ def _lens_model(entry: dict[str, Any], where: str) -> LensModel:
     for key in OTHER_PROJECTIONS:
         if entry.get(key) is not None and entry[key] is not False:
             wrong = f"{where}: {key} is {entry[key]!r}, another projection, which is not read"
-            raise CaptureError(
-                "lens-unread", f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
-            )
+            text = f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
+            raise CaptureError("lens-unread", text)
     if said is not None and (not isinstance(said, str) or said not in MODELS):
         wrong = f"{where}: camera_model {said} is not read; expected {', '.join(MODELS)}"
         raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")

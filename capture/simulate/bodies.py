@@ -28,12 +28,10 @@ from devrf.capture.simulate.shapes import (
 )
 
 RED, BLUE, SAND = Paint((190, 75, 60), 75.0), Paint((70, 110, 175), 75.0), Paint((200, 165, 90), 80.0)
-SKIN, SHIRT, TROUSERS, SHOE = (
-    Paint((205, 155, 125), 45.0),
-    Paint((85, 135, 105), 75.0),
-    Paint((80, 90, 135), 70.0),
-    Paint((95, 70, 60), 50.0),
-)
+SKIN = Paint((205, 155, 125), 45.0)
+SHIRT = Paint((85, 135, 105), 75.0)
+TROUSERS = Paint((80, 90, 135), 70.0)
+SHOE = Paint((95, 70, 60), 50.0)
 TABLE_TOP_M = 0.62
 STEPS_HZ = 1.2  # of the walking figure, both feet once
 STRIDE_DEG, LIFT_DEG = 36.0, 55.0  # thighs swing, knees bend: feet reach 4 m/s

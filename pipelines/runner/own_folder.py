@@ -41,10 +41,8 @@ def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:
     stages = tuple(stages)
     for path in _written(run_dir, stages):
         if path.is_symlink():
-            raise InputError(
-                "folder-holds-link",
-                f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link",
-            )
+            text = f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link"
+            raise InputError("folder-holds-link", text)
     known = is_run_folder(run_dir)
     for path in sorted(run_dir.iterdir()) if run_dir.is_dir() else []:
         if not (_is_of_a_stage(path, known) if path.name in stages else known or _is_free(path)):

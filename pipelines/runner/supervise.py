@@ -28,9 +28,8 @@ from devrf.pipelines.logs import LOG_FILE, Events, log_file
 from devrf.pipelines.runner.plan import remember_error
 from devrf.pipelines.runner.workspace import Workspace
 
-GRACE_S = (
-    15.0  # between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
-)
+# between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
+GRACE_S = 15.0
 TICK_S = 0.25  # between two looks at the child's memory ...
 SHORT_TICK_S, NEAR = (
     0.03,

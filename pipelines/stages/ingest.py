@@ -22,9 +22,8 @@ RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose cloc
 TRUSTED = 0.5  # confidence from which a clock limits what is kept
 FEWEST_SWEEP_PICTURES = 3  # with fewer nothing is registered
 LEAST_LEFT = 10  # frames of a damaged clip, ...
-LEAST_LEFT_SHARE = (
-    0.5  # ... and share of what its file announces: with less it is not the clip that was filmed
-)
+# ... and share of what its file announces: with less it is not the clip that was filmed
+LEAST_LEFT_SHARE = 0.5
 
 
 def run(context: StageContext) -> None:

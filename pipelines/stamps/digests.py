@@ -153,10 +153,8 @@ def _entry(path: Path) -> list:
         if _seen(path.stat()) != seen:  # written to meanwhile: true of no moment, so never trusted
             taken = 0
     except OSError as error:
-        raise InputError(
-            "file-unreadable",
-            f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk",
-        ) from error
+        text = f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk"
+        raise InputError("file-unreadable", text) from error
     return [*seen, taken, digest]
 
 

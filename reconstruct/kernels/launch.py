@@ -22,9 +22,8 @@ import warp as wp
 
 from devrf.capture.cores import usable_cores
 
-SCATTER_COPIES = (
-    2  # of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
-)
+# of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
+SCATTER_COPIES = 2
 CHUNK_MINIMUM = 256  # elements; below this a second thread costs more than it brings
 log = logging.getLogger(__name__)
 

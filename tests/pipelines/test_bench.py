@@ -209,10 +209,8 @@ def test_the_first_measure_that_can_tell_decides() -> None:
         gains = {"psnr_moving": moving, "psnr": psnr, "seconds": seconds, "model_mb": open_}
         return Judged(of, gains | ({} if lpips is None else {"lpips_vgg": lpips})).verdict
 
-    assert (
-        verdict(yes, no) == f"{EARNS} (PSNR where it moves)"
-        and verdict(yes, no, of=rest) == f"{COSTS} (PSNR of test views)"
-    )
+    assert verdict(yes, no) == f"{EARNS} (PSNR where it moves)"
+    assert verdict(yes, no, of=rest) == f"{COSTS} (PSNR of test views)"
     assert verdict(no, yes, no) == f"{COSTS} (PSNR where it moves)"
     assert verdict(open_, yes, no) == f"{EARNS} (LPIPS (VGG))"  # low is good
     assert verdict(open_, yes, yes) == f"{COSTS} (LPIPS (VGG))"
@@ -220,9 +218,8 @@ def test_the_first_measure_that_can_tell_decides() -> None:
     assert verdict(open_, open_, seconds=no) == SAVES and verdict(open_, open_, seconds=yes) == UNTOLD
     assert verdict(null, null, null, seconds=yes) == NOTHING
     assert doubtful.side() == 1  # at 95 %, which is not enough of two that may decide
-    assert (
-        verdict(doubtful, yes) == UNTOLD and verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
-    )
+    assert verdict(doubtful, yes) == UNTOLD
+    assert verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
 
 
 def test_views_go_from_one_camera_to_all(devrf: Any, arm: Path, tmp_path: Path) -> None:
@@ -305,10 +302,8 @@ def test_growth_is_measured_along_every_axis(devrf: Any, arm: Path, tmp_path: Pa
         float(name.split("/")[2]) for name in rows if "/pictures/" in name and name.endswith("/psnr")
     )
     assert pictures == [2, 3]  # of three times: every one, every second
-    fine, coarse = (
-        rows["growth/resolution/16/megabytes"]["value"],
-        rows["growth/resolution/11/megabytes"]["value"],
-    )
+    fine = rows["growth/resolution/16/megabytes"]["value"]
+    coarse = rows["growth/resolution/11/megabytes"]["value"]
     slope = rows["growth/resolution/exponent of megabytes"]["value"]
     assert slope == pytest.approx(np.log(fine / coarse) / np.log(16 / 11)) and fine > coarse
     keys, fewer = (rows[f"growth/moving/{name}/keys"]["value"] for name in ("every1", "other1"))

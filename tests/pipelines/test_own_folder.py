@@ -150,9 +150,8 @@ def test_names_in_a_data_set_stay_names(tmp_path: Path, odd_scene: Scene) -> Non
     path.write_text(json.dumps(meta))
     found = read_dataset("nerfstudio", tmp_path / "set")
     names = {frame.camera_name for frame in found.dynamic}
-    assert len(names) == 3 and all(
-        CAMERA_NAME.fullmatch(name) and len(name) <= LONGEST_NAME for name in names
-    )
+    assert len(names) == 3
+    assert all(CAMERA_NAME.fullmatch(name) and len(name) <= LONGEST_NAME for name in names)
     write_dataset("colmap", found, tmp_path / "out" / "again")
     write_dataset("nerfstudio", found, tmp_path / "out" / "more")
     made = {p.relative_to(tmp_path).parts[0] for p in tmp_path.rglob("*")}

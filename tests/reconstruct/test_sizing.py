@@ -169,9 +169,8 @@ def test_key_times_without_change_take_the_motion_before(ball, rest: RestModel) 
     scene = _paused(ball)
     motion, metrics = train_motion(scene, rest, {}, replace(MOTION, iterations=(3, 2, 1)))
     assert motion.keys == 5
-    assert torch.equal(motion.backward[2], motion.backward[1]) and torch.equal(
-        motion.forward[3], motion.forward[1]
-    )
+    assert torch.equal(motion.backward[2], motion.backward[1])
+    assert torch.equal(motion.forward[3], motion.forward[1])
     assert not torch.equal(motion.backward[4], motion.backward[1])
     assert any(line.startswith("key times to train: 2 instead of 4") for line in metrics["decisions"])
 
