@@ -334,13 +334,10 @@ def test_a_chart_is_read_through_the_flat_field(tmp_path):
     np.testing.assert_allclose(found[use], room.patches()[use], atol=0.004, rtol=0.02)
 
 
-def test_a_picture_without_a_chart(tmp_path):
+def test_a_picture_without_a_chart_or_with_a_board(tmp_path):
     write_png(tmp_path / "room.png", room.show(room.camera(0.7)).rgb)
     with refused("chart-unfound", "room.png", "1 picture", "6 x 4", kind=CalibrationError):
         read_chart(tmp_path / "room.png")
-
-
-def test_a_board_is_no_chart(tmp_path):
     squares = (np.indices((4, 6)).sum(axis=0) % 2 * 200 + 30).astype(np.uint8)
     board = np.full((480, 640, 3), 128, np.uint8)
     board[100:380, 110:530] = squares.repeat(70, axis=0).repeat(70, axis=1)[..., None]
@@ -349,12 +346,9 @@ def test_a_board_is_no_chart(tmp_path):
         read_chart(tmp_path / "board.png")
 
 
-def test_a_chart_that_is_overexposed(tmp_path):
+def test_a_chart_that_is_overexposed_and_a_file_that_is_no_picture(tmp_path):
     with refused("chart-clipped", "15 of the chart's 24", kind=CalibrationError):
         read_chart(charted(tmp_path, light=2.5))
-
-
-def test_a_file_that_is_no_picture(tmp_path):
     (tmp_path / "chart.mp4").write_bytes(b"no film")
     with refused("file-is-text", "chart.mp4", kind=InputError):
         read_chart(tmp_path / "chart.mp4")
