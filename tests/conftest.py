@@ -24,16 +24,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
-RUNS = (
-    "example_run",
-    "small_run",
-)  # of `whole_run`; they take minutes, so one worker makes each for all tests
-FIRST = (
-    "end_to_end",
-    "browser",
-    "faults",
-    "pipelines",
-)  # longest first, so that no worker ends long after the others
+# of `whole_run`; they take minutes, so one worker makes each for all tests
+RUNS = ("example_run", "small_run")
+# longest first, so that no worker ends long after the others
+FIRST = ("end_to_end", "browser", "faults", "pipelines")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

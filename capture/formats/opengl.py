@@ -34,16 +34,8 @@ MODELS: dict[
     "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
     "RADIAL_FISHEYE": "OPENCV_FISHEYE",
 }
-COEFFICIENTS = (
-    "k1",
-    "k2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "p1",
-    "p2",
-)  # that files may have; a lens has some of them
+# that files may have; a lens has some of them
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_p0")  # keys of instant-ngp
 RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they are not rotations at all
 

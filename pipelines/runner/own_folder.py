@@ -16,13 +16,8 @@ from devrf.pipelines.stamps.digests import DIGESTS
 from devrf.pipelines.stamps.stamp import HEALTH, STAMP
 
 PAGE = "index.html"  # a report about an unfinished run carries no stamp
-OTHERS = (
-    LOG_FILE,
-    EVENTS_FILE,
-    OLD_LOGS,
-    "export",
-    "films",
-)  # what runs write beside the folders of stages and hidden files
+# what runs write beside the folders of stages and hidden files
+OTHERS = (LOG_FILE, EVENTS_FILE, OLD_LOGS, "export", "films")
 OF_RUNS = re.compile(
     rf"{OLD_LOGS}|{re.escape(EVENTS_FILE)}|\.flow|\.(failed|forced)-\w+(\.json)?|\.\w+(\..+)?\.safetensors"
 )

@@ -109,10 +109,8 @@ def test_brightness_in_stops(level):
 
 
 def test_the_difference_is_rms_of_srgb():
-    a, b = (
-        np.array([[0.0, 0.214041, 1.0]]),
-        np.array([[0.0, 1.0, 2.0]]),
-    )  # sRGB 0, 0.5, 1 and 0, 1, 1 (clipped)
+    # sRGB 0, 0.5, 1 and 0, 1, 1 (clipped)
+    a, b = (np.array([[0.0, 0.214041, 1.0]]), np.array([[0.0, 1.0, 2.0]]))
     np.testing.assert_allclose(difference(a, b), [math.sqrt(0.25 / 3)], rtol=1e-4)
 
 

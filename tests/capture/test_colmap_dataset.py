@@ -189,9 +189,8 @@ def same_cameras(folder: Path, other: Path) -> None:
         lambda text: text.replace(b"list\n", b"list\n\n\n"),  # below the comment
         lambda text: text.replace(b".png\n\n", b".png\n"),  # an image without its line of keypoints
         lambda text: text.replace(b"-1\n", b"-1\n\n"),  # below an image's keypoints
-        lambda text: text.replace(
-            b".png\n1.5 2.5 11 3.5 4.5 -1\n", b".png\n"
-        ),  # known poses without second lines
+        # known poses without second lines
+        lambda text: text.replace(b".png\n1.5 2.5 11 3.5 4.5 -1\n", b".png\n"),
         lambda text: text + b"\n\n",
     ],
 )

@@ -6,11 +6,8 @@ from scipy.ndimage import gaussian_filter, shift
 
 from devrf.flow.agreement import agreement
 
-HEIGHT, WIDTH, MOVED = (
-    60,
-    80,
-    (3.0, -1.5),
-)  # u right, v down, pixels, from the current picture to the previous one
+# u right, v down, pixels, from the current picture to the previous one
+HEIGHT, WIDTH, MOVED = (60, 80, (3.0, -1.5))
 INSIDE = (slice(8, -8), slice(8, -8))
 RNG = np.random.default_rng(0)
 

@@ -22,10 +22,8 @@ from devrf.reconstruct.kernels.quad import quad, quad_ref
 from devrf.reconstruct.kernels.trilinear import trilinear, trilinear_ref
 
 AABB = torch.tensor([[-1.0, -0.5, -0.8], [1.0, 0.7, 0.9]])
-FLOAT32: dict[str, Any] = {
-    "rtol": 1e-4,
-    "atol": 1e-5,
-}  # sums of eight products of order one, multiplied by up to ten vertices per unit
+# sums of eight products of order one, multiplied by up to ten vertices per unit
+FLOAT32: dict[str, Any] = {"rtol": 1e-4, "atol": 1e-5}
 
 
 def _points(n: int, generator: torch.Generator) -> torch.Tensor:
