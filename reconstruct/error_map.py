@@ -10,7 +10,7 @@ INFERNO = (
     "b0315bc63d4dd94d3de9612bf47918fa9407fcb014f8cd37f2ea69fcffa4"
 )
 # expected PSNR of the darkest and the brightest pixel of a confidence picture
-BLACK_DB, WHITE_DB = (10.0, 40.0)
+BLACK_DB, WHITE_DB = 10.0, 40.0
 
 
 def error_map(

@@ -28,7 +28,7 @@ TRAINED = 16  # per value: itself, gradient, two moments
 GOOD = 4  # per value: as it was at the last good point
 VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, and else
 # of the surroundings: four values, two gradients, and positions as it grows
-SHELL_VERTEX, SHELL_VERTEX_STAYS = (120, 89)
+SHELL_VERTEX, SHELL_VERTEX_STAYS = 120, 89
 SHELL_VALUES = 4  # density and colour
 COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
 SAMPLE = 440  # per sample in the box, until the backward pass
@@ -39,7 +39,7 @@ MATTE = 1  # per pixel of pictures before a plain background
 LENS_PIXEL = 36  # of a lens: a viewing direction; the rest while lens distortion is undone
 VIEW_PIXEL = 28  # of a camera that stands still: what is outside the box; twice that while it is put together
 # vectors, confidence, agreement as they are read and checked; in training's order
-FLOW_PIXEL_READ, FLOW_PIXEL = (8, 6)
+FLOW_PIXEL_READ, FLOW_PIXEL = 8, 6
 
 CHANNELS = 13  # density and features
 REST_VERTEX = 4 * CHANNELS + 1  # of a scene at rest that is looked at

@@ -20,7 +20,7 @@ from devrf.capture.formats.files import with_slashes
 
 FORMAT = "COLMAP model"
 # rad; of the rig's size: what a fixed camera's pictures may differ by
-SAME_ROTATION, SAME_POSITION = (1e-3, 1e-3)
+SAME_ROTATION, SAME_POSITION = 1e-3, 1e-3
 
 
 def is_colmap(folder: Path) -> bool:

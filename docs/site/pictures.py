@@ -25,7 +25,7 @@ EXAMPLE = DOCS.parent / "examples" / "waving-sheet"
 TILE = (288, 216)
 RIGHT, WRONG = "#1b7f3b", "#b3261e"
 # the worst of `sweep_blur`, at which cameras found no place; as a room without lamps
-BLUR, DARK_STOPS = (0.04, -4.0)
+BLUR, DARK_STOPS = 0.04, -4.0
 NEXT, FAR = 1, 12  # pictures of the sweep between two neighbours, right and wrong
 PAPER = "#fbfbf8"
 

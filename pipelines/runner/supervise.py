@@ -32,7 +32,7 @@ from devrf.pipelines.runner.workspace import Workspace
 GRACE_S = 15.0
 TICK_S = 0.25  # between two looks at the child's memory ...
 # ... and where less than this is left, bytes: a core fills 4 GB in a second
-SHORT_TICK_S, NEAR = (0.03, 1_000_000_000)
+SHORT_TICK_S, NEAR = 0.03, 1_000_000_000
 LAST_BYTES = 150_000_000  # of the machine or its cgroup; the kernel starts to kill soon after
 TREE_EVERY_S = 2.0  # between two searches for what the child has started (reads all of /proc)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
@@ -283,7 +283,5 @@ class _Supervisor:
 
 
 def _kill(pid: int) -> None:
-    try:
+    with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass

@@ -185,10 +185,8 @@ def size_of(path: Path) -> int:
     below = (os.path.join(root, name) for root, _, files in os.walk(path) for name in files)
     total = 0
     for file in below if path.is_dir() else [path]:
-        try:
+        with suppress(OSError):
             total += os.lstat(file).st_size
-        except OSError:
-            pass
     return total
 
 
