@@ -55,10 +55,7 @@ def _starts(scene: Path) -> list[Row]:
     help_s = statistics.median([_seconds([*PROGRAM, "--help"]) for _ in range(1 + STARTS)][1:])
     fresh = [*PROGRAM, "run", str(scene), "--preset", "tiny", "--quiet"]
     fresh_s = statistics.median([_seconds(fresh) for _ in range(1 + STARTS)][1:])
-    return [
-        Row("lean/help", help_s, "s").at_most(0.4),
-        Row("lean/nothing_stale", fresh_s, "s").at_most(1.0),
-    ]
+    return [Row("lean/help", help_s, "s").at_most(0.4), Row("lean/nothing_stale", fresh_s, "s").at_most(1.0)]
 
 
 def _beside(scene: Path) -> list[Row]:

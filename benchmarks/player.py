@@ -43,13 +43,10 @@ def main() -> None:
         page = browser.new_page(viewport={"width": SIDE, "height": SIDE}, reduced_motion="reduce")
         page.goto(page_path.as_uri())
         page.wait_for_selector("body.ready", state="attached", timeout=120_000)
-        rows = [_size(page_path), *_pictures_a_second(page), *_compared(page, chosen.run)]
+        size = Row("player/size", round(page_path.stat().st_size / 1e6, 2), "MB").at_most(MOST_MB)
+        rows = [size, *_pictures_a_second(page), *_compared(page, chosen.run)]
         browser.close()
     finish("player", rows, chosen.json)
-
-
-def _size(path: Path) -> Row:
-    return Row("player/size", round(path.stat().st_size / 1e6, 2), "MB").at_most(MOST_MB)
 
 
 def _pictures_a_second(page: Any) -> list[Row]:

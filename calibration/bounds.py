@@ -27,9 +27,8 @@ VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which
 # of what changes in so many cameras: those are small movers.
 COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
 MOST_PIECES = 20  # that are asked, the largest first
-POINT_REACH = (
-    0.9  # points farther from the focus than this share of the median camera distance are surroundings
-)
+# points farther from the focus than this share of the median camera distance are surroundings
+POINT_REACH = 0.9
 POINT_PERCENTILES = (1.0, 99.0)
 POINT_MARGIN = 1.1
 MAX_ERROR_PX, MIN_TRACK = 2.0, 3

@@ -13,9 +13,8 @@ from devrf.capture.scene import SparsePoints
 
 CELLS = 24  # along each side of the box, for what cameras see of it
 LEAST_SWEPT = 3  # pictures of the sweep: a surface is told from two, if they are the right ones
-FAR_PIXELS = (
-    3.0  # times what fixed cameras show: what moves is then made of what is too coarse for their pictures
-)
+# times what fixed cameras show: what moves is then made of what is too coarse for their pictures
+FAR_PIXELS = 3.0
 
 
 @dataclass(frozen=True)

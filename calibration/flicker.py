@@ -157,9 +157,8 @@ def _find_flicker(
     if not trials:
         return None
     coarse_hz, lamp_hz = max(trials, key=lambda trial: explained(trial[0]))
-    fine = (
-        coarse_hz + np.linspace(-0.25, 0.25, 21) * line_hz
-    )  # leaves less than 4 % of the wave at the clip's ends
+    # leaves less than 4 % of the wave at the clip's ends
+    fine = coarse_hz + np.linspace(-0.25, 0.25, 21) * line_hz
     seen_hz = max((float(f) for f in fine), key=explained)
     phase = 2 * np.pi * seen_hz * (time_s - time_s[0])
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1)

@@ -108,9 +108,8 @@ def read_masks(
             mask = read_npz(file, ("mask",))["mask"]
             if mask.ndim != 3 or len(mask) < count or mask.shape[1:] != (height, width):
                 text = f"{file}: mask has shape {list(mask.shape)}; expected [{count} or more, {height}, {width}]"
-                raise ArrayError(
-                    "mask-size-wrong", f"{text}: one for every picture of {name}'s clip, at its size"
-                )
+                wrong = f"{text}: one for every picture of {name}'s clip, at its size"
+                raise ArrayError("mask-size-wrong", wrong)
             found[name] = mask.astype(bool)
     return found
 

@@ -41,9 +41,8 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.model not in get_args(LensModel):
-            raise ValueError(
-                f"camera.model is {self.model}, expected one of {', '.join(get_args(LensModel))}"
-            )
+            text = f"camera.model is {self.model}, expected one of {', '.join(get_args(LensModel))}"
+            raise ValueError(text)
         if self.width < 1 or self.height < 1:
             raise ValueError(f"camera size is {self.width}x{self.height}, expected at least 1x1")
         for name, shape in (("K", (3, 3)), ("cam_from_world", (3, 4)), ("distortion", (5,))):

@@ -20,9 +20,8 @@ class Seen:
         self.light = LightMeter() if role in ("camera", "test") else None
         self.repeats = Repeats()
         self._indices: list[int] = []
-        self._clipped: list[float] | None = (
-            None if role in ("board", "joint") else []
-        )  # boards are white paper
+        # boards are white paper
+        self._clipped: list[float] | None = None if role in ("board", "joint") else []
         self._range = Levels()
         self._tripod = Tripod() if role in FIXED else None
         self._look_at_s = -np.inf

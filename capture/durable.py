@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 MANY_FILES = 32  # from here on the whole file system is put on the disk at once, which is quicker
-NOT_FOR_FOLDERS = (
-    errno.EINVAL,
-    errno.EOPNOTSUPP,
-)  # said by network file systems that keep names by themselves
+# said by network file systems that keep names by themselves
+NOT_FOR_FOLDERS = (errno.EINVAL, errno.EOPNOTSUPP)
 
 
 def write_json(path: Path, value: Any) -> None:

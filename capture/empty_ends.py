@@ -10,9 +10,8 @@ from jaxtyping import Float
 EMPTY_LEVELS = 1.5  # standard deviation of a small grey picture; one colour, and what coding adds
 EMPTY_SHARE = 0.25  # of the clip's usual contrast: a scene in the dark has little of it throughout
 FADE_SHARE = 0.98  # of the usual contrast: from there on a picture is shown in full
-FADE_STEP = (
-    1.01  # each picture of a fade has at least so many times the contrast of the one nearer to the end
-)
+# each picture of a fade has at least so many times the contrast of the one nearer to the end
+FADE_STEP = 1.01
 
 
 def empty_ends(contrast: Float[np.ndarray, " n"]) -> tuple[int, int]:

@@ -7,9 +7,8 @@ read: H.264's slice header (ITU-T H.264, 7.3.3) and MPEG-2's picture header (ITU
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-HIGH_PROFILES = frozenset(
-    (44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244)
-)  # they name their chroma
+# they name their chroma
+HIGH_PROFILES = frozenset((44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244))
 SLICES, SPS = (1, 5), 7  # kinds of NAL units
 HEADER_BYTES = 64  # a slice's first fields take less
 SPS_BYTES = 1024

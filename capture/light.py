@@ -140,9 +140,8 @@ def _against(
     agrees = usable & (np.abs(grey - middle) <= AGREE_STOPS + AGREE_SHARE * abs(middle))
     if agrees.sum() < max(FEWEST_CELLS, FEWEST_AGREEING * usable.sum()):
         return NOTHING
-    by_band = np.sort(
-        np.where(agrees, grey, np.inf).reshape(BANDS, -1), axis=-1
-    )  # a band is whole rows of cells
+    # a band is whole rows of cells
+    by_band = np.sort(np.where(agrees, grey, np.inf).reshape(BANDS, -1), axis=-1)
     last = np.arange(BANDS), np.maximum(agrees.reshape(BANDS, -1).sum(axis=-1) - 1, 0)
     lower, upper = by_band[last[0], last[1] // 2], by_band[last[0], (last[1] + 1) // 2]
     bands = np.where(np.isfinite(upper), (lower + upper) / 2, np.nan)

@@ -44,9 +44,8 @@ class Look:
     def __post_init__(self) -> None:
         numbers = np.array([*self.matrix, self.gains])
         if not np.isfinite(numbers).all() or not min(self.gains) > 0:
-            raise ValueError(
-                f"look {self.matrix}, gains {self.gains}: expected finite numbers, gains above 0"
-            )
+            text = f"look {self.matrix}, gains {self.gains}: expected finite numbers, gains above 0"
+            raise ValueError(text)
         if not abs(np.linalg.det(numbers[:3])) > 1e-6:
             raise ValueError(f"look {self.matrix} loses colours: its determinant is 0")
 

@@ -43,9 +43,8 @@ def list_pictures(folder: Path) -> list[Path]:
         return pictures
     unread = unread_kinds(folder)
     if unread:
-        raise InputError(
-            "picture-kind-unread", f"{folder}: holds {_counted(unread)} only, which are not read; {CONVERT}"
-        )
+        wrong = f"{folder}: holds {_counted(unread)} only, which are not read; {CONVERT}"
+        raise InputError("picture-kind-unread", wrong)
     kinds = ", ".join(sorted({p.suffix or p.name for p in _files(folder)})[:6]) or "nothing"
     text = f"{folder}: no pictures in this folder (it holds: {kinds}); expected JPEG, PNG or RAW files"
     raise InputError("pictures-none", text)

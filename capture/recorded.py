@@ -49,11 +49,9 @@ def read_recorded(path: Path) -> Recorded:
         InputError: If the file is missing or not a video.
     """
     with open_media(path) as container:
-        created, code, fps = (
-            tag(container, "creation_time"),
-            tag(container, "timecode"),
-            mean_fps(container, path),
-        )
+        created = tag(container, "creation_time")
+        code = tag(container, "timecode")
+        fps = mean_fps(container, path)
     fps = None if code is None else timecode_rate(path) or _counted(fps)
     code_s = timecode_s(code, fps) if code is not None and fps else None
     return Recorded(_epoch(created), code_s, fps if code_s is not None else None)

@@ -21,9 +21,8 @@ DATED = re.compile(r"(DJI_)\d{14}_(\d{4})(_\w+)?")  # each with its own time
 CARD_BYTES = (0.93 * 2**32, 2.0**32)  # of FAT; cameras stop somewhat before the end
 AT_ONCE_S = 1.0  # created in whole seconds; nobody stops and starts a camera so fast
 NEXT_FRAME_S = 0.1  # by timecode
-SMALL_COPY = re.compile(
-    r"(.+?)(S\d{2}|[_-]?proxy|[_-]?lr)", re.IGNORECASE
-)  # Sony's C0001S03, editors' C0001_Proxy
+# Sony's C0001S03, editors' C0001_Proxy
+SMALL_COPY = re.compile(r"(.+?)(S\d{2}|[_-]?proxy|[_-]?lr)", re.IGNORECASE)
 SMALL_COPIES = frozenset(("sub", "proxy", "proxies"))  # folders of them
 LIVE_S = 4.0  # the clip that a phone takes with a photo lasts up to three seconds
 

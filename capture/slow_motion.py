@@ -41,10 +41,8 @@ def check_filmed_rate(path: Path) -> None:
     if factor is None or factor <= 0 or is_one(factor):
         return
     wrong = f"{path}: filmed {factor:.3g} times as fast as it plays ({FILMED_FPS}), so its times are not true"
-    raise InputError(
-        "clip-slow-motion",
-        f"{wrong}; {_scaled(1 / factor)} makes them so, without sound; or give capture.timestamps",
-    )
+    text = f"{wrong}; {_scaled(1 / factor)} makes them so, without sound; or give capture.timestamps"
+    raise InputError("clip-slow-motion", text)
 
 
 def length_faults(pictures_s: float, sound_s: float) -> list[Fault]:

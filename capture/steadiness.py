@@ -63,9 +63,8 @@ def follow(
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     moved = similarity[:, :2] @ centre + similarity[:, 2] - centre
     turn = float(np.arctan2(similarity[1, 0], similarity[0, 0]))
-    radius = np.hypot(width, height) / np.sqrt(
-        12
-    )  # root mean square distance of a picture's pixels from its centre
+    # root mean square distance of a picture's pixels from its centre
+    radius = np.hypot(width, height) / np.sqrt(12)
     return BackgroundMotion(float(np.hypot(np.linalg.norm(moved), turn * radius)), scale)
 
 

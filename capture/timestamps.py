@@ -110,9 +110,8 @@ def check_table(path: Path, camera: str, times: FrameTimes, factor: float | None
         unit = min(UNITS, key=lambda u: abs(math.log(max(factor, 1.0) / u)))
         guess = f"time_s is in {UNITS[unit]}: divide it by {unit:.0f}, to have seconds" if factor > 1 else ""
         raise InputError("times-unit-wrong", f"{wrong}; {guess or 'time_s is in seconds: correct the table'}")
-    span_s = float(times.time_s[-1]) - float(
-        times.time_s[0]
-    )  # not in numpy, which warns where it is infinite
+    # not in numpy, which warns where it is infinite
+    span_s = float(times.time_s[-1]) - float(times.time_s[0])
     if span_s > CLIP_S:
         wrong = f"{path}: camera {camera}: its times are {span_s:.0f} s apart, at most {CLIP_S} s are read"
         raise InputError("times-too-long", f"{wrong}; time_s is in seconds: correct the table")

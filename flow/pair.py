@@ -130,9 +130,8 @@ def _unsure_px(
     dy, dx = np.gradient(grey)
     xx, yy, xy = (PATCH**2 * uniform_filter(x, PATCH, mode="mirror") for x in (dx * dx, dy * dy, dx * dy))
     least = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
-    of_noise = (
-        PATCH**2 * noise**2 / 4
-    )  # its own slopes: half of its variance in one picture, a quarter of it in two
+    # its own slopes: half of its variance in one picture, a quarter of it in two
+    of_noise = PATCH**2 * noise**2 / 4
     return noise / np.sqrt(np.maximum(least - of_noise, 1e-6))
 
 

@@ -27,7 +27,6 @@ def read_weights(path: Path) -> object:
         # A view of one number may claim any shape.
         if isinstance(value, torch.Tensor) and value.numel() * value.element_size() > WEIGHT_BYTES:
             shape = list(value.shape)
-            raise FlowError(
-                "file-damaged", f"{path}: {name} has shape {shape}, more than any network; get it again"
-            )
+            text = f"{path}: {name} has shape {shape}, more than any network; get it again"
+            raise FlowError("file-damaged", text)
     return found

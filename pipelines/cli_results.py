@@ -45,10 +45,10 @@ def report(
 
     with errors_told(talk):
         if not done:
-            raise InputError(
-                "run-missing",
-                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})",
+            text = (
+                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
             )
+            raise InputError("run-missing", text)
         check_run_folder(job.run_dir, ("report",))
         with disk_told(job.run_dir / "report", "make room there"):
             report_so_far(job.config, job.run_dir, stale)

@@ -7,14 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.motion_masks import MotionMask
-from devrf.calibration.rest_moment import (
-    RestSeen,
-    middle_of,
-    moments_of,
-    rest_moment,
-    rest_seen,
-    rest_votes,
-)
+from devrf.calibration.rest_moment import RestSeen, middle_of, moments_of, rest_moment, rest_seen, rest_votes
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import PosedFrame, Rest

@@ -14,9 +14,8 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct.kernels.background import contract
 
 LEAST_LINES = 2  # of sight through a vertex' cell, before it counts as free: one may be a wrong match
-ENDS_SHARE = (
-    0.05  # ends in a vertex' neighbourhood over lines through it, up to which it is free all the same
-)
+# ends in a vertex' neighbourhood over lines through it, up to which it is free all the same
+ENDS_SHARE = 0.05
 SHORT_OF = 1.5  # voxels that a line is cut before its point: the point's own depth is not exact
 STRIDE = 0.8  # voxels from one look at a line to the next
 BLOCK = 1 << 17  # lines followed at once

@@ -102,7 +102,7 @@ def _fit(scene: Scene, rest: RestModel, render: Render, clip: Sequence[PosedFram
     stood, known = plate(replace(scene, image_scale=scale), clip)
     picture, camera = stood.astype(np.float32) / 255, clip[0].camera.scaled(scale)
     share, voxel = float(known.mean()), voxel_width(rest, camera)
-    textured = textured_blocks(picture @ LUMA, known)
+    textured = len(textured_blocks(picture @ LUMA, known))
     if share < LEAST_KNOWN:
         return PlateFit(share, textured, None, None, voxel)
     rendered = render(camera)

@@ -27,9 +27,8 @@ from devrf.reconstruct.render import segments_in
 from devrf.reconstruct.rest_model import RestModel
 
 SIDE_PX = 192  # of the longer side, at most: a shift of a thousandth of the width is still found, in a second or two
-HELD_OUT = (
-    4  # pictures of the sweep to compare with, spread over it: their spread is seen, and little time taken
-)
+# pictures of the sweep to compare with, spread over it: their spread is seen, and little time taken
+HELD_OUT = 4
 AT_REST = 1.5  # picture gaps: clocks that run free have a picture within one of every time that they film
 OF_CLIP = 9  # pictures, for the median of a clip that never rests
 LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601

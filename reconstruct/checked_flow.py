@@ -11,9 +11,8 @@ from devrf.flow.agreement import MOSTLY_CONTRADICTED, Agreement, agreement
 from devrf.flow.store import BEST, CameraFlow
 from devrf.reconstruct.rays import RaySet
 
-FEWEST_ASKED = (
-    0.01  # of a picture, for flow to be judged as a whole: where hardly anything moves, noise answers
-)
+# of a picture, for flow to be judged as a whole: where hardly anything moves, noise answers
+FEWEST_ASKED = 0.01
 
 
 @dataclass(frozen=True)

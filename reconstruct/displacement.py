@@ -20,9 +20,8 @@ TEXTURE = 0.02  # standard deviation of brightness without its slow changes: noi
 CORNER = 0.1  # of the stronger gradient's energy, across it: along an edge alone nothing can be told
 LEAST_PEAK = 0.5  # correlation of a block that was found: a quarter of its variance is explained
 LEAST_FOUND = 8  # blocks, for an affine map's six numbers
-MANY = (
-    3  # times as many blocks with texture: were it the same place, more than a third of them would be found
-)
+# times as many blocks with texture: were it the same place, more than a third of them would be found
+MANY = 3
 ROUNDS = 5  # of reweighting
 HUBER = 1.345  # standard deviations (Huber, Robust Statistics, 1981)
 
@@ -59,7 +58,7 @@ def displacement(
     longer, width = max(first.shape), first.shape[1]
     side, reach = _side(first), max(LEAST_SEARCH, round(SEARCH * longer))
     at, found = [], []
-    blocks = _textured_blocks(first, asked)
+    blocks = textured_blocks(first, asked)
     for x, y in blocks:
         top, left = max(0, y - reach), max(0, x - reach)
         area = second[top : y + side + reach, left : x + side + reach]
@@ -74,16 +73,9 @@ def displacement(
 
 
 def textured_blocks(
-    picture: Float[np.ndarray, "height width"], asked: Bool[np.ndarray, "height width"] | None = None
-) -> int:
-    """How many blocks of a grey picture have texture, of those that lie in `asked` for the most part."""
-    return len(_textured_blocks(picture, asked))
-
-
-def _textured_blocks(
     picture: Float[np.ndarray, "height width"], asked: Bool[np.ndarray, "height width"] | None
 ) -> list[tuple[int, int]]:
-    """Their first pixels (x, y)."""
+    """First pixels (x, y) of a grey picture's blocks with texture, of those that lie in `asked` for the most part."""
     height, width = picture.shape
     side = _side(picture)
     fine = picture - gaussian_filter(picture, side / 2)

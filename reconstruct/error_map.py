@@ -9,10 +9,8 @@ INFERNO = (
     "0000040a07221e0c45380962510e6c69166e801f6c982766"
     "b0315bc63d4dd94d3de9612bf47918fa9407fcb014f8cd37f2ea69fcffa4"
 )
-BLACK_DB, WHITE_DB = (
-    10.0,
-    40.0,
-)  # expected PSNR of the darkest and the brightest pixel of a confidence picture
+# expected PSNR of the darkest and the brightest pixel of a confidence picture
+BLACK_DB, WHITE_DB = 10.0, 40.0
 
 
 def error_map(

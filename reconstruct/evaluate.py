@@ -303,12 +303,7 @@ def _scored(scores: Scores) -> Scored:
 
 
 def _identity(frame: PosedFrame) -> dict[str, Any]:
-    return {
-        "camera": frame.camera_name,
-        "index": frame.index,
-        "time": frame.time,
-        "time_s": frame.time_s,
-    }
+    return {"camera": frame.camera_name, "index": frame.index, "time": frame.time, "time_s": frame.time_s}
 
 
 def _row(view: dict[str, Any]) -> dict[str, Any]:

@@ -27,10 +27,8 @@ OPTIMISER = 60e6  # and PyTorch's own, where an MLP is trained
 TRAINED = 16  # per value: itself, gradient, two moments
 GOOD = 4  # per value: as it was at the last good point
 VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, and else
-SHELL_VERTEX, SHELL_VERTEX_STAYS = (
-    120,
-    89,
-)  # of the surroundings: four values, two gradients, and positions as it grows
+# of the surroundings: four values, two gradients, and positions as it grows
+SHELL_VERTEX, SHELL_VERTEX_STAYS = 120, 89
 SHELL_VALUES = 4  # density and colour
 COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
 SAMPLE = 440  # per sample in the box, until the backward pass
@@ -40,10 +38,8 @@ PIXEL = 3
 MATTE = 1  # per pixel of pictures before a plain background
 LENS_PIXEL = 36  # of a lens: a viewing direction; the rest while lens distortion is undone
 VIEW_PIXEL = 28  # of a camera that stands still: what is outside the box; twice that while it is put together
-FLOW_PIXEL_READ, FLOW_PIXEL = (
-    8,
-    6,
-)  # vectors, confidence, agreement as they are read and checked; in training's order
+# vectors, confidence, agreement as they are read and checked; in training's order
+FLOW_PIXEL_READ, FLOW_PIXEL = 8, 6
 
 CHANNELS = 13  # density and features
 REST_VERTEX = 4 * CHANNELS + 1  # of a scene at rest that is looked at
@@ -132,10 +128,7 @@ class SceneSize:
 
 
 def footprint(
-    scene: Scene | SceneSize,
-    options: CanonicalOptions | MotionOptions,
-    device: str = "cpu",
-    held: int = 0,
+    scene: Scene | SceneSize, options: CanonicalOptions | MotionOptions, device: str = "cpu", held: int = 0
 ) -> Footprint:
     """Predicted peak of a training.
 

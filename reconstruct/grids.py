@@ -15,9 +15,8 @@ from devrf.reconstruct.kernels.adam import masked_step
 BETAS = (0.9, 0.99)  # DirectVoxGO's; the papers say "Adam"
 EPS = 1e-8
 TOUCHED = 1e-30  # in place of a second moment: next to none, but not none
-FEW = (
-    0.25  # share of the vertices below which a checkpoint holds them one by one, else the whole grid: no copy
-)
+# share of the vertices below which a checkpoint holds them one by one, else the whole grid: no copy
+FEW = 0.25
 
 
 def grid_shape(

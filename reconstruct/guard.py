@@ -108,9 +108,8 @@ class Guard:
         """How many times its lowest value a loss may be without having run away."""
         if len(self._changes) < ENOUGH_CHANGES:
             return RUNAWAY
-        spread = (
-            1.4826 * median(map(abs, self._changes)) / math.sqrt(2)
-        )  # a change is the difference of two losses
+        # a change is the difference of two losses
+        spread = 1.4826 * median(map(abs, self._changes)) / math.sqrt(2)
         return max(RUNAWAY, math.exp(CHANCE * spread))
 
     def _learn_chance(self, losses: list[float]) -> None:

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 PresetName = Literal["tiny", "fast", "reference"]
-REFERENCE_EXTENT = (
-    2.5  # longest side of the published objects, world units; the motion's rates are meant for it
-)
+# longest side of the published objects, world units; the motion's rates are meant for it
+REFERENCE_EXTENT = 2.5
 STEP_AT_REST = 0.5  # along rays, in voxels of the scene at rest: as published; no preset gains by another
 CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
 
@@ -321,19 +320,17 @@ def preset(
         motion = resized_motion(motion, ratio)
         canonical = replace(resized_whole(canonical, ratio), adapt=False)
     if rays is not None:
-        canonical, motion = (
-            replace(
-                canonical,
-                rays=rays,
-                rays_given=True,
-                coarse_rays=max(64, round(rays * canonical.coarse_rays / canonical.rays)),
-            ),
-            replace(
-                motion,
-                rays=rays,
-                rays_given=True,
-                together_rays=max(64, round(rays * motion.together_rays / motion.rays)),
-            ),
+        canonical = replace(
+            canonical,
+            rays=rays,
+            rays_given=True,
+            coarse_rays=max(64, round(rays * canonical.coarse_rays / canonical.rays)),
+        )
+        motion = replace(
+            motion,
+            rays=rays,
+            rays_given=True,
+            together_rays=max(64, round(rays * motion.together_rays / motion.rays)),
         )
     if canonical_iterations is not None:
         ratio = canonical_iterations / PRESETS[name].canonical.iterations
@@ -355,10 +352,5 @@ def preset(
     if fine_tuning_iterations is not None:
         motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
     canonical = replace(canonical, learning_rate=learning_rate, seed=seed)
-    motion = replace(
-        motion,
-        learning_rate=learning_rate,
-        keys=key_times,
-        seed=seed,
-    )
+    motion = replace(motion, learning_rate=learning_rate, keys=key_times, seed=seed)
     return Options(canonical, motion)

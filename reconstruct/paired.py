@@ -7,9 +7,8 @@ import numpy as np
 from scipy.stats import t
 
 CONFIDENCE = 0.95
-STRETCHES = (
-    4  # of a clip: fewer say nothing, more depend on each other (docs/report.md: what such intervals hold)
-)
+# of a clip: fewer say nothing, more depend on each other (docs/report.md: what such intervals hold)
+STRETCHES = 4
 LEAST_MOMENTS = 2 * STRETCHES
 
 

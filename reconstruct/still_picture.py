@@ -18,9 +18,8 @@ MOST_PICTURES, FEWEST_PICTURES = 61, 5  # of a plate
 MOST_BYTES = 1 << 28  # of a plate's pictures: 43 of 1920 x 1080
 # Spread of a pixel that is motion: so many times that of half of the pixels, and so many levels more.
 SPREAD, SPREAD_LEVELS = 2.2, 6
-NOISIEST = (
-    24  # levels; half of the pixels spread by more only where they move, too: in six captures by 3 to 15
-)
+# levels; half of the pixels spread by more only where they move, too: in six captures by 3 to 15
+NOISIEST = 24
 PLATE_REACH_PX = 9  # side of the square by which what moves is grown
 LASTING = 0.5  # of the pictures, in the middle of all, show what stands where a plate does
 # Of `test_moving`: difference, of the full range; standard deviation of the blur; dilation.

@@ -24,16 +24,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
-RUNS = (
-    "example_run",
-    "small_run",
-)  # of `whole_run`; they take minutes, so one worker makes each for all tests
-FIRST = (
-    "end_to_end",
-    "browser",
-    "faults",
-    "pipelines",
-)  # longest first, so that no worker ends long after the others
+# of `whole_run`; they take minutes, so one worker makes each for all tests
+RUNS = ("example_run", "small_run")
+# longest first, so that no worker ends long after the others
+FIRST = ("end_to_end", "browser", "faults", "pipelines")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -102,12 +96,7 @@ def data_dir() -> Path:
 
     Tests that need it skip where it is absent, but fail under CI, so that a missing mount is noticed.
     """
-    folder = Path(os.environ.get("DEVRF_DATA", REPOSITORY.parent / "shared" / "data"))
-    if not folder.is_dir():
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"real captures not found at {folder}; set DEVRF_DATA")
-        pytest.skip(f"real captures not found at {folder}; set DEVRF_DATA")
-    return folder
+    return _shared("DEVRF_DATA", "data")
 
 
 @pytest.fixture(scope="session")
@@ -116,11 +105,14 @@ def crew_files() -> Path:
 
     As with `data_dir`, tests skip where it is absent and fail under CI.
     """
-    folder = Path(os.environ.get("DEVRF_CASES", REPOSITORY.parent / "shared" / "cases" / "capture"))
+    return _shared("DEVRF_CASES", "cases/capture")
+
+
+def _shared(variable: str, place: str) -> Path:
+    folder = Path(os.environ.get(variable, REPOSITORY.parent / "shared" / place))
     if not folder.is_dir():
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"captures of crews not found at {folder}; set DEVRF_CASES")
-        pytest.skip(f"captures of crews not found at {folder}; set DEVRF_CASES")
+        missing = pytest.fail if os.environ.get("CI") == "true" else pytest.skip
+        missing(f"captures not found at {folder}; set {variable}")
     return folder
 
 

@@ -87,13 +87,8 @@ def test_installed_elsewhere_it_runs_its_example(wheel: Path, tmp_path: Path) ->
     isolated = {**os.environ, "PYTHONPATH": paths}
 
     def called(*arguments: str) -> str:
-        command = [
-            sys.executable,
-            "-S",
-            "-m",
-            "devrf",
-            *arguments,
-        ]  # -S: no editable installation of this tree
+        # -S: no editable installation of this tree
+        command = [sys.executable, "-S", "-m", "devrf", *arguments]
         ended = subprocess.run(command, cwd=tmp_path, env=isolated, capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr
         return ended.stdout

@@ -274,9 +274,8 @@ def _best_start(corners: Corners, size: tuple[int, int], terms: Terms) -> tuple[
     for focal in _start_focals(corners, size, terms.model):
         camera = replace(guess(*size, focal), model=terms.model)
         fit = minimise(start_fit(corners, camera, terms.free, terms.one_focal), START_HUBER_PX)
-        again = start_fit(
-            corners, fit.intrinsics, terms.free, terms.one_focal
-        )  # poses that had flipped turn back
+        # poses that had flipped turn back
+        again = start_fit(corners, fit.intrinsics, terms.free, terms.one_focal)
         flipped = cost(again, START_HUBER_PX) < cost(fit, START_HUBER_PX)
         fits.append(minimise(again, START_HUBER_PX) if flipped else fit)
     first, second = fits

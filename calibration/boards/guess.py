@@ -111,9 +111,8 @@ def _most_seen(greys: Sequence[Grey], border: int) -> tuple[Family, list[Markers
         views = {n: len(seen[n]) for n in searched}
         if max(views.values()) >= ENOUGH_VIEWS:
             break
-        if (
-            len(searched) > 1 and max(views.values()) >= SEEN_TWICE
-        ):  # all dictionaries take a second a picture
+        # all dictionaries take a second a picture
+        if len(searched) > 1 and max(views.values()) >= SEEN_TWICE:
             searched = [max(searched, key=lambda n: sum(len(ids) for ids, _ in seen[n]))]
             finder = marker_finder([dictionary(families[searched[0]][-1])], border)
     best = max(seen, key=lambda n: sum(len(ids) for ids, _ in seen[n]))

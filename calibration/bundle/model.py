@@ -21,8 +21,9 @@ MIN_DEPTH = 1e-6
 def reprojection(problem: Problem) -> Float[np.ndarray, "observations 2"]:
     """Projection minus observation of every observation [M, 2], pixels."""
     device = problem.device[problem.obs_camera]
-    x = _in_camera(problem, _in_world(problem))
-    return _project(problem.intrinsics[device], problem.fisheye[device], x) - problem.obs_xy
+    x, k = _in_camera(problem, _in_world(problem)), problem.intrinsics[device]
+    xy = distort_many(x[:, :2] / np.maximum(x[:, 2:], MIN_DEPTH), k[:, 4:], problem.fisheye[device])
+    return xy * k[:, :2] + k[:, 2:4] - problem.obs_xy
 
 
 def depths(problem: Problem) -> Float[np.ndarray, " observations"]:
@@ -109,12 +110,6 @@ def _in_camera(
 ) -> Float[np.ndarray, "observations 3"]:
     pose = problem.poses[problem.obs_camera]
     return np.einsum("mij,mj->mi", pose[:, :, :3], world) + pose[:, :, 3]
-
-
-def _project(
-    k: Float[np.ndarray, "n 9"], fisheye: Bool[np.ndarray, " n"], x: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 2"]:
-    return distort_many(x[:, :2] / np.maximum(x[:, 2:], MIN_DEPTH), k[:, 4:], fisheye) * k[:, :2] + k[:, 2:4]
 
 
 def _lens_jacobians(

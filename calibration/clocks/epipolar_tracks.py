@@ -232,9 +232,8 @@ def _describe(
     if not len(points):
         return np.zeros((0, 2), np.float32), np.zeros((0, 128))
     share = descriptors.astype(np.float64)
-    share /= np.maximum(
-        share.sum(axis=1, keepdims=True), 1e-9
-    )  # RootSIFT: Arandjelovic & Zisserman, CVPR 2012
+    # RootSIFT: Arandjelovic & Zisserman, CVPR 2012
+    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
     return np.array([p.pt for p in points], np.float32), np.sqrt(share)
 
 

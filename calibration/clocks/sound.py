@@ -169,9 +169,8 @@ def gcc_phat(
     if around_s is not None:
         allowed &= np.abs(lags / rate + shift_s - around_s) <= search_s
     if not allowed.any():
-        raise ValueError(
-            f"no delay leaves {MIN_OVERLAP_S} s of overlap between clips of {na} and {nb} samples"
-        )
+        text = f"no delay leaves {MIN_OVERLAP_S} s of overlap between clips of {na} and {nb} samples"
+        raise ValueError(text)
     peak = int(np.argmax(np.where(allowed, values, -np.inf)))
     near = np.abs(lags - lags[peak]) <= PEAK_WIDTH_S * rate
     others = values[allowed & ~near]

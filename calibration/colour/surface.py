@@ -96,9 +96,8 @@ def _sampled(
     if seen is not None:
         at += (seen - at[:, patches.shape[1] // 2])[:, None]
     x, y = np.moveaxis(at.astype(np.float32) - np.float32(0.5), -1, 0)  # OpenCV's first pixel is at 0
-    inside = (
-        (x >= 0) & (x <= view.camera.width - 1) & (y >= 0) & (y <= view.camera.height - 1)
-    )  # false for NaN
+    # false for NaN
+    inside = (x >= 0) & (x <= view.camera.width - 1) & (y >= 0) & (y <= view.camera.height - 1)
     x, y = np.where(inside, x, -1), np.where(inside, y, -1)
     light = cv2.remap(LINEAR_OF_LEVEL[view.rgb], x, y, cv2.INTER_LINEAR)
     levels = cv2.remap(view.rgb, x, y, cv2.INTER_NEAREST)

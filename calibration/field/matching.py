@@ -111,9 +111,8 @@ def _flat_share(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> flo
 
 def _epipolar(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
     still = np.linalg.norm(a - b, axis=1) < EPIPOLAR_PX
-    if (
-        still.mean() > 0.5
-    ):  # a camera that stood: every epipole fits, and OpenCV asserts where it finds no model
+    # a camera that stood: every epipole fits, and OpenCV asserts where it finds no model
+    if still.mean() > 0.5:
         return still
     cv2.setRNGSeed(0)
     F, inside = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, EPIPOLAR_PX, 0.999, 2000)

@@ -19,10 +19,8 @@ from devrf.capture.formats.colmap_rigs import common_rig, write_rigs
 from devrf.capture.formats.files import with_slashes
 
 FORMAT = "COLMAP model"
-SAME_ROTATION, SAME_POSITION = (
-    1e-3,
-    1e-3,
-)  # rad; of the rig's size: what a fixed camera's pictures may differ by
+# rad; of the rig's size: what a fixed camera's pictures may differ by
+SAME_ROTATION, SAME_POSITION = 1e-3, 1e-3
 
 
 def is_colmap(folder: Path) -> bool:

@@ -59,9 +59,8 @@ def carried(
             continue
         t = instant_s[near] - instant_s[i]
         turns = np.array([cv2.Rodrigues(boards[j, :, :3] @ boards[i, :, :3].T)[0].reshape(3) for j in near])
-        powers = np.stack([t, t**2], axis=1)[
-            :, : len(near) - 1
-        ]  # the parabola passes through the instant itself
+        # the parabola passes through the instant itself
+        powers = np.stack([t, t**2], axis=1)[:, : len(near) - 1]
         way = np.linalg.lstsq(
             powers, np.concatenate([turns, centres[near] - centres[i]], axis=1), rcond=None
         )[0]

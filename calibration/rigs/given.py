@@ -145,9 +145,8 @@ def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, st
     if unique and None not in ours and set(ours) <= set(theirs):
         chosen = {name: found[theirs.index(number)] for name, number in zip(names, ours, strict=True)}
         return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
-    if len(names) == len(found) and not set(names) & set(
-        found
-    ):  # where some agree, one is missing, not renamed
+    # where some agree, one is missing, not renamed
+    if len(names) == len(found) and not set(names) & set(found):
         chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))
         remedy = f"Names do not tell which camera is which; name capture.cameras as the calibration does ({where})."
         return chosen, GivenNote(
@@ -188,9 +187,8 @@ def _fitted(
     if width * clip_height != height * clip_width:
         wrong = f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
         expected = "expected the same size, or all of the picture made larger or smaller"
-        raise InputError(
-            "picture-size-wrong", f"{wrong}; {expected}; a cropped clip needs a calibration of its own"
-        )
+        why = f"{wrong}; {expected}; a cropped clip needs a calibration of its own"
+        raise InputError("picture-size-wrong", why)
     scale = clip_width / width
     text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
     return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), GivenNote(check, text)

@@ -34,8 +34,7 @@ def best_pair(db: Database, images_of: ImagesOf) -> dict[str, Any]:
 
 
 def features_per_image(db: Database) -> dict[str, int]:
-    out = {i.name: db.num_keypoints_for_image(i.image_id) for i in db.read_all_images()}
-    return out
+    return {i.name: db.num_keypoints_for_image(i.image_id) for i in db.read_all_images()}
 
 
 def features(db: Database, image_id: int) -> tuple[np.ndarray, np.ndarray]:

@@ -264,9 +264,8 @@ def _attempt(
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = SEED
     options.num_threads = MAPPER_THREADS
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = (
-        1.3  # _polish ends with a full one anyway
-    )
+    # _polish ends with a full one anyway
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.constant_cameras = held
     options.mapper.constant_cameras = held
     refine = len(held) < len(job["groups"])

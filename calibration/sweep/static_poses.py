@@ -38,10 +38,8 @@ MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
 COMPARE_UP_TO = 30  # pictures; the other mapper then takes seconds
 HOMOGRAPHY_SHARE = 0.8  # of verified pairs; in a sweep with depth and sideways motion most have a parallax
 OVERLAY_SHARE = 0.5  # of verified pairs; what does not move then hides the rest
-LATE, LATE_S = (
-    1.2,
-    60.0,
-)  # the worker keeps its time budget itself; it is stopped at 1.2 times that and a minute
+# the worker keeps its time budget itself; it is stopped at 1.2 times that and a minute
+LATE, LATE_S = 1.2, 60.0
 LADDER: tuple[dict[str, Any], ...] = (
     {"name": "incremental", "mapper": "incremental", "pose_inliers": 30, "init_inliers": 100,
      "init_angle_deg": 16.0, "accept": 0.8},
@@ -224,10 +222,8 @@ def median_triangulation_angle_deg(model: SweepModel) -> float:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     order = np.argsort(model.obs_point, kind="stable")
     starts = np.flatnonzero(np.diff(model.obs_point[order], prepend=-1))
-    angles = []
-    for group in np.split(rays[order], starts[1:]):
-        angles.append(np.degrees(np.arccos(np.clip((group @ group.T).min(), -1, 1))))
-    return float(np.median(angles)) if angles else 0.0
+    least = [np.clip((group @ group.T).min(), -1, 1) for group in np.split(rays[order], starts[1:])]
+    return float(np.median(np.degrees(np.arccos(least)))) if least else 0.0
 
 
 def _worker_group(group: DeviceGroup) -> dict[str, Any]:

@@ -77,9 +77,8 @@ def read_camera_path(path: Path, size: tuple[int, int] | None, usual: tuple[int,
                 raise InputError("entry-wrong", text)
             fov = number(entry.get("fov", meta.get("default_fov", 50.0)), "fov", where)
             if not 0 < fov < 180:
-                raise InputError(
-                    "entry-wrong", f"{where}: fov is {fov:g}; expected degrees between 0 and 180"
-                )
+                why = f"{where}: fov is {fov:g}; expected degrees between 0 and 180"
+                raise InputError("entry-wrong", why)
             f = 0.5 * height / np.tan(0.5 * np.radians(fov))
             K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
             pose = undo(_matrix(entry.get("camera_to_world", entry.get("matrix")), where))

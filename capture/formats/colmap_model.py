@@ -284,9 +284,8 @@ def _text_images(text: str) -> dict[int, ModelImage]:
             continue
         if len(head) < 10:
             wrong = f"'{_shown(lines[at - 1])}' is neither an image nor its keypoints"
-            raise ValueError(
-                f"{wrong}: each image has two lines, of id, 7 numbers of a pose, camera, name; of x, y, id"
-            )
+            why = f"{wrong}: each image has two lines, of id, 7 numbers of a pose, camera, name; of x, y, id"
+            raise ValueError(why)
         values = _keypoints(lines[at]) if at < len(lines) else None
         at += values is not None
         values = np.zeros((0, 3)) if values is None else values

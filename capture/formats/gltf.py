@@ -131,9 +131,8 @@ def _node(mesh: Mesh, number: int) -> dict[str, Any]:
 
 
 def _mesh(parts: "_Parts", mesh: Mesh) -> dict[str, Any]:
-    colours = np.concatenate(
-        [linear_from_srgb(mesh.rgb), np.ones((len(mesh.rgb), 1))], axis=1
-    )  # glTF's colours are linear light
+    # glTF's colours are linear light
+    colours = np.concatenate([linear_from_srgb(mesh.rgb), np.ones((len(mesh.rgb), 1))], axis=1)
     vertices = mesh.vertices if mesh.way is None else mesh.vertices - mesh.way.pivot
     primitive: dict[str, Any] = {
         "attributes": {

@@ -113,9 +113,8 @@ def pinhole(
         text = f"{where}: height, width, focal are {hwf.tolist()}; expected numbers above 0"
         raise CaptureError("entry-wrong", text)
     ratio_x, ratio_y = header.width / width, header.height / height
-    if (
-        abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3
-    ):  # copies have rounded sizes
+    # copies have rounded sizes
+    if abs(ratio_x / ratio_y - 1) > 1.5 / min(header.width, header.height) + 1e-3:
         wrong = f"{header.path}: picture is {header.size}, {where} says {width:g}x{height:g}"
         remedy = "expected the same shape; use the pictures that were calibrated"
         raise CaptureError("picture-size-wrong", f"{wrong}; {remedy}")

@@ -34,16 +34,8 @@ MODELS: dict[
     "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
     "RADIAL_FISHEYE": "OPENCV_FISHEYE",
 }
-COEFFICIENTS = (
-    "k1",
-    "k2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "p1",
-    "p2",
-)  # that files may have; a lens has some of them
+# that files may have; a lens has some of them
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_p0")  # keys of instant-ngp
 RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they are not rotations at all
 
@@ -133,9 +125,8 @@ def _lens_model(entry: dict[str, Any], where: str) -> LensModel:
     for key in OTHER_PROJECTIONS:
         if entry.get(key) is not None and entry[key] is not False:
             wrong = f"{where}: {key} is {entry[key]!r}, another projection, which is not read"
-            raise CaptureError(
-                "lens-unread", f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
-            )
+            text = f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
+            raise CaptureError("lens-unread", text)
     if said is not None and (not isinstance(said, str) or said not in MODELS):
         wrong = f"{where}: camera_model {said} is not read; expected {', '.join(MODELS)}"
         raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import UInt8
 
 from devrf.capture.simulate.growths import flower
 from devrf.capture.simulate.scenes import PLATFORM_M, WOOD, Mesh, MovingObject, Paint, box
@@ -29,12 +28,10 @@ from devrf.capture.simulate.shapes import (
 )
 
 RED, BLUE, SAND = Paint((190, 75, 60), 75.0), Paint((70, 110, 175), 75.0), Paint((200, 165, 90), 80.0)
-SKIN, SHIRT, TROUSERS, SHOE = (
-    Paint((205, 155, 125), 45.0),
-    Paint((85, 135, 105), 75.0),
-    Paint((80, 90, 135), 70.0),
-    Paint((95, 70, 60), 50.0),
-)
+SKIN = Paint((205, 155, 125), 45.0)
+SHIRT = Paint((85, 135, 105), 75.0)
+TROUSERS = Paint((80, 90, 135), 70.0)
+SHOE = Paint((95, 70, 60), 50.0)
 TABLE_TOP_M = 0.62
 STEPS_HZ = 1.2  # of the walking figure, both feet once
 STRIDE_DEG, LIFT_DEG = 36.0, 55.0  # thighs swing, knees bend: feet reach 4 m/s
@@ -215,11 +212,12 @@ def _object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
     meshes = [part.rest for part in parts]
     width = max(mesh.texture.shape[1] for mesh in meshes)
     height = sum(mesh.texture.shape[0] for mesh in meshes)
-    uv, row = [], 0
+    uv, textures, row = [], [], 0
     for mesh in meshes:
         rows, columns = mesh.texture.shape[:2]
         inner = np.clip(mesh.uv, 0.5 / np.array([columns, rows]), 1 - 0.5 / np.array([columns, rows]))
         uv.append((inner * [columns, rows] + [0, row]) / [width, height])
+        textures.append(np.pad(mesh.texture, ((0, 0), (0, width - columns), (0, 0)), mode="edge"))
         row += rows
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
 
@@ -230,14 +228,10 @@ def _object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
         vertices_at(0.0),
         np.concatenate([mesh.faces + n for mesh, n in zip(meshes, first[:-1], strict=True)]),
         np.concatenate(uv),
-        np.concatenate([_wide(mesh.texture, width) for mesh in meshes]),
+        np.concatenate(textures),
         smooth=True,
     )
     return MovingObject(rest, vertices_at, tuple(stand))
-
-
-def _wide(picture: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "h width 3"]:
-    return np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), mode="edge")
 
 
 def _limb(rng: np.random.Generator, paint: Paint, length_m: Number, top_m: Number, end_m: Number) -> Mesh:

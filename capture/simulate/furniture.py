@@ -106,9 +106,8 @@ def _narrow(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
         0.4,
         0.1,
     )
-    meshes += _solid(
-        rng, (0.74, 1.04, 0.6), (0.03, 0.03, 1.2), 0, STEEL
-    )  # the lamp, half a metre before a camera
+    # the lamp, half a metre before a camera
+    meshes += _solid(rng, (0.74, 1.04, 0.6), (0.03, 0.03, 1.2), 0, STEEL)
     meshes += _solid(rng, (0.74, 1.04, 1.3), (0.16, 0.16, 0.2), 45, WHITE)
     meshes += _painting(rng, x=rng.uniform(-0.9, -0.5), y=-side + 0.02)
     return meshes, _solid(rng, (-1.6, 1.35, 0.45), (0.4, 0.4, 0.9), rng.uniform(0, 30), OAK)

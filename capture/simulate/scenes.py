@@ -159,11 +159,9 @@ def box(
 ) -> list[Mesh]:
     """A textured box turned about the vertical."""
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    x, y, z = (
-        np.array([c, s, 0]) * size[0] / 2,
-        np.array([-s, c, 0]) * size[1] / 2,
-        np.array([0, 0, size[2] / 2]),
-    )
+    x = np.array([c, s, 0]) * size[0] / 2
+    y = np.array([-s, c, 0]) * size[1] / 2
+    z = np.array([0, 0, size[2] / 2])
     sides = []
     for a, b in ((x, y), (y, -x), (-x, -y), (-y, x)):  # a points out of the side
         sides.append(

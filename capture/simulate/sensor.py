@@ -113,9 +113,8 @@ def board_poses(
     poses = []
     for i in range(count):
         u, v = np.array(spots[i % len(spots)]) + rng.uniform(-0.06, 0.06, 2)
-        share = (
-            rng.uniform(0.45, 0.62) if i < len(spots) else rng.uniform(0.6, 0.85)
-        )  # of the picture's width
+        # of the picture's width
+        share = rng.uniform(0.45, 0.62) if i < len(spots) else rng.uniform(0.6, 0.85)
         distance = camera.K[0, 0] * squares[0] * square_m / (share * camera.width)
         about = 2 * np.pi * (i * 0.381966 + rng.uniform(0, 0.1))  # tilt axes spread by the golden ratio
         tilt = np.radians(rng.uniform(15, 40))

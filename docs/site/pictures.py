@@ -24,10 +24,8 @@ DOCS = Path(__file__).resolve().parents[1]
 EXAMPLE = DOCS.parent / "examples" / "waving-sheet"
 TILE = (288, 216)
 RIGHT, WRONG = "#1b7f3b", "#b3261e"
-BLUR, DARK_STOPS = (
-    0.04,
-    -4.0,
-)  # the worst of `sweep_blur`, at which cameras found no place; as a room without lamps
+# the worst of `sweep_blur`, at which cameras found no place; as a room without lamps
+BLUR, DARK_STOPS = 0.04, -4.0
 NEXT, FAR = 1, 12  # pictures of the sweep between two neighbours, right and wrong
 PAPER = "#fbfbf8"
 

@@ -71,9 +71,8 @@ def inputs_of(config: SceneConfig, scene: Path, digests: Digests) -> Inputs:
 def _add(found: Inputs, path: Path, place: str, digests: Digests) -> None:
     """A file, or all files of a folder."""
     files = raw_files(path) if path.is_dir() else [path]
-    places = [
-        (Path(place) / f.relative_to(path)).as_posix() for f in files
-    ]  # one name for one file: no "./x"
+    # one name for one file: no "./x"
+    places = [(Path(place) / f.relative_to(path)).as_posix() for f in files]
     for file, where, digest in zip(files, places, digests.of_files(files), strict=True):
         found.files[where] = (file.stat().st_size, digest)
         found.here[digest] = file

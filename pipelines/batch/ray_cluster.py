@@ -18,9 +18,8 @@ from devrf.pipelines.batch.task import Ended, Task, node_name, run_task
 from devrf.pipelines.budget.memory import GB
 from devrf.pipelines.exit_codes import FAILED, STOPPED
 
-LOOPBACK_ONLY = {
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"
-}  # what makes Ray listen on 127.0.0.1 alone, on Linux too
+# what makes Ray listen on 127.0.0.1 alone, on Linux too
+LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 SILENT = {
     "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to Ray's makers
     "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # a lost node would print pages; what it means is said by the batch

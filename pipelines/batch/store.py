@@ -222,10 +222,10 @@ class Store:
         except DevrfError:
             raise
         except Exception as error:
-            raise StoreError(
-                "store-unreachable",
-                f"--store {self.url}: {type(error).__name__}: {error}; check address, credentials and network",
-            ) from error
+            text = (
+                f"--store {self.url}: {type(error).__name__}: {error}; check address, credentials and network"
+            )
+            raise StoreError("store-unreachable", text) from error
 
     def _make_folders(self, places: Sequence[str]) -> None:
         if "file" in self._fs.protocol:  # others have no folders

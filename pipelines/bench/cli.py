@@ -72,10 +72,10 @@ def speed(
     for setting in set_for or []:
         name, _, text = setting.partition(":")
         if name not in own or not text.startswith("reconstruct."):
-            raise InputError(
-                "option-malformed",
-                f"--set-for {setting}: expected PRESET:reconstruct.KEY=VALUE, with one of {', '.join(own)}",
+            wrong = (
+                f"--set-for {setting}: expected PRESET:reconstruct.KEY=VALUE, with one of {', '.join(own)}"
             )
+            raise InputError("option-malformed", wrong)
         own[name].append(text)
     assert asked.scene is not None
     chosen = {name: configured(asked.scene, name, of)[0].reconstruct for name, of in own.items()}

@@ -26,12 +26,8 @@ SIFT_READ = 5  # and at the full size, for reading
 BOARD = 30  # of a picture with a board, looked at one after the other
 PAIR_FLOW = 190  # of a pair whose flow is found, both ways, and checked (480x360 to 3840x2160: 160 to 200)
 
-SIDES_PX = (
-    MAX_IMAGE_SIZE,
-    960,
-    720,
-    540,
-)  # of the sweep's pictures; features below that are too few to match
+# of the sweep's pictures; features below that are too few to match
+SIDES_PX = (MAX_IMAGE_SIZE, 960, 720, 540)
 
 
 def swept_at_once(context: StageContext, sweep: "CameraFrames") -> tuple[int, int]:

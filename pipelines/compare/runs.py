@@ -84,10 +84,8 @@ def find_runs(named: Sequence[Path]) -> list[ComparedRun]:
     folders = [_run_folder(path) for path in named]
     for n, folder in enumerate(folders):
         if folder in folders[:n]:
-            raise InputError(
-                "compare-same-run",
-                f"{named[n]}: is the same run as {named[folders.index(folder)]} ({folder}); name each run once",
-            )
+            wrong = f"{named[n]}: is the same run as {named[folders.index(folder)]} ({folder}); name each run once"
+            raise InputError("compare-same-run", wrong)
     return [_read(name, folder) for name, folder in zip(_names(folders), folders, strict=True)]
 
 
@@ -162,10 +160,8 @@ def _read(name: str, path: Path) -> ComparedRun:
     run = ComparedRun(name, RunFolder(path, stage_names(), {}, errors))
     if METRICS in run.folder.unreadable or (path / METRICS).is_file() and not run.metrics:
         why = run.folder.unreadable.get(METRICS, "it holds no object")
-        raise InputError(
-            "file-damaged",
-            f"{path / METRICS}: cannot be read ({why}); make it again: devrf-pipeline run SCENE --force evaluate",
-        )
+        text = f"{path / METRICS}: cannot be read ({why}); make it again: devrf-pipeline run SCENE --force evaluate"
+        raise InputError("file-damaged", text)
     if not run.metrics:
         done = [stage for stage in stage_names() if stage in run.stamps]
         state = f"its last finished stage is {done[-1]}" if done else "no stage is finished"

@@ -257,9 +257,8 @@ def _agreement(trained: Trained, misses: list[np.ndarray]) -> dict[str, Any]:
     medians, most = ([float(np.quantile(m, q)) for m in misses] for q in (0.5, 0.95))
     unit = "m" if trained.scene.metric else "units"
     canonical = trained.model.rest.canonical
-    voxel = (
-        canonical.voxel * trained.scale if canonical.ndc is None else None
-    )  # in a frustum they have no one size
+    # in a frustum they have no one size
+    voxel = canonical.voxel * trained.scale if canonical.ndc is None else None
     beside = "" if voxel is None else f"; a voxel is {voxel:.2g} {unit}"
     trained.request.notes.append(
         f"the mesh that the forward motion moves lies within {max(medians):.2g} {unit} (median of vertices, worst key "

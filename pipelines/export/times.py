@@ -52,9 +52,7 @@ def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
     else:
         parts = [part.strip() for part in text.split(",")]
         if KEYS in parts or not all(parts):
-            raise InputError(
-                "option-malformed",
-                f"--times {text!r}: expected a number of times, {KEYS}, or times with commas such as 0.5s,1.25s",
-            )
+            wrong = f"--times {text!r}: expected a number of times, {KEYS}, or times with commas such as 0.5s,1.25s"
+            raise InputError("option-malformed", wrong)
         times = sorted({parse_time(part, "--times", scene.t0_s, scene.t1_s) for part in parts})
     return [Moment(time, scene.t0_s + time * (scene.t1_s - scene.t0_s)) for time in times]

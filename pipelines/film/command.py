@@ -131,9 +131,8 @@ def _showing(model: "DynamicModel", without: tuple[int, ...]) -> "DynamicModel":
         raise InputError("option-misplaced", f"{said}: what moves in this scene is not made of rigid parts")
     count = model.movers.parts
     if max(without) > count:
-        raise InputError(
-            "option-out-of-range", f"{said}: expected parts of 1 to {count}; the report lists them"
-        )
+        text = f"{said}: expected parts of 1 to {count}; the report lists them"
+        raise InputError("option-out-of-range", text)
     return model.showing(True, [part for part in range(1, count + 1) if part not in without])
 
 

@@ -60,7 +60,7 @@ class Kept:
         if not all(path.is_file() for path in paths.values()):
             return None
         try:
-            return {name: _read(path) for name, path in paths.items()}
+            return {n: read_flow_file(p) if p.suffix == ".npz" else read_pixels(p) for n, p in paths.items()}
         except CaptureError:
             return None  # a power cut left a hole: it is made again
 
@@ -109,7 +109,3 @@ def _write(path: Path, value: np.ndarray | Flow) -> None:
         write_flow_file(path, value)
     else:
         write_png(path, value)
-
-
-def _read(path: Path) -> np.ndarray | Flow:
-    return read_flow_file(path) if path.suffix == ".npz" else read_pixels(path)

@@ -5,9 +5,8 @@ from devrf.capture.frames import CameraFrames
 from devrf.pipelines.health.rows import HealthRow, row
 
 REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
-UNSURE_FRAMES = (
-    0.25  # standard deviation of a clock that is worth a warning: frames cannot be told apart surely
-)
+# standard deviation of a clock that is worth a warning: frames cannot be told apart surely
+UNSURE_FRAMES = 0.25
 USUAL_FPS = 30.0  # of a camera whose rate is not known
 REMEDY = (
     "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough for all "

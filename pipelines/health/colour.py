@@ -9,9 +9,8 @@ from devrf.pipelines.health.rows import HealthRow, listed, note, row
 WORDS = {"gain": "one gain", "diagonal": "three gains", "matrix": "a 3x3 matrix"}
 UNIT = "of 1, rms of sRGB"
 MIXED = 0.05  # rms of sRGB: from here on seams between cameras are seen in renderings
-CHART_STOPS = (
-    0.2  # twice as vague as a camera's brightness may be: a chart in the scene's light agrees far better
-)
+# twice as vague as a camera's brightness may be: a chart in the scene's light agrees far better
+CHART_STOPS = 0.2
 VAGUE_STOPS = 0.1  # standard deviation of a camera's brightness: more than many cameras differ
 
 

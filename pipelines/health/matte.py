@@ -14,9 +14,8 @@ MOST_EMPTY = 0.5  # of a camera's pictures; a subject may walk in and out
 MOST_AREA = 0.9  # of a picture: all of it is no subject
 MOST_HOLES = 0.01  # of the subject's area
 MOST_RIM = 0.5  # of the outermost pixels; of a matte that is right to the pixel they mix both
-MOST_SPILL = (
-    0.05  # of the screen's colour on the subject, well within its edge; from 0.2 on mattes let through
-)
+# of the screen's colour on the subject, well within its edge; from 0.2 on mattes let through
+MOST_SPILL = 0.05
 MOST_HIDDEN = 0.5  # of what the subject covers
 
 

@@ -29,10 +29,8 @@ MOVING_SHARE = 0.1  # of a picture's textured tiles
 APART_DEG = 0.5  # two mappers
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 EXIF_WARN, EXIF_BAD = 5.0, 15.0  # percent
-STRAIGHT, BENT = (
-    0.3,
-    1.5,
-)  # percent of distortion, half-way to the corners: of a corrected lens, of one that is not
+# percent of distortion, half-way to the corners: of a corrected lens, of one that is not
+STRAIGHT, BENT = 0.3, 1.5
 CROP = "; is it the 35 mm equivalent of another crop?"
 FOCAL_REMEDY = (
     "Zoom, stabilisation or a wrong EXIF focal length: film the sweep at one fixed zoom without "

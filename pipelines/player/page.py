@@ -9,9 +9,8 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 SCRIPTS = ("splats.js", "draw.js", "camera.js", "controls.js", "player.js")  # each uses those before it
-BORDERS = re.compile(
-    r"^import .*\n|^export (async )?(?=class|function)", re.M
-)  # of modules; async is put back
+# of modules; async is put back
+BORDERS = re.compile(r"^import .*\n|^export (async )?(?=class|function)", re.M)
 
 
 def player_page(title: str, subtitle: str, about: dict[str, Any], data: bytes) -> str:

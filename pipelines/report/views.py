@@ -9,12 +9,8 @@ from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
 from devrf.pipelines.report.pictures import picture_uri, read_picture
 from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at, evenly
 
-WIDTHS = {
-    "true": 720,
-    "rendered": 720,
-    "error": 400,
-    "rest": 400,
-}  # two under the border, and those beside it
+# two under the border, and those beside it
+WIDTHS = {"true": 720, "rendered": 720, "error": 400, "rest": 400}
 MAX_MOVING, MAX_STILL, MAX_STATIC = 12, 4, 8  # frames inside the page; the others stay in evaluate/
 
 

@@ -16,13 +16,8 @@ from devrf.pipelines.stamps.digests import DIGESTS
 from devrf.pipelines.stamps.stamp import HEALTH, STAMP
 
 PAGE = "index.html"  # a report about an unfinished run carries no stamp
-OTHERS = (
-    LOG_FILE,
-    EVENTS_FILE,
-    OLD_LOGS,
-    "export",
-    "films",
-)  # what runs write beside the folders of stages and hidden files
+# what runs write beside the folders of stages and hidden files
+OTHERS = (LOG_FILE, EVENTS_FILE, OLD_LOGS, "export", "films")
 OF_RUNS = re.compile(
     rf"{OLD_LOGS}|{re.escape(EVENTS_FILE)}|\.flow|\.(failed|forced)-\w+(\.json)?|\.\w+(\..+)?\.safetensors"
 )
@@ -41,10 +36,8 @@ def check_run_folder(run_dir: Path, stages: Iterable[str]) -> None:
     stages = tuple(stages)
     for path in _written(run_dir, stages):
         if path.is_symlink():
-            raise InputError(
-                "folder-holds-link",
-                f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link",
-            )
+            text = f"output: {path} is a link to {os.readlink(path)}, and a run would write there; remove the link"
+            raise InputError("folder-holds-link", text)
     known = is_run_folder(run_dir)
     for path in sorted(run_dir.iterdir()) if run_dir.is_dir() else []:
         if not (_is_of_a_stage(path, known) if path.name in stages else known or _is_free(path)):

@@ -1,6 +1,7 @@
 """Which stages run, and why: the one place that compares stamps, for `run`, `--dry-run` and `status`."""
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -232,7 +233,5 @@ def last_error(run_dir: Path, stage: str) -> str | None:
 
 def remember_error(run_dir: Path, stage: str, message: str, code: int, error: str) -> None:
     """Leave the reason of a failure for `status` and the report."""
-    try:
+    with suppress(OSError):  # no room to remember it; it has been said
         write_json(error_path(run_dir, stage), {"message": message, "code": code, "error": error})
-    except OSError:
-        pass  # no room to remember it; it has been said

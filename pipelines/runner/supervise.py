@@ -28,14 +28,11 @@ from devrf.pipelines.logs import LOG_FILE, Events, log_file
 from devrf.pipelines.runner.plan import remember_error
 from devrf.pipelines.runner.workspace import Workspace
 
-GRACE_S = (
-    15.0  # between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
-)
+# between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
+GRACE_S = 15.0
 TICK_S = 0.25  # between two looks at the child's memory ...
-SHORT_TICK_S, NEAR = (
-    0.03,
-    1_000_000_000,
-)  # ... and where less than this is left, bytes: a core fills 4 GB in a second
+# ... and where less than this is left, bytes: a core fills 4 GB in a second
+SHORT_TICK_S, NEAR = 0.03, 1_000_000_000
 LAST_BYTES = 150_000_000  # of the machine or its cgroup; the kernel starts to kill soon after
 TREE_EVERY_S = 2.0  # between two searches for what the child has started (reads all of /proc)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
@@ -286,7 +283,5 @@ class _Supervisor:
 
 
 def _kill(pid: int) -> None:
-    try:
+    with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass

@@ -103,7 +103,7 @@ class Workspace:
 
     def discard(self, folder: Path) -> list[Path]:
         """Remove what an unfinished stage wrote, but for the logs of native programs; where those are now."""
-        stage = _stage_of(folder, NEW)
+        stage = folder.name.removeprefix(NEW).split("-", 1)[0]
         kept = []
         for log in sorted(folder.glob("*.log")):
             place = self.run_dir / LOGS / f"{stage}-{log.name}"
@@ -185,15 +185,9 @@ def size_of(path: Path) -> int:
     below = (os.path.join(root, name) for root, _, files in os.walk(path) for name in files)
     total = 0
     for file in below if path.is_dir() else [path]:
-        try:
+        with suppress(OSError):
             total += os.lstat(file).st_size
-        except OSError:
-            pass
     return total
-
-
-def _stage_of(folder: Path, prefix: str) -> str:
-    return folder.name.removeprefix(prefix).split("-", 1)[0]
 
 
 def _is_checkpoint(path: Path) -> bool:

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
-from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.colour.camera_points import camera_pairs
 from devrf.calibration.colour.chart import chart_pairs, read_chart
 from devrf.calibration.colour.match import Apart, Matched, match_cameras
@@ -139,7 +138,9 @@ class _Job:
             n: [f for f in c.used if f.file is not None and f.time_s is not None]
             for n, c in self.moving.items()
         }
-        times = {name: _true_times(clocks[name], frames) for name, frames in shown.items() if frames}
+        times = {
+            name: clocks[name].true_time(np.array([f.time_s for f in of])) for name, of in shown.items() if of
+        }
         if len(times) < 2:
             return
         from_s, to_s = max(t[0] for t in times.values()), min(t[-1] for t in times.values())
@@ -173,7 +174,3 @@ def _with_match(
             matrix = as_matrix(found.matrix)
             out[name] = replace(out[name], source=source, kind=found.kind, matrix=matrix, fitted=fitted)
     return out
-
-
-def _true_times(clock: Clock, frames: list[FrameRecord]) -> Float[np.ndarray, " n"]:
-    return clock.true_time(np.array([f.time_s for f in frames], dtype=np.float64))

@@ -30,9 +30,8 @@ def run(context: StageContext) -> None:
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
     asked = training_options(context.config, scene).motion
     asked = levels_for(asked, rest.canonical) if asked.adapt else asked
-    asked = replace(
-        asked, resolution=round(rest.canonical.resolution)
-    )  # there may be fewer voxels than planned
+    # there may be fewer voxels than planned
+    asked = replace(asked, resolution=round(rest.canonical.resolution))
     checkpoint = training_checkpoint(context, "deformation", asked)
     options, fits = fit_to_memory(context, scene, asked, memory, checkpoint)
     flows = read_flows(context.run_dir / "flow")

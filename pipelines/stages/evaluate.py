@@ -28,11 +28,8 @@ PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headl
 TEST_VIEWS = "PSNR of test views"
 GAIN = "what motion gains over the scene at rest, where it moves"
 AGAINST_TRUTH = "largest error against the truth"
-NEEDS_TEST_VIEWS = (
-    TEST_VIEWS,
-    GAIN,
-    AGAINST_TRUTH,
-)  # first words of rows that nobody has without a test camera
+# first words of rows that nobody has without a test camera
+NEEDS_TEST_VIEWS = (TEST_VIEWS, GAIN, AGAINST_TRUTH)
 
 
 def run(context: StageContext) -> None:

@@ -22,9 +22,8 @@ RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose cloc
 TRUSTED = 0.5  # confidence from which a clock limits what is kept
 FEWEST_SWEEP_PICTURES = 3  # with fewer nothing is registered
 LEAST_LEFT = 10  # frames of a damaged clip, ...
-LEAST_LEFT_SHARE = (
-    0.5  # ... and share of what its file announces: with less it is not the clip that was filmed
-)
+# ... and share of what its file announces: with less it is not the clip that was filmed
+LEAST_LEFT_SHARE = 0.5
 
 
 def run(context: StageContext) -> None:
@@ -153,13 +152,13 @@ def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
         fail=2.0,
         remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
     )
+    lost = next((text for text in cameras[worst].notes if "frames missing" in text), "frames are missing")
     yield row(
         f"share of frames dropped while filming, worst camera ({worst})",
         gaps[worst],
         warn_above=0.02,
         fail_above=0.5,
-        remedy=f"{cameras[worst].source}: {_gaps(cameras[worst])}. Use a faster card, or a lower resolution or bit "
-        "rate.",
+        remedy=f"{cameras[worst].source}: {lost}. Use a faster card, or a lower resolution or bit rate.",
     )
     yield _exposure(cameras)
     yield note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera")
@@ -167,10 +166,6 @@ def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
     if len(sizes) > 1:
         text = ", ".join(f"{name}: {c.width}x{c.height}" for name, c in cameras.items())
         yield note("sizes of the moving cameras", f"{text}; each keeps its own")
-
-
-def _gaps(camera: CameraFrames) -> str:
-    return next((text for text in camera.notes if "frames missing" in text), "frames are missing")
 
 
 def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:

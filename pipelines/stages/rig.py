@@ -91,10 +91,8 @@ class _Job:
                 "cameras; film a sweep or a board and set method to auto",
             )
         if method == "sweep" and not self.has_sweep:
-            raise InputError(
-                "sweep-missing",
-                "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board",
-            )
+            text = "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board"
+            raise InputError("sweep-missing", text)
         if method == "board":
             missing = [name for name in self.moving if name not in joint]
             if self.spec is None or len(joint) < MIN_CAMERAS or missing:

@@ -17,11 +17,8 @@ from devrf.pipelines.stage import StageContext
 if TYPE_CHECKING:
     from devrf.calibration.bounds import Bounds
 
-MAX_PIXELS = {
-    "tiny": 64_000,
-    "fast": 400_000,
-    "reference": 10**9,
-}  # per picture, where image_scale is not set
+# per picture, where image_scale is not set
+MAX_PIXELS = {"tiny": 64_000, "fast": 400_000, "reference": 10**9}
 SURROUND = 0.5  # length of the mean view direction; below, cameras stand around the subject
 MOST_BEHIND = 0.01  # of the sightings of points; structure from motion leaves fewer wrong ones
 MOST_AWAY = 0.5  # of the cameras; turned axes turn them all

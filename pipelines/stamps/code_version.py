@@ -38,9 +38,8 @@ RUNNER_FILES = (
 )
 NO_RESULTS = ("jaxtyping", "psutil")  # libraries that check or look at processes, and compute nothing
 
-_TEMPLATES = (
-    "templates"  # a folder; what is in it, and the data files beside it, which it may include, count whole
-)
+# a folder; what is in it, and the data files beside it, which it may include, count whole
+_TEMPLATES = "templates"
 _IMPORT = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]*(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.MULTILINE
 )

@@ -12,6 +12,7 @@ import re
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 from devrf.capture.durable import read_json, write_json
@@ -92,10 +93,8 @@ class Digests:
         """Remember for the next run; a run folder that cannot be written only costs time."""
         if self._changed:
             self._known = {k: entry for k, entry in self._known.items() if (self._run_dir / k).exists()}
-            try:
+            with suppress(OSError):
                 write_json(self._path, self._known)
-            except OSError:
-                pass
             self._changed = False
 
     def _knows(self, key: str, path: Path) -> bool:
@@ -153,10 +152,8 @@ def _entry(path: Path) -> list:
         if _seen(path.stat()) != seen:  # written to meanwhile: true of no moment, so never trusted
             taken = 0
     except OSError as error:
-        raise InputError(
-            "file-unreadable",
-            f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk",
-        ) from error
+        text = f"{path}: cannot be read ({error.strerror or error}); check the file, its permissions and its disk"
+        raise InputError("file-unreadable", text) from error
     return [*seen, taken, digest]
 
 

@@ -16,9 +16,8 @@ LAYERS = ("colour", "depth", "opacity", "confidence")
 SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 STEP_S = 0.001  # of the time slider
 SLIDER_S = 0.1  # between two moves of the slider while time runs
-SHOWN_AT_FIRST = {
-    "moving cameras"
-}  # the first view is often a test camera's, and the sweep passed everywhere
+# the first view is often a test camera's, and the sweep passed everywhere
+SHOWN_AT_FIRST = {"moving cameras"}
 
 
 def stepped(way: float, step: float, there_and_back: bool) -> float:

@@ -78,9 +78,8 @@ class Site:
         self._unreadable: tuple[Found, str] | None = None  # what could not be read at the last look, and why
         self._refresh()
         rich.get_console().quiet = True  # where viser speaks, whatever it is told
-        warnings.filterwarnings(
-            "ignore", "Queued a .* on a closed connection"
-        )  # visitors may leave at any time
+        # visitors may leave at any time
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         with only_own_pages(names):
             self.server = viser.ViserServer(host=host, port=port, label=config.name, verbose=False)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)

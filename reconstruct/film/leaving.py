@@ -25,9 +25,8 @@ from devrf.reconstruct.pictures import spread, training
 FREE_DEG = 15.0
 FREE_NEARER, FREE_FARTHER = 0.6, 1.5  # times the least and the largest distance of a training camera
 SOLID = 0.5  # opacity of a step from which a place is inside of something
-THICK = (
-    0.1  # of surroundings that hide what is behind them, box units: inside of them whichever way one looks
-)
+# of surroundings that hide what is behind them, box units: inside of them whichever way one looks
+THICK = 0.1
 MOST_POINTS = 4000  # of what is solid at rest that a camera's distance is taken from
 
 
@@ -87,9 +86,8 @@ def _in_solid(model: DynamicModel, place: Float[np.ndarray, "3"], time: float | 
     device = canonical.density.device
     x = torch.tensor(place[None], dtype=torch.float32, device=device)
     if ndc is not None:
-        return bool(
-            place[2] >= NEAR
-        )  # rays begin on the near plane: from behind it they would begin before it
+        # rays begin on the near plane: from behind it they would begin before it
+        return bool(place[2] >= NEAR)
     lo, hi = canonical.aabb.to(x)
     if bool(((x >= lo) & (x <= hi)).all()):
         return bool(canonical.alpha(field_at(model, time).to_rest(x)) > SOLID)

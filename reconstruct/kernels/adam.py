@@ -169,11 +169,7 @@ def _dense(
 @wp.kernel(enable_backward=False)
 @no_type_check
 def _variation(
-    first: int,
-    values: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    weight: float,
-    most: float,
+    first: int, values: wp.array4d(dtype=float), grad: wp.array4d(dtype=float), weight: float, most: float
 ):
     n = first + wp.tid()
     c = n % values.shape[3]

@@ -24,8 +24,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from devrf.reconstruct.kernels.launch import array, launch, use_warp
-from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest
-from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, gathered_in, trilinear_ref
+from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest, steps_away
+from devrf.reconstruct.kernels.trilinear import gathered_in, look_up, scatter, trilinear_ref
 
 PARALLEL = 1e-9  # speeds along an axis below this are held to it: the ray leaves the cube by another face
 LEAST_SPEED = wp.constant(PARALLEL)
@@ -101,10 +101,7 @@ def expand(y: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
 
 
 def background_ref(
-    rays: RaySegments,
-    surroundings: Surroundings,
-    closed: bool,
-    target: Float[Tensor, "R 3"] | None = None,
+    rays: RaySegments, surroundings: Surroundings, closed: bool, target: Float[Tensor, "R 3"] | None = None
 ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, " R"]]:
     """The same, all rays a step at a time."""
     lo, hi = surroundings.aabb.to(rays.rays_o)
@@ -226,41 +223,6 @@ def leap(away: int, voxel: float) -> float:
 
 @wp.func
 @no_type_check
-def look_up(grid: wp.array3d(dtype=vec4), q: wp.vec3) -> vec4:
-    i = cell_of(q[0], grid.shape[0])
-    j = cell_of(q[1], grid.shape[1])
-    k = cell_of(q[2], grid.shape[2])
-    x = fraction_in(q[0], i)
-    y = fraction_in(q[1], j)
-    z = fraction_in(q[2], k)
-    a = (grid[i, j, k] * (1.0 - z) + grid[i, j, k + 1] * z) * (1.0 - y)
-    a += (grid[i, j + 1, k] * (1.0 - z) + grid[i, j + 1, k + 1] * z) * y
-    b = (grid[i + 1, j, k] * (1.0 - z) + grid[i + 1, j, k + 1] * z) * (1.0 - y)
-    b += (grid[i + 1, j + 1, k] * (1.0 - z) + grid[i + 1, j + 1, k + 1] * z) * y
-    return a * (1.0 - x) + b * x
-
-
-@wp.func
-@no_type_check
-def scatter(grid: wp.array3d(dtype=vec4), q: wp.vec3, g: vec4):
-    i = cell_of(q[0], grid.shape[0])
-    j = cell_of(q[1], grid.shape[1])
-    k = cell_of(q[2], grid.shape[2])
-    x = fraction_in(q[0], i)
-    y = fraction_in(q[1], j)
-    z = fraction_in(q[2], k)
-    wp.atomic_add(grid, i, j, k, g * ((1.0 - x) * (1.0 - y) * (1.0 - z)))
-    wp.atomic_add(grid, i, j, k + 1, g * ((1.0 - x) * (1.0 - y) * z))
-    wp.atomic_add(grid, i, j + 1, k, g * ((1.0 - x) * y * (1.0 - z)))
-    wp.atomic_add(grid, i, j + 1, k + 1, g * ((1.0 - x) * y * z))
-    wp.atomic_add(grid, i + 1, j, k, g * (x * (1.0 - y) * (1.0 - z)))
-    wp.atomic_add(grid, i + 1, j, k + 1, g * (x * (1.0 - y) * z))
-    wp.atomic_add(grid, i + 1, j + 1, k, g * (x * y * (1.0 - z)))
-    wp.atomic_add(grid, i + 1, j + 1, k + 1, g * (x * y * z))
-
-
-@wp.func
-@no_type_check
 def sigmoid(x: float) -> float:
     return 1.0 / (1.0 + wp.exp(-x))
 
@@ -328,9 +290,7 @@ def _forward(
         u = u0 + du * t
         r = radius_of(u)
         q = index_of(u, r, log_reach, grid)
-        away = int(
-            distance[nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])]
-        )
+        away = steps_away(distance, q)
         if away == 0:
             v = look_up(grid, q)
             alpha = alpha_of(v[0] + shift, interval)
@@ -403,9 +363,7 @@ def _backward(
         u = u0 + du * t
         r = radius_of(u)
         q = index_of(u, r, log_reach, grid)
-        away = int(
-            distance[nearest(q[0], grid.shape[0]), nearest(q[1], grid.shape[1]), nearest(q[2], grid.shape[2])]
-        )
+        away = steps_away(distance, q)
         if away == 0:
             v = look_up(grid, q)
             alpha = alpha_of(v[0] + shift, interval)

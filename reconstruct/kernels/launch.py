@@ -22,9 +22,8 @@ import warp as wp
 
 from devrf.capture.cores import usable_cores
 
-SCATTER_COPIES = (
-    2  # of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
-)
+# of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
+SCATTER_COPIES = 2
 CHUNK_MINIMUM = 256  # elements; below this a second thread costs more than it brings
 log = logging.getLogger(__name__)
 
@@ -57,9 +56,8 @@ def launch(
     if len(last) == 1:
         wp.launch(kernel, dim=size, inputs=[0, *arguments, *last[0]], device=name)
         return
-    kernel.module.load(
-        name, block_dim=1
-    )  # compile once, here: what the threads' launches would all start to do
+    # compile once, here: what the threads' launches would all start to do
+    kernel.module.load(name, block_dim=1)
     bounds = [size * n // len(last) for n in range(len(last) + 1)]
 
     def part(n: int) -> None:

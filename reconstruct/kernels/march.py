@@ -188,6 +188,16 @@ def nearest(q: float, n: int) -> int:
 
 @wp.func
 @no_type_check
+def steps_away(distance: wp.array3d(dtype=wp.uint8), q: wp.vec3) -> int:
+    """Vertices from the one nearest to index coordinates to what is occupied."""
+    i = nearest(q[0], distance.shape[0])
+    j = nearest(q[1], distance.shape[1])
+    k = nearest(q[2], distance.shape[2])
+    return int(distance[i, j, k])
+
+
+@wp.func
+@no_type_check
 def scalar_at(grid: wp.array3d(dtype=float), q: wp.vec3) -> float:
     """Trilinear value at index coordinates."""
     i = cell_of(q[0], grid.shape[0])
@@ -248,13 +258,7 @@ def _march(
     t = begin + jitter[r] * step
     while t < end:
         q = origin + direction * t
-        away = int(
-            distance[
-                nearest(q[0], density.shape[0]),
-                nearest(q[1], density.shape[1]),
-                nearest(q[2], density.shape[2]),
-            ]
-        )
+        away = steps_away(distance, q)
         if away > 0:
             i += 1 + int(float(away - 1) * leap)
         else:
@@ -311,10 +315,7 @@ def _march_moved(
     t = begin + jitter[r] * step
     while t < end:
         x = rays_o[r] + rays_d[r] * t
-        p = wp.cw_mul(x - field_lo, live_scale)
-        away = int(
-            live[nearest(p[0], live.shape[0]), nearest(p[1], live.shape[1]), nearest(p[2], live.shape[2])]
-        )
+        away = steps_away(live, wp.cw_mul(x - field_lo, live_scale))
         if away > 0:
             i += 1 + int(float(away - 1) * leap)
         else:
@@ -330,16 +331,7 @@ def _march_moved(
                 or q[2] > float(density.shape[2] - 1)
             ):
                 left += 1
-            elif (
-                int(
-                    distance[
-                        nearest(q[0], density.shape[0]),
-                        nearest(q[1], density.shape[1]),
-                        nearest(q[2], density.shape[2]),
-                    ]
-                )
-                == 0
-            ):
+            elif steps_away(distance, q) == 0:
                 alpha = alpha_of(scalar_at(density, q) + shift, interval)
                 if alpha > alpha_threshold:
                     if trans * alpha > weight_threshold:

@@ -39,9 +39,8 @@ def quad(
         first_key: See `keys_grad`.
     """
     if len(field) < 2 or min(field.shape[1:4]) < 2:
-        raise ValueError(
-            f"a field needs two key times and two vertices per axis, not {tuple(field.shape[:4])}"
-        )
+        text = f"a field needs two key times and two vertices per axis, not {tuple(field.shape[:4])}"
+        raise ValueError(text)
     if not use_warp(field.device):
         return _quad_plain(field, points, tau, aabb, keys_grad, first_key)
     if keys_grad is not None:

@@ -133,6 +133,43 @@ def slope_of(q: float, n: int) -> float:
     return wp.where(q > 0.0 and q < float(n - 1), 1.0, 0.0)
 
 
+@wp.func
+@no_type_check
+def look_up(grid: wp.array3d(dtype=Any), q: wp.vec3):
+    """Trilinear value at index coordinates."""
+    i = cell_of(q[0], grid.shape[0])
+    j = cell_of(q[1], grid.shape[1])
+    k = cell_of(q[2], grid.shape[2])
+    x = fraction_in(q[0], i)
+    y = fraction_in(q[1], j)
+    z = fraction_in(q[2], k)
+    a = (grid[i, j, k] * (1.0 - z) + grid[i, j, k + 1] * z) * (1.0 - y)
+    a += (grid[i, j + 1, k] * (1.0 - z) + grid[i, j + 1, k + 1] * z) * y
+    b = (grid[i + 1, j, k] * (1.0 - z) + grid[i + 1, j, k + 1] * z) * (1.0 - y)
+    b += (grid[i + 1, j + 1, k] * (1.0 - z) + grid[i + 1, j + 1, k + 1] * z) * y
+    return a * (1.0 - x) + b * x
+
+
+@wp.func
+@no_type_check
+def scatter(grid: wp.array3d(dtype=Any), q: wp.vec3, g: Any):
+    """Add to the eight vertices around index coordinates what `look_up` takes of them."""
+    i = cell_of(q[0], grid.shape[0])
+    j = cell_of(q[1], grid.shape[1])
+    k = cell_of(q[2], grid.shape[2])
+    x = fraction_in(q[0], i)
+    y = fraction_in(q[1], j)
+    z = fraction_in(q[2], k)
+    wp.atomic_add(grid, i, j, k, g * ((1.0 - x) * (1.0 - y) * (1.0 - z)))
+    wp.atomic_add(grid, i, j, k + 1, g * ((1.0 - x) * (1.0 - y) * z))
+    wp.atomic_add(grid, i, j + 1, k, g * ((1.0 - x) * y * (1.0 - z)))
+    wp.atomic_add(grid, i, j + 1, k + 1, g * ((1.0 - x) * y * z))
+    wp.atomic_add(grid, i + 1, j, k, g * (x * (1.0 - y) * (1.0 - z)))
+    wp.atomic_add(grid, i + 1, j, k + 1, g * (x * (1.0 - y) * z))
+    wp.atomic_add(grid, i + 1, j + 1, k, g * (x * y * (1.0 - z)))
+    wp.atomic_add(grid, i + 1, j + 1, k + 1, g * (x * y * z))
+
+
 @functools.cache
 def _kernels(channels: int) -> tuple[Any, Any, Any]:
     vec = wp.types.vector(length=channels, dtype=wp.float32)
@@ -148,18 +185,7 @@ def _kernels(channels: int) -> tuple[Any, Any, Any]:
         out: wp.array(dtype=vec),
     ):
         n = first + wp.tid()
-        q = wp.cw_mul(points[n] - lo, scale)
-        i = cell_of(q[0], grid.shape[0])
-        j = cell_of(q[1], grid.shape[1])
-        k = cell_of(q[2], grid.shape[2])
-        x = fraction_in(q[0], i)
-        y = fraction_in(q[1], j)
-        z = fraction_in(q[2], k)
-        a = (grid[i, j, k] * (1.0 - z) + grid[i, j, k + 1] * z) * (1.0 - y)
-        a += (grid[i, j + 1, k] * (1.0 - z) + grid[i, j + 1, k + 1] * z) * y
-        b = (grid[i + 1, j, k] * (1.0 - z) + grid[i + 1, j, k + 1] * z) * (1.0 - y)
-        b += (grid[i + 1, j + 1, k] * (1.0 - z) + grid[i + 1, j + 1, k + 1] * z) * y
-        out[n] = a * (1.0 - x) + b * x
+        out[n] = look_up(grid, wp.cw_mul(points[n] - lo, scale))
 
     @wp.kernel(enable_backward=False, module="unique")
     @no_type_check
@@ -178,22 +204,15 @@ def _kernels(channels: int) -> tuple[Any, Any, Any]:
         n = first + wp.tid()
         g = grad_out[n]
         q = wp.cw_mul(points[n] - lo, scale)
-        i = cell_of(q[0], grid.shape[0])
-        j = cell_of(q[1], grid.shape[1])
-        k = cell_of(q[2], grid.shape[2])
-        x = fraction_in(q[0], i)
-        y = fraction_in(q[1], j)
-        z = fraction_in(q[2], k)
         if wants_grid == 1:
-            wp.atomic_add(grid_grad, i, j, k, g * ((1.0 - x) * (1.0 - y) * (1.0 - z)))
-            wp.atomic_add(grid_grad, i, j, k + 1, g * ((1.0 - x) * (1.0 - y) * z))
-            wp.atomic_add(grid_grad, i, j + 1, k, g * ((1.0 - x) * y * (1.0 - z)))
-            wp.atomic_add(grid_grad, i, j + 1, k + 1, g * ((1.0 - x) * y * z))
-            wp.atomic_add(grid_grad, i + 1, j, k, g * (x * (1.0 - y) * (1.0 - z)))
-            wp.atomic_add(grid_grad, i + 1, j, k + 1, g * (x * (1.0 - y) * z))
-            wp.atomic_add(grid_grad, i + 1, j + 1, k, g * (x * y * (1.0 - z)))
-            wp.atomic_add(grid_grad, i + 1, j + 1, k + 1, g * (x * y * z))
+            scatter(grid_grad, q, g)
         if wants_points == 1:
+            i = cell_of(q[0], grid.shape[0])
+            j = cell_of(q[1], grid.shape[1])
+            k = cell_of(q[2], grid.shape[2])
+            x = fraction_in(q[0], i)
+            y = fraction_in(q[1], j)
+            z = fraction_in(q[2], k)
             v000 = wp.dot(grid[i, j, k], g)
             v001 = wp.dot(grid[i, j, k + 1], g)
             v010 = wp.dot(grid[i, j + 1, k], g)

@@ -26,9 +26,8 @@ from devrf.reconstruct.pictures import clips, spread, training
 from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.shell import CUBE, Shell
 
-MOST_PIXELS = (
-    120_000  # of a picture, before it is made square: what 400 x 300 shows; a smaller training size stays
-)
+# of a picture, before it is made square: what 400 x 300 shows; a smaller training size stays
+MOST_PIXELS = 120_000
 OF_SWEEP = 16  # pictures from the sweep's poses
 OF_MOTION = 16  # from the moving cameras' places, over all of them
 OF_FILM = 12  # on a path between the cameras

@@ -59,13 +59,7 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"]) -> Packed:
         _bytes(gaussians.colours.cpu().numpy() * 255),
         *(_words(way) for way in np.diff(np.round(away / step).astype(np.int64), axis=0)),
     ]
-    about = {
-        "count": len(places),
-        "moving": moving,
-        "keys": keys,
-        "step": step,
-        "scales": scales,
-    }
+    about = {"count": len(places), "moving": moving, "keys": keys, "step": step, "scales": scales}
     return Packed(about, zlib.compress(b"".join(part.tobytes() for part in parts), DEFLATE))
 
 

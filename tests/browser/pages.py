@@ -95,9 +95,8 @@ def contrast(page: Any, colour: str, ground: str) -> float:
 def faults_of_structure(page: Any) -> list[str]:
     """Headings that skip a level, pictures without words, controls without a name."""
     levels = page.evaluate("[...document.querySelectorAll('h1, h2, h3, h4')].map(h => Number(h.tagName[1]))")
-    faults = [
-        f"h{b} after h{a}" for a, b in zip([0, *levels], levels, strict=False) if b > a + 1
-    ]  # the first is h1
+    # the first is h1
+    faults = [f"h{b} after h{a}" for a, b in zip([0, *levels], levels, strict=False) if b > a + 1]
     faults += page.evaluate(
         "[...document.querySelectorAll('img')].filter(i => !i.alt).map(i => 'no alt: ' + i.outerHTML.slice(0, 40))"
     )

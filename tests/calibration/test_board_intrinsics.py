@@ -51,9 +51,8 @@ def test_the_minimum_and_its_doubt_are_opencvs():
     deviation = np.asarray(std).reshape(-1)[:9]
     assert (np.abs(ours.intrinsics.vector - theirs) < 0.3 * deviation).all()
     assert ours.intrinsics.std is not None
-    ratio = (
-        ours.intrinsics.std / deviation
-    )  # the larger of two estimates; one from 20 views scatters by 1/sqrt(38)
+    # the larger of two estimates; one from 20 views scatters by 1/sqrt(38)
+    ratio = ours.intrinsics.std / deviation
     assert (ratio > 0.95).all() and (ratio < 1 + 4 / np.sqrt(38)).all()
 
 

@@ -247,9 +247,8 @@ def test_boards_and_clocks_come_back():
     found = adjust(start, "soft_l1").problem
     assert found.timing is not None
     assert max(rotation_deg(a, b) for a, b in zip(found.poses, truth.poses, strict=True)) < 0.01
-    assert found.timing.delay_s[1] == pytest.approx(
-        0.02, abs=3e-3
-    )  # up to the mean of 12 lags of 5 ms: 1.5 ms
+    # up to the mean of 12 lags of 5 ms: 1.5 ms
+    assert found.timing.delay_s[1] == pytest.approx(0.02, abs=3e-3)
     late, true = (t.delay_s[truth.obs_camera] + t.lag_s[t.view] for t in (found.timing, timing))
     against_first = (late - true).reshape(12, 3, 12)[:, :, 0]
     np.testing.assert_allclose(against_first[:, 1:] - against_first[:, :1], 0.0, atol=1e-3)

@@ -109,10 +109,8 @@ def test_brightness_in_stops(level):
 
 
 def test_the_difference_is_rms_of_srgb():
-    a, b = (
-        np.array([[0.0, 0.214041, 1.0]]),
-        np.array([[0.0, 1.0, 2.0]]),
-    )  # sRGB 0, 0.5, 1 and 0, 1, 1 (clipped)
+    # sRGB 0, 0.5, 1 and 0, 1, 1 (clipped)
+    a, b = (np.array([[0.0, 0.214041, 1.0]]), np.array([[0.0, 1.0, 2.0]]))
     np.testing.assert_allclose(difference(a, b), [math.sqrt(0.25 / 3)], rtol=1e-4)
 
 
@@ -177,9 +175,8 @@ def test_a_test_camera_is_measured_and_changes_nothing():
     # against a and against b as it is corrected: 450 points, 1.2533 for a median; 4 standard deviations
     allowed = 4 * 1.2533 * NOISE * math.sqrt(2 / 450) / math.log(2)
     assert abs(found.brightness["d"][0] - math.log2(1.4)) < allowed
-    assert found.apart["d"].before == pytest.approx(
-        found.apart["d"].after, rel=0.8
-    )  # b is corrected, d is not
+    # b is corrected, d is not
+    assert found.apart["d"].before == pytest.approx(found.apart["d"].after, rel=0.8)
 
 
 # --- points that the sweep and a camera see ---
@@ -335,13 +332,10 @@ def test_a_chart_is_read_through_the_flat_field(tmp_path):
     np.testing.assert_allclose(found[use], room.patches()[use], atol=0.004, rtol=0.02)
 
 
-def test_a_picture_without_a_chart(tmp_path):
+def test_a_picture_without_a_chart_or_with_a_board(tmp_path):
     write_png(tmp_path / "room.png", room.show(room.camera(0.7)).rgb)
     with refused("chart-unfound", "room.png", "1 picture", "6 x 4", kind=CalibrationError):
         read_chart(tmp_path / "room.png")
-
-
-def test_a_board_is_no_chart(tmp_path):
     squares = (np.indices((4, 6)).sum(axis=0) % 2 * 200 + 30).astype(np.uint8)
     board = np.full((480, 640, 3), 128, np.uint8)
     board[100:380, 110:530] = squares.repeat(70, axis=0).repeat(70, axis=1)[..., None]
@@ -350,12 +344,9 @@ def test_a_board_is_no_chart(tmp_path):
         read_chart(tmp_path / "board.png")
 
 
-def test_a_chart_that_is_overexposed(tmp_path):
+def test_a_chart_that_is_overexposed_and_a_file_that_is_no_picture(tmp_path):
     with refused("chart-clipped", "15 of the chart's 24", kind=CalibrationError):
         read_chart(charted(tmp_path, light=2.5))
-
-
-def test_a_file_that_is_no_picture(tmp_path):
     (tmp_path / "chart.mp4").write_bytes(b"no film")
     with refused("file-is-text", "chart.mp4", kind=InputError):
         read_chart(tmp_path / "chart.mp4")

@@ -58,9 +58,8 @@ def test_a_lamp_seen_at_half_the_frame_rate():
         light = 1 + depth / 2 * np.cos(2 * np.pi * 120 * time_s)
         found = judge_light(measure(film(light[:, None, None] * np.ones(3)), time_s)).flicker
         assert (found is not None) == fires
-        if (
-            found is not None
-        ):  # what lies between the two frames of a wave is not seen: a wave of sqrt(2) fits as well
+        # what lies between the two frames of a wave is not seen: a wave of sqrt(2) fits as well
+        if found is not None:
             assert 0.95 * depth < found.depth < 1.05 * np.sqrt(2) * depth
 
 
@@ -132,9 +131,8 @@ def test_flicker_of_a_rolling_shutter_is_seen_in_bands():
     light = 1 + 0.05 * np.sin(2 * np.pi * 100 * (TIME_S[:, None] + rows_s))
     course = measure(film(light[:, :, None] * np.ones(3)), TIME_S)
     found = judge_light(course)
-    assert (
-        course.stops.std() < 0.02
-    )  # 0.05 if all rows had it at once; the square hides some rows more than others
+    # 0.05 if all rows had it at once; the square hides some rows more than others
+    assert course.stops.std() < 0.02
     # A band averages a sixth of a wave: sinc(1/6) = 0.955; and 5 % as above.
     assert found.flicker is not None and found.flicker.depth == pytest.approx(0.955 * 0.105, rel=0.05)
 

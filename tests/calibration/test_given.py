@@ -80,16 +80,17 @@ def test_names_are_matched(
     assert all(bool(n.remedy) == (word == "matched by order") for n in said)  # a guess is to be looked at
 
 
-def test_names_that_do_not_match_are_listed(tmp_path: Path) -> None:
-    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(("a", "b", "c")), True)
-    with refused("camera-missing", "no camera cam0, cam1;", "a, b, c", "has cam0, cam1", kind=InputError):
-        read(tmp_path / "Calib.toml", ("cam0", "cam1"))
-
-
-def test_a_missing_name_is_not_taken_for_a_renamed_one(tmp_path: Path) -> None:
-    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(("cam0", "cam1")), True)
-    with refused("camera-missing", "no camera cam2;", "it has cam0, cam1", kind=InputError):
-        read(tmp_path / "Calib.toml", ("cam1", "cam2"))
+@pytest.mark.parametrize(
+    ("has", "wanted", "named"),
+    [
+        (("a", "b", "c"), ("cam0", "cam1"), ("no camera cam0, cam1;", "a, b, c", "has cam0, cam1")),
+        (("cam0", "cam1"), ("cam1", "cam2"), ("no camera cam2;", "it has cam0, cam1")),  # none is renamed
+    ],
+)
+def test_names_that_do_not_match_are_listed(tmp_path: Path, has: tuple, wanted: tuple, named: tuple) -> None:
+    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(has), True)
+    with refused("camera-missing", *named, kind=InputError):
+        read(tmp_path / "Calib.toml", wanted)
 
 
 def test_a_smaller_clip_scales_the_calibration(tmp_path: Path) -> None:
@@ -126,6 +127,7 @@ def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        *(("factor", factor) for factor in (0, -1, float("nan"), float("inf"))),
         ("K", [[1e308, 0, 320], [0, 500, 240], [0, 0, 1]]),
         ("K", [[500, 0, 320], [0, 1e-308, 240], [0, 0, 1]]),
         ("K", [[500, 0, 1e308], [0, 500, 240], [0, 0, 1]]),
@@ -133,22 +135,15 @@ def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path
         ("cam_from_world", [[1, 0, 0, 1e300], [0, 1, 0, 0], [0, 0, 1, 2]]),
     ],
 )
-def test_what_no_camera_has_is_refused(tmp_path: Path, key: str, value: list) -> None:
+def test_what_no_camera_or_scale_has_is_refused(tmp_path: Path, key: str, value: object) -> None:
     own_rig(tmp_path / "rig.json")
     content = json.loads((tmp_path / "rig.json").read_text())
-    content["cameras"]["cam1"][key] = value
+    (content["scale"] if key == "factor" else content["cameras"]["cam1"])[key] = value
     (tmp_path / "rig.json").write_text(json.dumps(content))
-    with refused("camera-implausible", "rig.json", "'cam1'", kind=InputError):
-        read(tmp_path / "rig.json")
-
-
-@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
-def test_a_scale_that_is_none_is_refused(tmp_path: Path, factor: float) -> None:
-    own_rig(tmp_path / "rig.json")
-    content = json.loads((tmp_path / "rig.json").read_text())
-    content["scale"]["factor"] = factor
-    (tmp_path / "rig.json").write_text(json.dumps(content))
-    with refused("file-damaged", "scale.factor", kind=InputError):
+    said = (
+        ("file-damaged", "scale.factor") if key == "factor" else ("camera-implausible", "rig.json", "'cam1'")
+    )
+    with refused(*said, kind=InputError):
         read(tmp_path / "rig.json")
 
 

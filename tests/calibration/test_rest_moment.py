@@ -129,10 +129,8 @@ def test_of_a_rest_that_lasts_the_moment_that_all_cameras_film(shared, until, mo
 @pytest.mark.parametrize(
     ("filmed", "expected"),
     [
-        (
-            [(0.0, 5.0), (1.0, 6.0), (2.0, 7.0)],
-            (1.0, 6.0),
-        ),  # the first alone films from 0 to 1, the last from 6 to 7
+        # the first alone films from 0 to 1, the last from 6 to 7
+        ([(0.0, 5.0), (1.0, 6.0), (2.0, 7.0)], (1.0, 6.0)),
         ([(0.0, 5.0), (6.0, 9.0)], None),
         ([(0.0, 5.0), (5.0, 9.0)], None),
         ([(3.0, 5.0)], (3.0, 5.0)),

@@ -18,12 +18,7 @@ from devrf.calibration.rigs.graph import camera_graph
 from devrf.calibration.rigs.joint import adjust_together, disagreement
 from devrf.calibration.rigs.registration import camera_of, register
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, read_rig, write_rig
-from devrf.calibration.rigs.scale import (
-    combined,
-    scale_from_board,
-    scale_from_distances,
-    scale_from_gps,
-)
+from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances, scale_from_gps
 from devrf.calibration.rigs.sweep_route import FixedCameraInput, rig_from_sweep
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg

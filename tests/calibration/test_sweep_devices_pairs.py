@@ -179,10 +179,8 @@ def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
     for n in range(3):
         Image.new("RGB", (60, 40)).save(tmp_path / "in" / f"IMG_{n}.jpg")
     problems = check_raw_files(config, tmp_path)
-    assert (
-        len(problems) == 1
-        and "calibration.static_poses.masks: masks: no folder with PNG files" in problems[0]
-    )
+    assert len(problems) == 1
+    assert "calibration.static_poses.masks: masks: no folder with PNG files" in problems[0]
     (tmp_path / "masks").mkdir()
     Image.new("L", (30, 40)).save(tmp_path / "masks" / "IMG_1.jpg.png")
     assert check_raw_files(config, tmp_path) == []

@@ -92,9 +92,8 @@ def wanderer(picture: np.ndarray, n: int) -> np.ndarray:
     """A textured board that moves up and down while the camera goes around: 90 x 110 pixels."""
     rng = np.random.default_rng(5)
     board = cv2.GaussianBlur(rng.integers(0, 256, (110, 90)).astype(np.float64), (0, 0), 1.5)
-    board = np.clip(128 + 4 * (board - 128), 0, 255).astype(
-        np.uint8
-    )  # the blur took three quarters of its contrast
+    # the blur took three quarters of its contrast
+    board = np.clip(128 + 4 * (board - 128), 0, 255).astype(np.uint8)
     top = (10, 60, 30, 110, 80, 20, 120, 50, 90)[n]
     out = picture.copy()
     out[top : top + 110, 120:210] = board
@@ -363,9 +362,8 @@ def test_an_open_loop_is_named():
 
     def sweep(closed: bool) -> SweepModel:
         image, point = [], []
-        for p in range(
-            len(xyz)
-        ):  # each point is followed through five pictures, over the end where it is closed
+        # each point is followed through five pictures, over the end where it is closed
+        for p in range(len(xyz)):
             for i in range(p % n, p % n + 5):
                 if closed or i < n:
                     image.append(i % n)

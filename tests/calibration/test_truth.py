@@ -178,9 +178,8 @@ def test_masks_lie_beside_the_truth(tmp_path):
     mask = np.random.default_rng(0).random((5, 6, 8)) > 0.5
     np.savez_compressed(tmp_path / "witness_mask.npz", mask=mask)
     path = tmp_path / "ground_truth.json"
-    np.testing.assert_array_equal(
-        read_masks(path, {"heldout": (5, 6, 8)})["heldout"], mask
-    )  # there is one camera
+    # there is one camera
+    np.testing.assert_array_equal(read_masks(path, {"heldout": (5, 6, 8)})["heldout"], mask)
     assert read_masks(path, {"a": (5, 6, 8), "b": (5, 6, 8)}) == {}
     np.savez_compressed(tmp_path / "b_mask.npz", mask=mask.astype(np.uint8))
     (found,) = read_masks(path, {"a": (5, 6, 8), "b": (4, 6, 8)}).items()

@@ -66,11 +66,7 @@ def entry(number: int, **values: Any) -> Callable[[dict[str, Any]], object]:
     return lambda meta: meta["frames"][number].update(values)
 
 
-TRANSFORMS = {
-    "devrf": TRAIN,
-    "blender": "transforms_train.json",
-    "nerfstudio": "transforms.json",
-}
+TRANSFORMS = {"devrf": TRAIN, "blender": "transforms_train.json", "nerfstudio": "transforms.json"}
 
 
 @pytest.mark.parametrize("name", TRANSFORMS)

@@ -189,9 +189,8 @@ def same_cameras(folder: Path, other: Path) -> None:
         lambda text: text.replace(b"list\n", b"list\n\n\n"),  # below the comment
         lambda text: text.replace(b".png\n\n", b".png\n"),  # an image without its line of keypoints
         lambda text: text.replace(b"-1\n", b"-1\n\n"),  # below an image's keypoints
-        lambda text: text.replace(
-            b".png\n1.5 2.5 11 3.5 4.5 -1\n", b".png\n"
-        ),  # known poses without second lines
+        # known poses without second lines
+        lambda text: text.replace(b".png\n1.5 2.5 11 3.5 4.5 -1\n", b".png\n"),
         lambda text: text + b"\n\n",
     ],
 )
@@ -203,20 +202,18 @@ def test_colmap_text_as_others_leave_it(tmp_path: Path, change):
     same_cameras(tmp_path / "changed", tmp_path / "plain")
 
 
-def test_keypoints_that_are_cut_off_are_no_image(tmp_path: Path):
+def test_keypoints_that_are_cut_off_and_text_in_utf_16_are_named(tmp_path: Path):
     colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
     file = tmp_path / "sparse/images.txt"
-    file.write_text(file.read_text().replace("4.5 -1", "4.5"))
+    whole = file.read_text()
+    file.write_text(whole.replace("4.5 -1", "4.5"))
     with refused("file-damaged", "images.txt", "1.5 2.5 11 3.5 4.5", "two lines", kind=CaptureError):
         read_dataset("colmap", tmp_path)
-
-
-@pytest.mark.parametrize("name", ["sparse/cameras.txt", "sparse/test.txt"])
-def test_text_in_utf_16_is_named(tmp_path: Path, name: str):
-    colmap_text(tmp_path, "SIMPLE_PINHOLE 48 32 40 23 15")
-    (tmp_path / name).write_text("7 SIMPLE_PINHOLE 48 32 40 23 15\n", "utf-16")
-    with refused("encoding-wrong", name, "UTF-8", kind=CaptureError):
-        read_dataset("colmap", tmp_path)
+    file.write_text(whole)
+    for name in ("sparse/test.txt", "sparse/cameras.txt"):
+        (tmp_path / name).write_text("7 SIMPLE_PINHOLE 48 32 40 23 15\n", "utf-16")
+        with refused("encoding-wrong", name, "UTF-8", kind=CaptureError):
+            read_dataset("colmap", tmp_path)
 
 
 def test_a_list_of_test_pictures_with_a_signature(tmp_path: Path):
@@ -234,9 +231,8 @@ def test_names_with_backslashes(tmp_path: Path):
     file.write_text(file.read_text().replace("7 a ", "7 left\\"))
     (tmp_path / "sparse/test.txt").write_text("left/1.png\n")
     assert [f.split for f in read_dataset("colmap", tmp_path).static] == ["train", "test", "train"]
-    file.write_text(
-        "".join(line + "\n" for line in file.read_text().splitlines()[:3])
-    )  # one picture: a fixed camera
+    # one picture: a fixed camera
+    file.write_text("".join(line + "\n" for line in file.read_text().splitlines()[:3]))
     assert list(find_calibration(tmp_path).cameras) == ["left"]
 
 

@@ -6,11 +6,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.refused import refused
 from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats import FLIP_YZ, read_dataset, read_scene, read_transforms, write_scene
 from devrf.capture.scene import PosedFrame, Scene
 
@@ -84,25 +82,6 @@ def test_nerfstudio_files_of_others_with_global_intrinsics(tmp_path):
     np.testing.assert_allclose(frame.camera.cam_from_world, np.eye(4)[:3], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("content", "refusal"),
-    [
-        (None, ("file-missing", "transforms.json")),
-        ("{", ("file-damaged", "transforms.json")),
-        ('{"frames": []}', ("pictures-none", "transforms.json")),
-        (
-            '{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}',
-            ("picture-missing", "no.png"),
-        ),
-    ],
-)
-def test_bad_transforms_are_named(tmp_path, content, refusal):
-    if content is not None:
-        (tmp_path / "transforms.json").write_text(content)
-    with refused(*refusal, kind=CaptureError):
-        read_dataset("nerfstudio", tmp_path)
-
-
 def test_published_layout(data_dir):
     scene = read_dataset("devrf", data_dir / "devrf_cloth", frame_stride=5)
     assert scene.background == "white" and scene.rest_time == 0.0 and scene.kind == "inward"
@@ -119,8 +98,3 @@ def test_published_layout(data_dir):
 def test_blender_without_a_test_split_holds_out(data_dir):
     scene = read_dataset("blender", data_dir / "lego_blender_400", holdout_every=8)
     assert [sum(f.split == s for f in scene.static) for s in ("train", "test")] == [87, 13]
-
-
-def test_a_folder_of_another_layout_says_what_was_expected(tmp_path):
-    with refused("folder-missing", "dynamic_4views", kind=CaptureError):
-        read_dataset("devrf", tmp_path)

@@ -11,14 +11,7 @@ from tests.refused import refused
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.courses import ROW_BANDS
 from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.frames import (
-    FrameSet,
-    sharp,
-    sharpest_per_window,
-    sharpness,
-    timing,
-    window_of,
-)
+from devrf.capture.frames import FrameSet, sharp, sharpest_per_window, sharpness, timing, window_of
 from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_sounds
 from devrf.capture.photo_folders import list_pictures
 from devrf.capture.photos import extract_folder

@@ -38,9 +38,8 @@ def test_a_look_is_its_formula(tmp_path, matrix, flat):
     np.save(tmp_path / "flat.npy", cells)
     out = Look(matrix, gains, tmp_path / "flat.npy" if flat else None).apply(rgb)
     light = 1.0
-    if (
-        flat
-    ):  # the cells rise by 0.1 from column to column and by 0.3 from row to row, as does what lies between
+    # the cells rise by 0.1 from column to column and by 0.3 from row to row, as does what lies between
+    if flat:
         y, x = np.mgrid[:40, :70] + 0.5
         light = (0.5 + 0.3 * (2 * y / 40 - 0.5) + 0.1 * (3 * x / 70 - 0.5))[..., None]
     linear = (linear_from_srgb(rgb / 255) / light * gains) @ np.array(matrix).T

@@ -65,9 +65,8 @@ def test_what_passes_differs_from_the_clean_plate(passing: Passing, tmp_path: Pa
     made = background_mattes(clip, tmp_path / "out")
     true = mattes > 0.5
     assert overlap(shown(made.files), true) > least_overlap(true, 2)
-    assert (
-        shown(made.files)[~true].sum() < 0.1 * true.sum()
-    )  # the shadow, three times the robot's feet, is not in it
+    # the shadow, three times the robot's feet, is not in it
+    assert shown(made.files)[~true].sum() < 0.1 * true.sum()
     assert made.hidden is not None and made.hidden < 0.5
     assert [f.name for f in made.files] == [f"{n:06d}.png" for n in range(len(pictures))]
 
@@ -103,9 +102,8 @@ def test_a_screen_is_found_and_taken_away(passing: Passing, tmp_path: Path, scre
     rgb = pictures.astype(np.float32)
     strongest = np.argmax(screen)
     others = [n for n in range(3) if n != strongest]
-    alike = rgb[..., strongest] > 1.15 * rgb[..., others].max(
-        -1
-    )  # green parts before green, blue before blue
+    # green parts before green, blue before blue
+    alike = rgb[..., strongest] > 1.15 * rgb[..., others].max(-1)
     assert overlap(ours & ~alike, true & ~alike) > least_overlap(true, 1)
     named = chroma_mattes(clip, parse_colour("#{:02x}{:02x}{:02x}".format(*screen)), tmp_path / "named")
     assert overlap(shown(named.files), ours) > 0.95

@@ -39,9 +39,8 @@ def test_curves_of_profiles(tmp_path, name):
     curve, gamma = CURVES[name]
     PICTURE.save(tmp_path / "a.tif", icc_profile=profile(curve))
     with Image.open(tmp_path / "a.tif") as image:
-        assert declared_gamma(image) == (
-            gamma and pytest.approx(gamma, abs=1 / 256)
-        )  # 8 bits after the point
+        # 8 bits after the point
+        assert declared_gamma(image) == (gamma and pytest.approx(gamma, abs=1 / 256))
 
 
 def test_photos_that_hold_linear_light_are_named(tmp_path):

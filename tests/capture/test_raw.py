@@ -86,11 +86,8 @@ def test_one_white_balance_and_one_white_level_for_all(tmp_path):
     )
     a, b = tmp_path / "a.dng", tmp_path / "b.dng"
     b_says = develop(b).header
-    assert (
-        b_says.as_shot is not None
-        and b_says.as_shot == pytest.approx((2, 1, 1 / 0.7), rel=1e-5)
-        and b_says.white == 12000
-    )
+    assert b_says.as_shot is not None and b_says.as_shot == pytest.approx((2, 1, 1 / 0.7), rel=1e-5)
+    assert b_says.white == 12000
     recipe = recipe_for([a, b])
     assert max(recipe.white_balance) == pytest.approx(1, abs=1e-3)
     one, other = (develop(path, recipe).linear for path in (a, b))
@@ -137,9 +134,8 @@ def test_set_on_disk(tmp_path):
     assert recipe["libraw"].count(".") == 2 and recipe["curve"] == "sRGB"
     for (index, path), entry in zip(jobs, files, strict=True):
         photo = photos[index]
-        assert (
-            entry["source"] == path.name and entry["file"] == photo.file == f"frames/static/{index:06d}.png"
-        )
+        assert entry["source"] == path.name
+        assert entry["file"] == photo.file == f"frames/static/{index:06d}.png"
         assert entry["black"] == list(BLACK) and entry["white"] == WHITE and len(entry["camera_matrix"]) == 3
         linear = develop(path).linear / 65535
         np.testing.assert_allclose(inside(linear), inside(light(1 - 0.1 * index)), atol=TRUTH)

@@ -117,10 +117,8 @@ def test_a_clip_written_again_keeps_its_sound_and_says_where_in_the_clip_a_pictu
 
 def test_a_stop_is_twice_the_light() -> None:
     picture = np.full((4, 4, 3), 100, np.uint8)
-    light, was = (
-        linear_from_srgb(relit(picture, np.array([1.0, 0.0, -1.0])) / 255.0),
-        linear_from_srgb(np.array([100 / 255.0])),
-    )
+    light = linear_from_srgb(relit(picture, np.array([1.0, 0.0, -1.0])) / 255.0)
+    was = linear_from_srgb(np.array([100 / 255.0]))
     np.testing.assert_allclose(light[0, 0] / was, [2.0, 1.0, 0.5], rtol=0.02)
 
 

@@ -6,13 +6,7 @@ from scipy.spatial.distance import cdist
 
 from devrf.capture.simulate.bodies import TABLE_TOP_M
 from devrf.capture.simulate.furniture import ROOMS, furnished
-from devrf.capture.simulate.objects import (
-    OBJECTS,
-    SHEET_HEIGHT_M,
-    SHEET_TOP_M,
-    SHEET_WIDTH_M,
-    make_object,
-)
+from devrf.capture.simulate.objects import OBJECTS, SHEET_HEIGHT_M, SHEET_TOP_M, SHEET_WIDTH_M, make_object
 from devrf.capture.simulate.rig import fixed_cameras, sweep_cameras
 from devrf.capture.simulate.scenes import (
     CENTRE,
@@ -153,9 +147,8 @@ def test_no_camera_stands_in_the_furniture(kind: str, seed: int) -> None:
 @pytest.mark.parametrize("kind", ROOMS)
 def test_walls_of_furnished_rooms_are_plain_and_face_inward(kind: str) -> None:
     around = furnished(kind, np.random.default_rng(0), 1.0)
-    inside = [
-        m for m in around.still if np.abs(m.vertices).max() <= ROOM_HEIGHT_M
-    ]  # not what the window shows
+    # not what the window shows
+    inside = [m for m in around.still if np.abs(m.vertices).max() <= ROOM_HEIGHT_M]
     walls = [m for m in inside if np.ptp(m.vertices[:, 2]) > 3 and np.ptp(m.vertices, axis=0)[:2].max() > 3]
     assert len(walls) >= 3
     for wall in walls:

@@ -97,11 +97,13 @@ def test_not_a_video(make_clip, pictures, tmp_path, name, content, code):
         probe_video(path)
 
 
-def test_index_cut_off(make_clip, pictures):
+def test_index_cut_off_and_no_frames(make_clip, pictures):
     path = make_clip("noindex.mp4", pictures)
     path.write_bytes(path.read_bytes()[:1500])
     with refused("file-cut-short", "noindex.mp4", kind=InputError):
         probe_video(path)
+    with refused("video-missing", "none.mp4", kind=InputError):
+        probe_video(make_clip("none.mp4", []))
 
 
 def test_missing_folder_and_sound_only(tmp_path):
@@ -116,12 +118,6 @@ def test_missing_folder_and_sound_only(tmp_path):
         file.writeframes(bytes(9600))
     with refused("video-missing", "sound.wav", "audio", kind=InputError):
         probe_video(tmp_path / "sound.wav")
-
-
-def test_clip_without_frames(make_clip):
-    path = make_clip("none.mp4", [])
-    with refused("video-missing", "none.mp4", kind=InputError):
-        probe_video(path)
 
 
 def test_reader_can_be_read_once(make_clip, pictures):

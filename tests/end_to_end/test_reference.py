@@ -51,7 +51,6 @@ def test_motion_is_learned(out: Path) -> None:
 def test_the_coarse_model_found_the_box(out: Path) -> None:
     rest = json.loads((out / "seed0" / "rest" / "metrics.json").read_text())
     sides = [b - a for a, b in zip(*rest["aabb"], strict=True)]
-    assert max(sides) < 2.0 and min(sides) < 0.6 * max(
-        sides
-    )  # the arm is slim; the first box was a cube of 2
+    # the arm is slim; the first box was a cube of 2
+    assert max(sides) < 2.0 and min(sides) < 0.6 * max(sides)
     assert rest["train_psnr"] > 28

@@ -6,11 +6,8 @@ from scipy.ndimage import gaussian_filter, shift
 
 from devrf.flow.agreement import agreement
 
-HEIGHT, WIDTH, MOVED = (
-    60,
-    80,
-    (3.0, -1.5),
-)  # u right, v down, pixels, from the current picture to the previous one
+# u right, v down, pixels, from the current picture to the previous one
+HEIGHT, WIDTH, MOVED = (60, 80, (3.0, -1.5))
 INSIDE = (slice(8, -8), slice(8, -8))
 RNG = np.random.default_rng(0)
 
@@ -39,9 +36,8 @@ VALID = np.ones((HEIGHT, WIDTH), bool)
 def test_the_right_flow_is_believed(brighter: float) -> None:
     found = agreement(*_pictures(brighter=brighter), _flow(*MOVED), VALID)
     assert found.weight[INSIDE].min() > 0.8
-    assert (
-        found.asked > 0.9 * VALID.sum() and found.contradicted < 0.1 * found.asked
-    )  # the border is not known
+    # the border is not known
+    assert found.asked > 0.9 * VALID.sum() and found.contradicted < 0.1 * found.asked
 
 
 @pytest.mark.parametrize(
@@ -94,6 +90,5 @@ def test_what_is_hidden_says_nothing_about_vectors_beside_it() -> None:
     valid[rows, columns] = False
     weight = agreement(now, then, _flow(*MOVED), valid).weight
     assert min(weight[18, 24:38].min(), weight[20:34, 39].min()) > 0.6
-    assert (
-        agreement(now, then, _flow(*MOVED), VALID).weight[20:34, 39].min() == 0
-    )  # not left out, it condemns them
+    # not left out, it condemns them
+    assert agreement(now, then, _flow(*MOVED), VALID).weight[20:34, 39].min() == 0

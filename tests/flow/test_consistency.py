@@ -60,9 +60,7 @@ def test_invalid_vectors_do_not_bleed():
     small, left = resize_flow(flow, weight, 2, 2)
     np.testing.assert_allclose(small[0, 0], [1, 1], atol=1e-5)
     np.testing.assert_array_equal(left, [[1, 1], [1, 0]])
-
-
-def test_surer_vectors_count_more():
+    # nor do vectors that are less sure count as much as others
     flow, weight = constant(0, 0, 2, 2), np.full((2, 2), 0.25, np.float32)
     flow[0, 0] = 8
     weight[0, 0] = 0.75

@@ -16,10 +16,8 @@ from devrf.flow.raft_network import LARGE, SMALL, Raft
 from devrf.flow.raft_weights import load_raft
 
 SIZES = {"small": SMALL, "large": LARGE}
-TENSORS = {
-    "small": (106, 990_162),
-    "large": (169, 5_257_536),
-}  # number of tensors without doubles; of weights, as torchvision states
+# number of tensors without doubles; of weights, as torchvision states
+TENSORS = {"small": (106, 990_162), "large": (169, 5_257_536)}
 
 
 @pytest.fixture(scope="module")

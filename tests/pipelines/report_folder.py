@@ -213,13 +213,7 @@ def _confidence() -> dict[str, object]:
         {"share": 0.5, "expected_rms": 4.0, "measured_rms": 3.5},
         {"share": 0.5, "expected_rms": 16.0, "measured_rms": 18.5},
     ]
-    curve = {
-        "pixels": 99,
-        "expected_rms": 11.5,
-        "measured_rms": 13.25,
-        "spearman": 0.625,
-        "bins": bins,
-    }
+    curve = {"pixels": 99, "expected_rms": 11.5, "measured_rms": 13.25, "spearman": 0.625, "bins": bins}
     return {"test": curve, "test_static": {**curve, "spearman": 0.375}, "test_moving": {"pixels": 0, "why": "none"},
             "moves": True, "low_above": 32.0, "low_share": 0.0625, "unseen_share": 0.125,
             "seen_by": [{"cameras": 1, "share": 0.125, "expected_rms": 40.5}]}  # fmt: skip

@@ -389,9 +389,8 @@ def test_an_input_is_fetched_once_and_checked(tmp_path: Path, scratch: Path) -> 
         file.write_bytes(file.read_bytes()[:-1] + b"?")
     shutil.rmtree(tmp_path / "store/runs")
     code, rows = run(tmp_path, "a")
-    assert code == FAILED and all(
-        w in rows["a"]["message"] for w in (f"{store_in(tmp_path)}/inputs/", "digest")
-    )
+    assert code == FAILED
+    assert all(w in rows["a"]["message"] for w in (f"{store_in(tmp_path)}/inputs/", "digest"))
 
 
 def test_files_outside_of_the_scenes_folder_come_too(tmp_path: Path) -> None:

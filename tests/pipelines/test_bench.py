@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.pipelines.conftest import SETTINGS
 
 from devrf.capture.scene import Scene
-from devrf.capture.simulate.dataset import simulate_dataset
-from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.pipelines.bench import parts as parts_bench
 from devrf.pipelines.bench.ablation import PAPER_FORWARD, PAPER_INWARD
 from devrf.pipelines.bench.parts import COSTS, EARNS, NOTHING, SAVES, UNTOLD, Judged
@@ -34,29 +33,15 @@ from devrf.reconstruct.paired import Gain, paired_gain
 from devrf.reconstruct.parts import PARTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SMALL = {
-    "resolution": 16, "rays": 128, "canonical_iterations": 60, "motion_iterations": 10, "image_scale": 1.0,
-}  # fmt: skip
-SETTINGS = [part for key, value in SMALL.items() for part in ("--set", f"reconstruct.{key}={value}")]
 PICTURES = {"width": 32, "static": 14, "cameras": 2, "times": 3}
 ABSENT = ("cv2", "av", "pycolmap", "viser", "rawpy", "mitsuba", "ray")
 KEYS = {"name", "value", "unit", "anchor", "goal", "met"}  # the contract's
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("arm")
-    options = DatasetOptions(
-        static_views=14, static_test_views=1, times=3, test_views_per_time=1, spp=4, motion_scale=0.3
-    )
-    simulate_dataset(folder, "arm", cameras=2, size=(32, 32), options=options)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def ablation(devrf: Any, dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def ablation(devrf: Any, arm: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("ablation")
-    return out, _bench(devrf, "ablation", dataset, "--out", str(out), "--seeds", "2", *SETTINGS)
+    return out, _bench(devrf, "ablation", arm, "--out", str(out), "--seeds", "2", *SETTINGS)
 
 
 def _bench(devrf: Any, name: str, scene: Path, *arguments: str, code: int = 0) -> str:
@@ -93,24 +78,24 @@ def test_ablation_measures_every_variant_beside_the_paper(ablation: tuple[Path, 
 
 
 @pytest.mark.full
-def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], dataset: Path) -> None:
+def test_nothing_is_trained_twice(devrf: Any, ablation: tuple[Path, str], arm: Path) -> None:
     out, _ = ablation
     files = sorted(out.glob("seed*/*/metrics.json"))
     before = {file: file.stat().st_mtime_ns for file in files}
     assert len(before) == 2 * (1 + len(VARIANTS))
-    output = _bench(devrf, "ablation", dataset, "--out", str(out), "--seeds", "2", *SETTINGS)
+    output = _bench(devrf, "ablation", arm, "--out", str(out), "--seeds", "2", *SETTINGS)
     assert "nothing changed" in output
     assert before == {file: file.stat().st_mtime_ns for file in files}
 
 
 def test_rows_that_cannot_be_written_are_refused_before_training(
-    devrf: Any, dataset: Path, tmp_path: Path
+    devrf: Any, arm: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path, tmp_path / "file" / "rows.json"):
-        said = _bench(devrf, "views", dataset, "--out", str(tmp_path / "o"), "--json", str(path), code=2)
+        said = _bench(devrf, "views", arm, "--out", str(tmp_path / "o"), "--json", str(path), code=2)
         assert f"--json {path}" in said or f"--json {path.parent}" in said
-    said = _bench(devrf, "views", dataset, "--out", str(tmp_path / "file"), code=2)
+    said = _bench(devrf, "views", arm, "--out", str(tmp_path / "file"), code=2)
     assert f"--out {tmp_path / 'file'}: " in said and "[folder-unwritable]" in said
     assert not (tmp_path / "o").exists()
 
@@ -123,20 +108,20 @@ def test_the_table_is_whole_in_a_pipe(ablation: tuple[Path, str]) -> None:
 
 
 @pytest.mark.full
-def test_some_variants_only(devrf: Any, dataset: Path, ablation: tuple[Path, str], tmp_path: Path) -> None:
+def test_some_variants_only(devrf: Any, arm: Path, ablation: tuple[Path, str], tmp_path: Path) -> None:
     out, _ = ablation
     _bench(
-        devrf, "ablation", dataset, "--out", str(out), "--only", "base,+tv", "--json", str(tmp_path / "few.json"),
+        devrf, "ablation", arm, "--out", str(out), "--only", "base,+tv", "--json", str(tmp_path / "few.json"),
         *SETTINGS,
     )  # fmt: skip
     names = {name.split("/")[1] for name in _rows(tmp_path / "few.json")}
     assert names == {"base", "tv", "base to tv"}
-    wrong = _bench(devrf, "ablation", dataset, "--only", "tvv", *SETTINGS, code=2)
+    wrong = _bench(devrf, "ablation", arm, "--only", "tvv", *SETTINGS, code=2)
     assert "tvv" in wrong and "c2f" in wrong
 
 
 @pytest.mark.full
-def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+def test_parts_are_left_out_one_by_one(devrf: Any, arm: Path, tmp_path: Path) -> None:
     chosen = (
         "--preset",
         "tiny",
@@ -147,7 +132,7 @@ def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path
         "--out",
         str(tmp_path),
     )
-    said = _bench(devrf, "parts", dataset, *chosen, *SETTINGS)
+    said = _bench(devrf, "parts", arm, *chosen, *SETTINGS)
     content = json.loads((tmp_path / "parts.json").read_text())
     assert set(content["parts"]) == {"cycle", "rest_entropy"} and content["not_in_use"] == [
         "exact_times",
@@ -173,9 +158,9 @@ def test_parts_are_left_out_one_by_one(devrf: Any, dataset: Path, tmp_path: Path
     files = sorted(tmp_path.rglob("seed*/*/metrics.json"))
     before = {file: file.stat().st_mtime_ns for file in files}
     assert len(files) == 2 * 5  # the whole: both stages; cycle: motion; rest_entropy: both
-    _bench(devrf, "parts", dataset, *chosen, *SETTINGS)
+    _bench(devrf, "parts", arm, *chosen, *SETTINGS)
     assert before == {file: file.stat().st_mtime_ns for file in files}
-    wrong = _bench(devrf, "parts", dataset, "--parts", "cycles", *SETTINGS, code=2)
+    wrong = _bench(devrf, "parts", arm, "--parts", "cycles", *SETTINGS, code=2)
     assert "cycles" in wrong and "rest_entropy" in wrong
 
 
@@ -196,7 +181,7 @@ def test_nothing_is_rendered_for_words_that_are_wrong(
 
 
 def test_parts_of_the_motion_share_the_scene_at_rest_even_where_they_change_the_scene(
-    dataset: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arm: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Pictures at times of their own: without them the scene is another, but not what is at rest in it."""
     at_rest: list[Bench] = []
@@ -206,7 +191,7 @@ def test_parts_of_the_motion_share_the_scene_at_rest_even_where_they_change_the_
     late = tuple(
         replace(f, time=(f.time or 0.0) + 0.04 * (f.camera_name != "cam0")) for f in odd_scene.dynamic
     )
-    run = Run(load_scene(dataset / "scene.yaml"), dataset, STAGES, Choice(), Talk("quiet"))
+    run = Run(load_scene(arm / "scene.yaml"), arm, STAGES, Choice(), Talk("quiet"))
     bench = Bench(run, tmp_path, replace(odd_scene, dynamic=late), {})
     for name in ("cycle", "exact_times"):
         parts_bench._without(bench, next(part for part in PARTS if part.name == name), 0)
@@ -224,10 +209,8 @@ def test_the_first_measure_that_can_tell_decides() -> None:
         gains = {"psnr_moving": moving, "psnr": psnr, "seconds": seconds, "model_mb": open_}
         return Judged(of, gains | ({} if lpips is None else {"lpips_vgg": lpips})).verdict
 
-    assert (
-        verdict(yes, no) == f"{EARNS} (PSNR where it moves)"
-        and verdict(yes, no, of=rest) == f"{COSTS} (PSNR of test views)"
-    )
+    assert verdict(yes, no) == f"{EARNS} (PSNR where it moves)"
+    assert verdict(yes, no, of=rest) == f"{COSTS} (PSNR of test views)"
     assert verdict(no, yes, no) == f"{COSTS} (PSNR where it moves)"
     assert verdict(open_, yes, no) == f"{EARNS} (LPIPS (VGG))"  # low is good
     assert verdict(open_, yes, yes) == f"{COSTS} (LPIPS (VGG))"
@@ -235,13 +218,12 @@ def test_the_first_measure_that_can_tell_decides() -> None:
     assert verdict(open_, open_, seconds=no) == SAVES and verdict(open_, open_, seconds=yes) == UNTOLD
     assert verdict(null, null, null, seconds=yes) == NOTHING
     assert doubtful.side() == 1  # at 95 %, which is not enough of two that may decide
-    assert (
-        verdict(doubtful, yes) == UNTOLD and verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
-    )
+    assert verdict(doubtful, yes) == UNTOLD
+    assert verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
 
 
-def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Path) -> None:
-    _bench(devrf, "views", dataset, "--out", str(tmp_path), *SETTINGS)
+def test_views_go_from_one_camera_to_all(devrf: Any, arm: Path, tmp_path: Path) -> None:
+    _bench(devrf, "views", arm, "--out", str(tmp_path), *SETTINGS)
     rows = _rows(tmp_path / "views.json")
     assert {name.split("/")[1] for name in rows} == {"1", "2"}
     one, two = (rows[f"views/{n}/test/psnr"]["value"] for n in (1, 2))
@@ -250,10 +232,10 @@ def test_views_go_from_one_camera_to_all(devrf: Any, dataset: Path, tmp_path: Pa
 
 
 @pytest.mark.full
-def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+def test_speed_draws_accuracy_against_cost(devrf: Any, arm: Path, tmp_path: Path) -> None:
     choice = ("--presets", "fast,reference", "--efforts", "0.5,1", "--every", "0.3")
     choice += ("--set-for", "reference:reconstruct.key_times=2")
-    said = _bench(devrf, "speed", dataset, "--out", str(tmp_path), *choice, *SETTINGS)
+    said = _bench(devrf, "speed", arm, "--out", str(tmp_path), *choice, *SETTINGS)
     rows = _rows(tmp_path / "speed.json")
     for name in ("fast x0.5", "fast", "reference x0.5", "reference"):
         assert 5 < rows[f"speed/{name}/test/psnr"]["value"] < 60
@@ -286,9 +268,9 @@ def test_speed_draws_accuracy_against_cost(devrf: Any, dataset: Path, tmp_path: 
     ],
 )
 def test_speed_names_wrong_words(
-    devrf: Any, dataset: Path, option: str, value: str, refusal: str, named: str
+    devrf: Any, arm: Path, option: str, value: str, refusal: str, named: str
 ) -> None:
-    said = _bench(devrf, "speed", dataset, option, value, *SETTINGS, code=2)
+    said = _bench(devrf, "speed", arm, option, value, *SETTINGS, code=2)
     assert named in said and f"[{refusal}]" in said
 
 
@@ -310,20 +292,18 @@ def test_a_front_holds_what_no_other_beats() -> None:
 
 
 @pytest.mark.full
-def test_growth_is_measured_along_every_axis(devrf: Any, dataset: Path, tmp_path: Path) -> None:
+def test_growth_is_measured_along_every_axis(devrf: Any, arm: Path, tmp_path: Path) -> None:
     less = tmp_path / "less.yaml"
-    less.write_text(f"name: less\ndataset: {{format: devrf, path: {dataset}, frame_stride: 2}}\n")
+    less.write_text(f"name: less\ndataset: {{format: devrf, path: {arm}, frame_stride: 2}}\n")
     choice = ("--preset", "fast", "--strides", "2,1", "--shares", "0.7,1", "--other", str(less))
-    _bench(devrf, "growth", dataset, "--out", str(tmp_path), *choice, *SETTINGS)
+    _bench(devrf, "growth", arm, "--out", str(tmp_path), *choice, *SETTINGS)
     rows = _rows(tmp_path / "growth.json")
     pictures = sorted(
         float(name.split("/")[2]) for name in rows if "/pictures/" in name and name.endswith("/psnr")
     )
     assert pictures == [2, 3]  # of three times: every one, every second
-    fine, coarse = (
-        rows["growth/resolution/16/megabytes"]["value"],
-        rows["growth/resolution/11/megabytes"]["value"],
-    )
+    fine = rows["growth/resolution/16/megabytes"]["value"]
+    coarse = rows["growth/resolution/11/megabytes"]["value"]
     slope = rows["growth/resolution/exponent of megabytes"]["value"]
     assert slope == pytest.approx(np.log(fine / coarse) / np.log(16 / 11)) and fine > coarse
     keys, fewer = (rows[f"growth/moving/{name}/keys"]["value"] for name in ("every1", "other1"))
@@ -332,14 +312,14 @@ def test_growth_is_measured_along_every_axis(devrf: Any, dataset: Path, tmp_path
     exponent = rows["growth/moving/exponent of megabytes"]
     assert (exponent["value"] is None) == (len(places) < 2) == (exponent["why"] is not None)
     assert (tmp_path / "growth.png").stat().st_size > 10_000
-    wrong = _bench(devrf, "growth", dataset, "--strides", "0", *SETTINGS, code=2)
+    wrong = _bench(devrf, "growth", arm, "--strides", "0", *SETTINGS, code=2)
     assert "--strides 0" in wrong and "expected" in wrong
-    wrong = _bench(devrf, "growth", dataset, "--strides", "2.5,1", *SETTINGS, code=2)
+    wrong = _bench(devrf, "growth", arm, "--strides", "2.5,1", *SETTINGS, code=2)
     assert "--strides 2.5,1: expected whole numbers" in wrong
 
 
 @pytest.mark.full
-def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path: Path) -> None:
+def test_reference_script_writes_results_and_merges_them(arm: Path, tmp_path: Path) -> None:
     """benchmarks/gpu.sh as a user calls it, on the CPU at a small size, where no vision or video library is."""
     script = tmp_path / "repository" / "benchmarks"
     shutil.copytree(REPOSITORY / "benchmarks", script)
@@ -354,7 +334,7 @@ def test_reference_script_writes_results_and_merges_them(dataset: Path, tmp_path
     }
     blocked = subprocess.run([sys.executable, "-c", "import cv2"], env=env, capture_output=True, check=False)
     assert blocked.returncode != 0  # they are really out of reach
-    command = [script / "gpu.sh", dataset, "--device", "cpu", *SETTINGS]
+    command = [script / "gpu.sh", arm, "--device", "cpu", *SETTINGS]
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     rows = _rows(tmp_path / "results" / "reference-arm.json")

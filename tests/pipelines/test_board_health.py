@@ -57,12 +57,7 @@ BLURRED = tuple(range(0, 24, 3))
             "picture covered by board corners, cam1",
             "top-right corner, bottom-left corner, bottom-right corner, ",
         ),
-        (
-            {"views": 16, "blurred": BLURRED},
-            {},
-            "board views of cam1 left out",
-            "8 of 24",
-        ),
+        ({"views": 16, "blurred": BLURRED}, {}, "board views of cam1 left out", "8 of 24"),
         ({"dropped": {17: 30.5, 20: 41.2}}, {}, "board views of cam1 left out", "misread"),
         ({"rms_px": 1.2}, {}, "board error of cam1", "square"),
         ({"held_out_rms_px": 1.4}, {}, "board error of cam1 on views held out", ""),

@@ -107,10 +107,8 @@ def test_the_film_is_left_for_later_and_the_report_is_not(
         write("first")(context)
 
     first, second, *_ = small_stages(first=slow)
-    film, report = (
-        replace(second, name="render", reads=()),
-        replace(second, name="report", reads=("render",)),
-    )
+    film = replace(second, name="render", reads=())
+    report = replace(second, name="report", reads=("render",))
     run = job(folder, (first, film, report), "budget.time_minutes=1")
     assert execute(run) == FAILED and run.executed == ["first", "report"]
     said = capsys.readouterr().err

@@ -51,9 +51,8 @@ def turned(room: np.ndarray, degrees: float) -> np.ndarray:
     """The room from one place, the camera turned: 320x240, 60 degrees wide."""
     K = np.array([[277.0, 0, 160], [0, 277, 120], [0, 0, 1]])
     R = cv2.Rodrigues(np.array([0.0, np.radians(degrees), 0.0]))[0]
-    base = np.array(
-        [[1.6, 0, 64], [0, 1.6, 48], [0, 0, 1]]
-    )  # the picture of the straight view in the texture
+    # the picture of the straight view in the texture
+    base = np.array([[1.6, 0, 64], [0, 1.6, 48], [0, 0, 1]])
     return cv2.warpPerspective(room, base @ K @ R @ np.linalg.inv(K), (320, 240), flags=cv2.WARP_INVERSE_MAP)
 
 
@@ -202,10 +201,8 @@ def test_a_fixed_camera_is_judged(tmp_path: Path, textures: Callable) -> None:
     assert verdicts("early", clips["early"]) == ["ok", "ok", "warn", "ok"]
     assert verdicts("still", clips["still"]) == ["ok", "warn", "ok", "ok"]
     assert verdicts("early", clips["early"], "none") == ["ok", "ok", "ok"]
-    assert verdicts("early", clips["early"], sees=[]) == [
-        "ok",
-        "ok",
-    ]  # without a sweep nothing is asked of the rest
+    # without a sweep nothing is asked of the rest
+    assert verdicts("early", clips["early"], sees=[]) == ["ok", "ok"]
     assert verdicts("elsewhere", [elsewhere] * 12)[-1] == "fail"
     wide = np.tile(room, (1, 3, 1))
     assert verdicts("hand", [wide[:, 40 * n : 40 * n + 480] for n in range(12)])[0] == "fail"
@@ -246,9 +243,8 @@ def test_a_board_clip_without_its_board_is_a_no_go(tmp_path: Path, textures: Cal
     session = CaptureSession(board_clips=paths, joint_clips={"cam2": paths["cam2"]})
     rows = board_rows(session, spec, no_progress)
     assert [row.verdict for row in rows] == ["ok", "warn", "fail", "warn"]
-    assert rows[2].value == rows[3].value == "never" and rows[2].check.startswith(
-        "share of the board clip of cam2 "
-    )
+    assert rows[2].value == rows[3].value == "never"
+    assert rows[2].check.startswith("share of the board clip of cam2 ")
 
 
 def charuco_picture() -> np.ndarray:

@@ -190,9 +190,8 @@ def test_d11_a_step_where_a_camera_lost_pictures():
     row = rows_of(result, cameras)["jump of the clock, cam0 and cam1"]
     assert row.verdict == "warn" and "capture.range_s" in row.remedy
     jump = result.jumps[0]
-    assert jump.step_s == pytest.approx(1 / FPS, abs=2e-3) and jump.at_s == pytest.approx(
-        52, abs=11
-    )  # a window
+    # a window
+    assert jump.step_s == pytest.approx(1 / FPS, abs=2e-3) and jump.at_s == pytest.approx(52, abs=11)
 
 
 def test_d14_cameras_of_different_rates():

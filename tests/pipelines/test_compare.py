@@ -167,9 +167,8 @@ def test_a_damaged_or_unfinished_run_is_refused(
 def test_odd_values_and_runs_of_earlier_versions_are_compared_as_far_as_they_go(runs: Path) -> None:
     edit_metrics(runs / "two", train=None, versions=None, model_mb=float("nan"), test_moving__psnr="24")
     for stage in ("rig", "flow", "evaluate"):
-        (runs / f"two/{stage}/stamp.json").write_text(
-            '{"finished": "long ago"}'
-        )  # says nothing of its making
+        # says nothing of its making
+        (runs / f"two/{stage}/stamp.json").write_text('{"finished": "long ago"}')
     found = found_of(runs / "one", runs / "two")
     json.dumps(found, allow_nan=False)
     measures = found["runs"][1]["measures"]

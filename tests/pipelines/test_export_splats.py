@@ -54,18 +54,10 @@ def test_a_sequence_of_splats(devrf: Callable, scene_yaml: Path, tmp_path: Path)
     ("options", "refusal", "named"),
     [
         (Options(splats=3), "option-out-of-range", ("--splats 3: ", "500 to 2000000", "30000")),
-        (
-            Options(splats=1_500_000),
-            "page-too-large",
-            (" 25; ", "--splats ", "000, "),
-        ),
+        (Options(splats=1_500_000), "page-too-large", (" 25; ", "--splats ", "000, ")),
         (Options(times="3s"), "option-out-of-range", ("--times 3s",)),
         (Options(times=""), "option-malformed", ("--times '': ", " keys,")),
-        (
-            Options(times="keys,0.5s"),
-            "option-malformed",
-            ("--times 'keys,0.5s': ",),
-        ),
+        (Options(times="keys,0.5s"), "option-malformed", ("--times 'keys,0.5s': ",)),
         (Options(level=0.5), "option-misplaced", ("--level: ", "--format player")),
     ],
 )
@@ -95,9 +87,8 @@ def test_a_run_without_a_model(tmp_path: Path) -> None:
 def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
     scene = write_trained(tmp_path)
     for stage in ("scene", "canonical", "deformation"):
-        (tmp_path / "run" / stage / "stamp.json").write_text(
-            '{"identity": {}}'
-        )  # of a version that knew less
+        # of a version that knew less
+        (tmp_path / "run" / stage / "stamp.json").write_text('{"identity": {}}')
     said = " stale, "
     assert devrf("export", scene, "--format", "nerfstudio").code == 0
     assert said in " ".join((tmp_path / "run/export/nerfstudio/README.txt").read_text().split())

@@ -36,12 +36,7 @@ def test_a_healthy_clip_fires_nothing(given: bool) -> None:
         ({"large": 0.1}, "warn", "beyond 1/8 of the width", "flow.method: raft"),
         ({"unsure": 0.5}, "warn", "too little texture", ""),
         ({"moving_valid": 0.69}, "warn", "consistent share of what moves", ""),
-        (
-            {"valid": 0.2},
-            "fail",
-            "consistent share of what can be followed",
-            "",
-        ),
+        ({"valid": 0.2}, "fail", "consistent share of what can be followed", ""),
         ({"better_as": "forward"}, "fail", "what the flow is (cam1)", "direction"),
         ({"better_as": "next"}, "fail", "what the flow is (cam1)", "by one"),
         ({"better_as": "before"}, "fail", "what the flow is (cam1)", "by one"),

@@ -29,11 +29,9 @@ from devrf.pipelines.init.roles import guess_roles
 from devrf.pipelines.init.yaml import scene_yaml
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
-STANDS, MOVES, UNKNOWN = (
-    Steadiness(True, 1e-4, 1.0),
-    Steadiness(False, np.nan, 0.0),
-    Steadiness(None, np.nan, 0.0),
-)
+STANDS = Steadiness(True, 1e-4, 1.0)
+MOVES = Steadiness(False, np.nan, 0.0)
+UNKNOWN = Steadiness(None, np.nan, 0.0)
 GUESS = BoardGuess(BoardSpec("charuco", (8, 6), 1.0, 0.75, "DICT_5X5_50", False, False), 23)
 
 
@@ -244,11 +242,8 @@ def test_the_example_without_its_scene(devrf: Callable, tmp_path: Path) -> None:
     for key in ("static", "cameras", "test_cameras"):
         assert getattr(config.capture, key) == getattr(told.capture, key), key
     board = config.capture.board
-    assert (
-        board is not None
-        and board.clips == told.capture.board.clips
-        and board.squares == told.capture.board.squares
-    )
+    assert board is not None and board.clips == told.capture.board.clips
+    assert board.squares == told.capture.board.squares
     assert not board.metric  # nobody can see how large a square is
     assert "square_m" in result.out
     again = devrf("init", tmp_path)

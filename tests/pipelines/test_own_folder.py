@@ -39,16 +39,16 @@ def mistakes(scene: Path, text: str) -> str:
      "board_a", "joint_a", ""],
 )  # fmt: skip
 def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
-    said = mistakes(
-        scene, json.dumps({"name": "x", "capture": {"static": "a.mp4", "cameras": {name: "b.mp4"}}})
-    )
-    assert f"capture.cameras: {name!r} " in said
+    assert f"capture.cameras: {name!r} " in _of_cameras(scene, name)
 
 
 def test_names_that_differ_only_in_case(scene: Path) -> None:
-    cameras = {"cam": "a.mp4", "Cam": "b.mp4"}
-    said = mistakes(scene, json.dumps({"name": "x", "capture": {"static": "s.mp4", "cameras": cameras}}))
-    assert "'cam' and 'Cam' " in said
+    assert "'cam' and 'Cam' " in _of_cameras(scene, "cam", "Cam")
+
+
+def _of_cameras(scene: Path, *names: str) -> str:
+    capture = {"static": "a.mp4", "cameras": dict.fromkeys(names, "b.mp4")}
+    return mistakes(scene, json.dumps({"name": "x", "capture": capture}))
 
 
 @pytest.mark.parametrize(
@@ -150,9 +150,8 @@ def test_names_in_a_data_set_stay_names(tmp_path: Path, odd_scene: Scene) -> Non
     path.write_text(json.dumps(meta))
     found = read_dataset("nerfstudio", tmp_path / "set")
     names = {frame.camera_name for frame in found.dynamic}
-    assert len(names) == 3 and all(
-        CAMERA_NAME.fullmatch(name) and len(name) <= LONGEST_NAME for name in names
-    )
+    assert len(names) == 3
+    assert all(CAMERA_NAME.fullmatch(name) and len(name) <= LONGEST_NAME for name in names)
     write_dataset("colmap", found, tmp_path / "out" / "again")
     write_dataset("nerfstudio", found, tmp_path / "out" / "more")
     made = {p.relative_to(tmp_path).parts[0] for p in tmp_path.rglob("*")}

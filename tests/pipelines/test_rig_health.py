@@ -16,14 +16,7 @@ from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale
 from devrf.calibration.rigs.synthetic import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
-from devrf.pipelines.health.rig import (
-    bump_row,
-    graph_rows,
-    joint_rows,
-    route_rows,
-    scale_rows,
-    sweep_rows,
-)
+from devrf.pipelines.health.rig import bump_row, graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
 from devrf.pipelines.health.rows import HealthRow
 
 SMALL = SyntheticRig(cameras=3, spread_deg=70.0, duration_s=12.0)

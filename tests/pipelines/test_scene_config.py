@@ -241,8 +241,7 @@ def test_test_cameras_as_names_or_clips(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("written", "expected"),
-    [("auto", "auto"), ("shell", "shell"), ("[1, 0.5, 0]", (1.0, 0.5, 0.0))],
+    ("written", "expected"), [("auto", "auto"), ("shell", "shell"), ("[1, 0.5, 0]", (1.0, 0.5, 0.0))]
 )
 def test_background_of_a_data_set(tmp_path: Path, written: str, expected: object) -> None:
     path = tmp_path / "scene.yaml"

@@ -78,10 +78,7 @@ def turned(image: ModelImage) -> ModelImage:
     return replace(image, **turn)
 
 
-@pytest.mark.parametrize(
-    ("half_arc_deg", "says"),
-    [(170, "inward (0."), (70, "neither"), (10, "forward (")],
-)
+@pytest.mark.parametrize(("half_arc_deg", "says"), [(170, "inward (0."), (70, "neither"), (10, "forward (")])
 def test_how_cameras_stand_is_said(odd_scene: Scene, half_arc_deg: float, says: str) -> None:
     cameras = []
     for angle in np.radians(np.linspace(-half_arc_deg, half_arc_deg, 12)):

@@ -163,10 +163,8 @@ def test_mattes_of_every_picture_make_the_background_plain(session: Session, met
         assert all(np.abs([int(x, 16) for x in rgb] - GREEN.astype(int)).max() <= 3 for _, *rgb in found)
     for frame in scene.frames:
         true = session.true[f"frames/{frame.camera_name}/{frame.path.name}"]
-        assert (
-            frame.matte is not None
-            and frame.matte == (out / "mattes" / frame.camera_name / frame.path.name).resolve()
-        )
+        assert frame.matte is not None
+        assert frame.matte == (out / "mattes" / frame.camera_name / frame.path.name).resolve()
         # an edge that is off by one pixel all around
         ring = cv2.dilate(true.astype(np.uint8), np.ones((3, 3))) - cv2.erode(
             true.astype(np.uint8), np.ones((3, 3))
@@ -206,12 +204,8 @@ def test_swapped_mattes_are_used_and_said(session: Session) -> None:
         write_png(file, 255 - read_pixels(file)[..., 0])
     scene, rows, _ = session.scene("mattes")
     row = rows["mattes' black and white"]
-    assert (
-        row.verdict == "warn"
-        and "cam0" in row.value
-        and "static" not in row.value
-        and "capture.mattes.inverted" in row.remedy
-    )
+    assert row.verdict == "warn" and "cam0" in row.value and "static" not in row.value
+    assert "capture.mattes.inverted" in row.remedy
     true = session.true["frames/cam0/000000.png"]
     matte = scene.dynamic[0].matte
     assert matte is not None

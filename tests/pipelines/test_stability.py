@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.pipelines.conftest import SETTINGS, SMALL
 from tests.refused import refused
 
 from devrf.capture.errors import FlowError, InputError
 from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.simulate.dataset import simulate_dataset
-from devrf.capture.simulate.dataset_options import DatasetOptions
 from devrf.flow.store import read_flows
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.case import run_case
@@ -31,21 +30,14 @@ from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 
-SMALL = {
-    "resolution": 16, "rays": 128, "canonical_iterations": 60, "motion_iterations": 10, "image_scale": 1.0,
-}  # fmt: skip
-SETTINGS = [part for key, value in SMALL.items() for part in ("--set", f"reconstruct.{key}={value}")]
+Suite = tuple[Path, list[str], str]
 
 
 @pytest.fixture(scope="module")
-def suite(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], str]:
-    data, out = tmp_path_factory.mktemp("arm"), tmp_path_factory.mktemp("suite")
-    options = DatasetOptions(
-        static_views=14, static_test_views=1, times=3, test_views_per_time=1, spp=4, motion_scale=0.3
-    )
-    simulate_dataset(data, "arm", cameras=2, size=(32, 32), options=options)
+def suite(devrf: Any, arm: Path, tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    out = tmp_path_factory.mktemp("suite")
     arguments = [
-        *("bench", "stability", str(data), "--axes", "flow_wrong,pose_noise", "--severities", "1"),
+        *("bench", "stability", str(arm), "--axes", "flow_wrong,pose_noise", "--severities", "1"),
         *("--out", str(out), "--device", "cpu", *SETTINGS),
     ]
     done = devrf(*arguments)
@@ -53,7 +45,7 @@ def suite(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, l
     return out, arguments, done.said
 
 
-def test_the_suite_writes_rows_and_a_chart(suite: tuple[Path, list[str], str]) -> None:
+def test_the_suite_writes_rows_and_a_chart(suite: Suite) -> None:
     out, _, said_on_the_way = suite
     content = json.loads((out / "stability.json").read_text())
     rows = {row["name"]: row for row in content["rows"]}
@@ -75,9 +67,7 @@ def test_the_suite_writes_rows_and_a_chart(suite: tuple[Path, list[str], str]) -
     assert "pose_noise 16, seed 0" in said_on_the_way
 
 
-def test_damage_gets_in_behind_its_stage_and_what_is_before_is_shared(
-    suite: tuple[Path, list[str], str],
-) -> None:
+def test_damage_gets_in_behind_its_stage_and_what_is_before_is_shared(suite: Suite) -> None:
     out, _, _ = suite
     calm, flow, poses = (out / f"{n}/seed0/run" for n in ("undisturbed-0", "flow_wrong-100", "pose_noise-16"))
     assert _file(calm / "scene/scene.json") == _file(flow / "scene/scene.json")  # one file in the cache
@@ -99,7 +89,7 @@ def test_damage_gets_in_behind_its_stage_and_what_is_before_is_shared(
     )
 
 
-def test_a_suite_goes_on_where_it_was(devrf: Any, suite: tuple[Path, list[str], str]) -> None:
+def test_a_suite_goes_on_where_it_was(devrf: Any, suite: Suite) -> None:
     out, arguments, _ = suite
     stamps = sorted(out.glob("*/seed0/run/*/stamp.json"))
     before = {path: path.read_text() for path in stamps}
@@ -109,9 +99,7 @@ def test_a_suite_goes_on_where_it_was(devrf: Any, suite: tuple[Path, list[str], 
     assert before == {path: path.read_text() for path in stamps}
 
 
-def test_axes_that_do_not_exist_are_named(
-    devrf: Any, suite: tuple[Path, list[str], str], tmp_path: Path
-) -> None:
+def test_axes_that_do_not_exist_are_named(devrf: Any, suite: Suite, tmp_path: Path) -> None:
     _, arguments, _ = suite
     for scene in ((), (arguments[2],)):  # without one nothing is rendered first
         done = devrf("bench", "stability", *scene, "--axes", "poses", "--out", str(tmp_path / "o"))
@@ -120,7 +108,7 @@ def test_axes_that_do_not_exist_are_named(
 
 
 @pytest.fixture
-def base(suite: tuple[Path, list[str], str], monkeypatch: pytest.MonkeyPatch) -> Run:
+def base(suite: Suite, monkeypatch: pytest.MonkeyPatch) -> Run:
     """The suite's scene, with another axis that loses all flow."""
 
     def lose(intact: Intact) -> Damage:
@@ -135,7 +123,7 @@ def base(suite: tuple[Path, list[str], str], monkeypatch: pytest.MonkeyPatch) ->
     return Run(load_scene(scene / "scene.yaml", overrides), scene, STAGES, Choice(), Talk("quiet"))
 
 
-def test_a_stage_that_fails_is_a_result(suite: tuple[Path, list[str], str], base: Run) -> None:
+def test_a_stage_that_fails_is_a_result(suite: Suite, base: Run) -> None:
     out = suite[0]
     undisturbed = read_scene(out / "undisturbed-0/seed0/run/scene")
     whole, run_dir = run_case(base, out, "flow_wrong", 100.0, 0, undisturbed)
@@ -160,11 +148,7 @@ def test_a_stage_that_fails_is_a_result(suite: tuple[Path, list[str], str], base
     ],
 )
 def test_a_fault_of_the_program_or_the_machine_is_no_result(
-    suite: tuple[Path, list[str], str],
-    base: Run,
-    monkeypatch: pytest.MonkeyPatch,
-    fault: Exception,
-    refusal: str,
+    suite: Suite, base: Run, monkeypatch: pytest.MonkeyPatch, fault: Exception, refusal: str
 ) -> None:
     def behind(context: StageContext) -> None:
         raise fault
@@ -175,7 +159,7 @@ def test_a_fault_of_the_program_or_the_machine_is_no_result(
         run_case(base, suite[0], "broken", 1.0, 0, read_scene(suite[0] / "undisturbed-0/seed0/run/scene"))
 
 
-def test_a_folder_that_another_run_holds_is_no_result(suite: tuple[Path, list[str], str], base: Run) -> None:
+def test_a_folder_that_another_run_holds_is_no_result(suite: Suite, base: Run) -> None:
     lock = Lock(suite[0] / "undisturbed-0/seed0/run")
     lock.take()
     with refused("folder-busy", suite[0], kind=InputError):
@@ -184,7 +168,7 @@ def test_a_folder_that_another_run_holds_is_no_result(suite: tuple[Path, list[st
 
 
 def test_a_failed_run_goes_on_once_the_damage_is_gone_and_reaches_the_undisturbed_value(
-    suite: tuple[Path, list[str], str], base: Run
+    suite: Suite, base: Run
 ) -> None:
     out, last = suite[0], "evaluate/metrics.json"
     calm = out / "undisturbed-0/seed0/run"
@@ -201,7 +185,7 @@ def test_a_failed_run_goes_on_once_the_damage_is_gone_and_reaches_the_undisturbe
 
 
 def test_no_case_begins_after_the_time_that_was_given(
-    suite: tuple[Path, list[str], str], base: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    suite: Suite, base: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = tmp_path / "late.json"
     moment = SimpleNamespace(monotonic=lambda: 7.0)  # a clock too coarse to tell what went by

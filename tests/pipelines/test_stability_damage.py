@@ -91,16 +91,14 @@ def test_a_thinner_sweep_has_a_thinner_truth_and_is_written_once(intact: Intact)
         assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.3, 0.6]
     truth = config.truth_path(intact.scene_dir)
     assert truth is not None and json.loads(truth.read_text()) == {"static": [0, 3, 6], "cams": {}}
-    assert (
-        truth.with_name("witness_mask.npz").read_bytes() == b"what moves"
-    )  # measured as in the undisturbed scene
+    # measured as in the undisturbed scene
+    assert truth.with_name("witness_mask.npz").read_bytes() == b"what moves"
     raw.fewer_sweep_pictures(spoilt)
     assert written.stat().st_mtime_ns == made
     raw.fewer_sweep_pictures(replace(spoilt, severity=2.0))
     assert written.read_bytes() != before
-    (intact.scene_dir / "static.mp4").write_bytes(
-        before
-    )  # another sweep, in which it leaves two of three pictures
+    # another sweep, in which it leaves two of three pictures
+    (intact.scene_dir / "static.mp4").write_bytes(before)
     raw.fewer_sweep_pictures(replace(spoilt, severity=2.0))
     with VideoReader(written) as reader:
         assert [round(frame.time_s, 3) for frame in reader] == [0.0, 0.6]

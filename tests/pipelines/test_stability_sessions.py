@@ -164,9 +164,8 @@ def test_what_the_simulator_cannot_make_does_not_apply(
     with refused("session-not-simulated", kind=DoesNotApply):
         AXES["gloss"].damaging(intact)
     too_much = Intact(load_scene(session), session.parent, odd_scene, tmp_path, 2.0, 0)
-    with refused(
-        "option-out-of-range", "motion_scale", kind=DoesNotApply
-    ):  # four times as large is more than there is
+    # four times as large is more than there is
+    with refused("option-out-of-range", "motion_scale", kind=DoesNotApply):
         AXES["deformation"].damaging(too_much)
 
 

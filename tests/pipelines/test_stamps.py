@@ -202,10 +202,8 @@ def test_a_data_set_that_lies_elsewhere_runs_only_what_points_to_it(folder: Path
     said = json.loads((folder / "run/scene/static/transforms.json").read_text())["file_path"]
     assert (folder / "run/scene/static" / said).resolve() == folder / "further/moved/a.png"
     (folder / "further/moved/a.png").write_bytes(b"another")
-    assert run("further/moved") == [
-        "scene",
-        "flow",
-    ]  # which reads the picture, though scene only points to it
+    # which reads the picture, though scene only points to it
+    assert run("further/moved") == ["scene", "flow"]
     (folder / "further/moved/notes.txt").write_text("of no picture")
     assert run("further/moved") == ["scene"]  # which came out the same
 

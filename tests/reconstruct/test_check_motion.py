@@ -78,9 +78,8 @@ def test_what_others_see_of_a_ball(ball, true: DynamicModel) -> None:
     common at the height of the middle.
     """
     fits = check_motion(ball.scene, true)
-    alone = {
-        name: fit.alone for name, fit in fits.items()
-    }  # cam0, cam1 and cam2 stand at 0, 90 and 180 degrees
+    # cam0, cam1 and cam2 stand at 0, 90 and 180 degrees
+    alone = {name: fit.alone for name, fit in fits.items()}
     assert alone["cam0"] == pytest.approx(0.5, abs=0.15) and alone["cam2"] == pytest.approx(0.5, abs=0.15)
     assert alone["cam1"] is not None and alone["cam1"] < 0.15
     one = replace(ball.scene, dynamic=tuple(f for f in ball.scene.dynamic if f.camera_name == "cam0"))
@@ -110,18 +109,16 @@ def test_another_time_must_be_clearly_better() -> None:
     assert better_shift(right[:1]) == 0.0  # one picture tells nothing
     noise = 1 + 0.2 * rng.standard_normal((6, len(SHIFTS)))
     assert better_shift(noise) == 0.0
-    assert (
-        better_shift(1 + 1e-3 * (shifts - 0.5) ** 2 + np.zeros((6, 1))) == 0.0
-    )  # sure, and not worth a word
+    # sure, and not worth a word
+    assert better_shift(1 + 1e-3 * (shifts - 0.5) ** 2 + np.zeros((6, 1))) == 0.0
 
 
 def test_few_pictures_of_noise_are_better_at_another_time_by_chance_alone() -> None:
     """Four pictures, the fewest that are asked: no shift is better, and 2.3 % of either side are said to be."""
     rng = np.random.default_rng(0)
     noise = 1 + 0.2 * rng.standard_normal((2000, FEWEST_PICTURES, len(SHIFTS)))
-    noise[:, :, np.abs(SHIFTS) != 0.5] += np.abs(
-        SHIFTS[np.abs(SHIFTS) != 0.5]
-    )  # only half a picture is in question
+    # only half a picture is in question
+    noise[:, :, np.abs(SHIFTS) != 0.5] += np.abs(SHIFTS[np.abs(SHIFTS) != 0.5])
     assert np.mean([better_shift(curves) != 0 for curves in noise]) < 2 * 0.023 + 3 * np.sqrt(0.046 / 2000)
     late = 1 + 0.3 * (SHIFTS - 0.5) ** 2 + np.zeros((FEWEST_PICTURES, 1))
     assert better_shift(late) == 0.5 and better_shift(late[1:]) == 0.0

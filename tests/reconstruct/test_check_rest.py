@@ -55,12 +55,10 @@ def test_a_camera_that_begins_later_is_not_compared_in_motion(ball, rest: RestMo
     assert set(words(replace(ball.scene, dynamic=late), rest).values()) == {"ok"}
 
 
-def test_a_wrong_focal_length_is_seen(ball, rest: RestModel) -> None:
+def test_a_wrong_focal_length_and_other_exposure_are_seen(ball, rest: RestModel, tmp_path: Path) -> None:
     scene = changed(ball.scene, lambda f: replace(f, camera=zoomed(f.camera, 1.2)))
     assert "warn" in words(scene, rest).values()
 
-
-def test_a_picture_of_other_exposure_is_seen(ball, rest: RestModel, tmp_path: Path) -> None:
     def darker(frame: PosedFrame) -> PosedFrame:
         picture = cv2.imread(str(frame.path), cv2.IMREAD_UNCHANGED)
         assert picture is not None

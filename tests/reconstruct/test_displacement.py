@@ -50,9 +50,8 @@ def test_neither_blur_nor_exposure_nor_noise_nor_a_thing_in_the_way_is_a_shift()
 
 def test_where_nothing_is_found_again_it_is_far_away() -> None:
     found = displacement(seen(), np.random.default_rng(2).random(SIZE))
-    assert (
-        found is not None and not found.found and found.length == pytest.approx(SEARCH, rel=0.1)
-    )  # rounded to whole pixels
+    # rounded to whole pixels
+    assert found is not None and not found.found and found.length == pytest.approx(SEARCH, rel=0.1)
 
 
 def test_where_nothing_can_be_told_nothing_is() -> None:

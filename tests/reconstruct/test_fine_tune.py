@@ -65,16 +65,13 @@ def test_shading_in_motion_is_learned_beside_that_at_rest(ball, rest: RestModel,
         p.requires_grad for p in (*rest.canonical.net.parameters(), *tuned.model.canonical.net.parameters())
     )
     again = fine_tune(scene, rest, motion, TUNING)
-    assert again.model is not None and torch.equal(
-        again.model.canonical.features, tuned.model.canonical.features
-    )
+    assert again.model is not None
+    assert torch.equal(again.model.canonical.features, tuned.model.canonical.features)
 
 
 def test_where_it_gains_nothing_it_is_left_out(ball, rest: RestModel) -> None:
-    motion, few = (
-        true_motion(ball.scene, ball.travel),
-        replace(TUNING, fine_tuning=2, learning_rate=1e-5 / LR),
-    )
+    motion = true_motion(ball.scene, ball.travel)
+    few = replace(TUNING, fine_tuning=2, learning_rate=1e-5 / LR)
     tuned = fine_tune(ball.scene, rest, motion, few)
     assert tuned.model is None and tuned.gain_db is not None and abs(tuned.gain_db) < 0.1
     assert "none instead of 2" in str(tuned.decision) and f"{tuned.gain_db:+.2f} dB" in str(tuned.decision)

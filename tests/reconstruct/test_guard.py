@@ -257,9 +257,8 @@ def test_health_says_so_and_is_silent_where_nothing_happened() -> None:
     found = restart_rows({"restarts": 2, "rate": 1 / 9, "keys_left": 3})
     assert [(r.verdict, r.value) for r in found] == [("warn", 2.0), ("warn", 3.0)]
     assert "reconstruct.learning_rate" in found[0].remedy and "0.11" in found[0].remedy
-    (left,) = restart_rows(
-        {"restarts": MOST, "rate": 1.0, "keys_left": 1}
-    )  # nothing was trained with smaller steps
+    # nothing was trained with smaller steps
+    (left,) = restart_rows({"restarts": MOST, "rate": 1.0, "keys_left": 1})
     assert left.value == 1.0 and "learning_rate" not in left.remedy
     assert flow_rows({}) == []
     (ok,) = flow_rows({"cam0": 0.1, "cam1": 0.35})

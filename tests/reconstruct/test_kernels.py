@@ -8,13 +8,7 @@ import torch
 
 from devrf.reconstruct.kernels import background as around
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step, masked_step
-from devrf.reconstruct.kernels.background import (
-    Surroundings,
-    background,
-    background_ref,
-    contract,
-    expand,
-)
+from devrf.reconstruct.kernels.background import Surroundings, background, background_ref, contract, expand
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights, composite_weights_ref
 from devrf.reconstruct.kernels.march import RaySegments, Volume, Warp, march, march_ref
 from devrf.reconstruct.kernels.occupancy import (
@@ -28,10 +22,8 @@ from devrf.reconstruct.kernels.quad import quad, quad_ref
 from devrf.reconstruct.kernels.trilinear import trilinear, trilinear_ref
 
 AABB = torch.tensor([[-1.0, -0.5, -0.8], [1.0, 0.7, 0.9]])
-FLOAT32: dict[str, Any] = {
-    "rtol": 1e-4,
-    "atol": 1e-5,
-}  # sums of eight products of order one, multiplied by up to ten vertices per unit
+# sums of eight products of order one, multiplied by up to ten vertices per unit
+FLOAT32: dict[str, Any] = {"rtol": 1e-4, "atol": 1e-5}
 
 
 def _points(n: int, generator: torch.Generator) -> torch.Tensor:
@@ -91,9 +83,8 @@ def test_quad_matches_reference(keys: int) -> None:
     g = torch.Generator().manual_seed(keys)
     field = torch.randn(keys, 6, 7, 5, 3, generator=g, requires_grad=True)
     points = _points(400, g)[80:].requires_grad_()
-    tau = (
-        torch.rand(len(points), generator=g) * (keys + 1) - 1
-    )  # before the first key and after the last, too
+    # before the first key and after the last, too
+    tau = torch.rand(len(points), generator=g) * (keys + 1) - 1
     tau[:60] = tau[:60].round()
     out, ref = quad(field, points, tau, AABB), quad_ref(field, points, tau, AABB)
     torch.testing.assert_close(out, ref, rtol=1e-4, atol=1e-5)
@@ -220,9 +211,8 @@ def test_background_matches_reference(closed: bool, share: float, reach: float) 
     out = background(rays, surroundings, closed, target)
     ref = background_ref(rays, surroundings, closed, target)
     near = [(a - b).abs().reshape(150, -1).amax(1) for a, b in zip(out, ref, strict=True)]
-    same = (
-        torch.stack(near).amax(0) < 1e-3
-    )  # a sample at a vertex border may be occupied in one and not in the other
+    # a sample at a vertex border may be occupied in one and not in the other
+    same = torch.stack(near).amax(0) < 1e-3
     assert same.float().mean() > 0.9
     assert all((n[same] < 2e-4).all() for n in near)
     cotangent = [torch.randn(x.shape, generator=g) for x in out]

@@ -15,8 +15,9 @@ from devrf.reconstruct.losses import (
 )
 
 
-def test_rendering_loss_is_the_mean_over_channels() -> None:
+def test_rendering_loss_is_the_mean_over_channels_and_opacity_loss_compares_with_the_matte() -> None:
     assert rendering_loss(torch.tensor([[0.0, 0, 0.6]]), torch.zeros(1, 3)) == pytest.approx(0.12)
+    assert opacity_loss(torch.tensor([0.2, 1.0]), torch.tensor([0.7, 0.0])) == pytest.approx(0.005)
 
 
 def test_cycle_loss_is_half_the_squared_distance() -> None:
@@ -58,7 +59,3 @@ def test_per_point_loss_does_not_reach_the_weights() -> None:
     loss.backward()
     assert loss.item() == pytest.approx(0.5)
     assert weights.grad is None
-
-
-def test_opacity_loss_compares_with_the_matte() -> None:
-    assert opacity_loss(torch.tensor([0.2, 1.0]), torch.tensor([0.7, 0.0])) == pytest.approx(0.005)

@@ -26,9 +26,8 @@ from devrf.reconstruct.train_canonical import train_canonical
 from devrf.reconstruct.train_motion import train_motion
 
 BOX = torch.tensor([[-1.0, -0.8, -0.6], [1.0, 0.8, 0.6]])
-STEP = np.array(
-    [0.03, -0.02, 0.025]
-)  # one picture to the next, box units: more than a voxel, within reach of the rates
+# one picture to the next, box units: more than a voxel, within reach of the rates
+STEP = np.array([0.03, -0.02, 0.025])
 COARSER = replace(REST, resolution=36, iterations=150, scale_at=(0.3,))
 
 

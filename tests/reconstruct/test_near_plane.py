@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.reconstruct.moving_ball import AABB, COLOUR, moving_ball
 
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.near_plane import FEWEST, near_plane
-from tests.reconstruct.moving_ball import AABB, COLOUR, moving_ball
 
 LEAST = 0.1
 K = np.array([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]])

@@ -135,9 +135,8 @@ def test_measures_share_the_doubt() -> None:
 
 
 def test_signs_of_gains() -> None:
-    assert (
-        paired_gain([1.0, 1.1], [0.0, 0.1]).side() == 1 and paired_gain([0.0, 0.1], [1.0, 1.1]).side() == -1
-    )
+    assert paired_gain([1.0, 1.1], [0.0, 0.1]).side() == 1
+    assert paired_gain([0.0, 0.1], [1.0, 1.1]).side() == -1
     assert paired_gain([1.0, 2.0], [1.0, 2.0]).nothing
     one = paired_gain([5.0], [1.0])
     assert one.half is None and one.side() == 0

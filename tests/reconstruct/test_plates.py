@@ -58,10 +58,8 @@ def test_plates_are_drawn_beside_the_sweep(tmp_path: Path) -> None:
     sweep = RaySet(scene.static, 1.0, "shell")
     batch = draw_with_plates(sweep, rays, 1000, torch.Generator().manual_seed(0))
     assert len(batch.rgb) == 1000
-    row, column = (
-        batch.pixel[-round(1000 * SHARE) :] // SIZE[0],
-        batch.pixel[-round(1000 * SHARE) :] % SIZE[0],
-    )
+    row = batch.pixel[-round(1000 * SHARE) :] // SIZE[0]
+    column = batch.pixel[-round(1000 * SHARE) :] % SIZE[0]
     assert not ((row >= 16) & (row < 28) & (column >= 8) & (column < 48)).any()
     alone = draw_with_plates(sweep, None, 1000, torch.Generator().manual_seed(0))
     assert torch.equal(alone.pixel, sweep.draw(1000, torch.Generator().manual_seed(0)).pixel)

@@ -55,9 +55,8 @@ def test_the_mesh_at_rest_is_moved_to_where_it_is_found(model: DynamicModel) -> 
     again = surface_of(field, LEVEL, marching_cubes)
     assert np.quantile(apart(there, again.vertices), 0.95) < field.voxel
     elsewhere = np.quantile(apart(base.vertices, again.vertices), 0.95)
-    assert elsewhere == pytest.approx(
-        0.6 * TRAVEL, rel=0.1
-    )  # the poles of its way; the equator hardly differs
+    # the poles of its way; the equator hardly differs
+    assert elsewhere == pytest.approx(0.6 * TRAVEL, rel=0.1)
 
 
 def test_nothing_that_solid_is_said(model: DynamicModel) -> None:

@@ -15,9 +15,8 @@ from devrf.pipelines.bench.stability.points import Points, new_complaints, said
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.health.training import MENDED
 
-SUFFERED_DB = (
-    LEAST_GAIN_DB / 2
-)  # lost where it moves: half of what motion must gain; other seeds differ by less
+# lost where it moves: half of what motion must gain; other seeds differ by less
+SUFFERED_DB = LEAST_GAIN_DB / 2
 
 
 @dataclass(frozen=True)
