@@ -342,7 +342,19 @@ class Follower:
                 if not self.lost_nodes.any():
                     break
             self.sought[self.lost_nodes & wanted] = moment
-        return self.carried(found, self.lost_nodes)
+        return self._carried_if_better(shots, found, likeness)
+
+    def _carried_if_better(
+        self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"]
+    ) -> Pose:
+        """The pose with what is lost carried along, but for what pictures then show even less of."""
+        out = carried = self.carried(found, self.lost_nodes)
+        liked = self.likeness(shots, carried)
+        for group in self._groups(self.lost_nodes):
+            known = group[np.isfinite(likeness[group]) & np.isfinite(liked[group])]
+            if len(known) and liked[known].mean() < likeness[known].mean():
+                out = _with(out, found, group)
+        return out
 
     def likeness(self, shots: Sequence[Shot], found: Pose) -> Float[np.ndarray, " n"]:
         """Of what pictures show to each node's points: 1 alike, -1 what stands behind; NaN not known."""
