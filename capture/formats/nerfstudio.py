@@ -20,7 +20,7 @@ from devrf.capture.formats.files import frames_of, read_json, with_slashes, writ
 from devrf.capture.formats.ply import write_ply
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
-from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of
+from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of, test_pictures
 from devrf.capture.scene import PosedFrame
 
 POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
@@ -71,8 +71,10 @@ def is_at_rest(folder: Path) -> bool:
     path = folder / "transforms.json"
     try:
         meta = read_json(path)
-        moving = [entry for entry in frames_of(meta, path) if entry.get("time") is not None]
-        return all(split_of(entry, meta, str(path)) == "test" for entry in moving)
+        entries = frames_of(meta, path)
+        test = test_pictures(meta, entries, path, [])
+        moving = [(n in test, entry) for n, entry in enumerate(entries) if entry.get("time") is not None]
+        return all(split_of(entry, listed, str(path)) == "test" for listed, entry in moving)
     except CaptureError:
         return False  # who reads it says why
 
