@@ -7,6 +7,7 @@ Without a training picture in motion there is no motion to learn: the set is one
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,9 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     frames = read_transforms(path, notes)
     static = tuple(f for f in frames if f.time is None)
     dynamic = tuple(f for f in frames if f.time is not None)
+    if _is_one_moment([f.time for f in frames]):
+        notes.append(f"every picture has the time {frames[0].time:g}: taken as a scene at rest")
+        static, dynamic = tuple(replace(f, time=None, time_s=None) for f in frames), ()
     if not static:
         wrong = f"data set {folder}: no picture without a time, so none of the scene at rest"
         raise CaptureError("rest-missing", f"{wrong}; add a sweep of it")
@@ -56,6 +60,11 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     )
 
 
+def _is_one_moment(times: Sequence[object]) -> bool:
+    """Whether a set gives all its pictures one and the same time, as converters do that know of no scene at rest."""
+    return times[0] is not None and all(time == times[0] for time in times)
+
+
 def _points_beside(folder: Path, name: object) -> int | None:
     """How many points a PLY file has by its header; None where none is named or there."""
     file = folder / with_slashes(str(name))
@@ -72,6 +81,8 @@ def is_at_rest(folder: Path) -> bool:
     try:
         meta = read_json(path)
         entries = frames_of(meta, path)
+        if _is_one_moment([entry.get("time") for entry in entries]):
+            return True
         test = test_pictures(meta, entries, path, [])
         moving = [(n in test, entry) for n, entry in enumerate(entries) if entry.get("time") is not None]
         return all(split_of(entry, listed, str(path)) == "test" for listed, entry in moving)

@@ -275,6 +275,15 @@ def test_nerfstudio_seconds_are_rescaled_and_said(tmp_path: Path):
     assert [f.index for f in scene.dynamic] == [0, 0, 0, 1, 1, 1]
 
 
+def test_nerfstudio_pictures_of_one_moment_are_at_rest(tmp_path: Path):
+    nerfstudio(tmp_path, [0.0] * 4)
+    notes: list[str] = []
+    scene = read_dataset("nerfstudio", tmp_path, notes=notes)
+    assert (len(scene.static), len(scene.dynamic)) == (4, 0)
+    assert {(f.time, f.time_s) for f in scene.static} == {(None, None)}
+    assert any("the time 0" in note for note in notes)
+
+
 def test_nerfstudio_lists_of_test_pictures(tmp_path: Path):
     nerfstudio(tmp_path, [None] * 4, test_filenames=["images/2.png"], train_filenames=["images/0.png"])
     assert [f.split for f in read_dataset("nerfstudio", tmp_path).static] == [
