@@ -75,8 +75,9 @@ def read_given(
         InputError: Another format, a camera that is missing, or a calibration for other pictures.
         CaptureError: A damaged COLMAP model.
     """
-    is_own = isinstance(source, Path) and _is_json(source) and not is_opencv_json(source)
-    own = read_rig(source) if is_own else None
+    own = None
+    if isinstance(source, Path) and _is_json(source) and not is_opencv_json(source):
+        own = read_rig(source)
     found = _found(source) if own is None else _own(own)
     where = str(source) if isinstance(source, Path) else KEY
     notes = [GivenNote("given calibration", f"{found.format}, {len(found.cameras)} cameras")]
