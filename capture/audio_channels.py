@@ -1,4 +1,4 @@
-"""Which channel of which sound track is listened to: the mean of the first track's, unless less is to be heard in it.
+"""Which channel of which sound track is listened to: the mean of the first track's, unless more is heard elsewhere.
 
 Channels of opposite sign (a plug wired wrongly, an adapter for balanced microphones) cancel in their mean; hum in one
 of them hides what another one hears; a camera may write tracks in which nothing is.
@@ -12,7 +12,7 @@ from jaxtyping import Float
 SILENCE_RMS = 1e-4  # -80 dB: below any real microphone's noise
 CANCELLED = 0.03  # of the strongest channel's power: less is left in the mean where they cancel
 LOW = 0.01  # power of differences of samples over power: below 800 Hz at 48 kHz, as hum and rumble
-CLEARER = 4.0  # times as far do a channel's loudest passages stand out, where it is taken instead
+CLEARER = 4.0  # times as far do a channel's (a track's) loudest passages stand out, where it is taken instead
 LOUD_SHARE, LOUD_BLOCKS = 0.01, 3  # the loudest passages: this share of the blocks, at least so many
 
 
@@ -60,7 +60,10 @@ def choose(tracks: list[Heard]) -> Choice:
     loud = [n for n, heard in found if np.mean(heard.power, axis=0).max() > SILENCE_RMS**2]
     if not loud:
         return Choice()
-    track = loud[0]
+    clearest = {n: float(_clearness(np.array(tracks[n].steep)).max()) for n in loud}
+    track = max(loud, key=clearest.__getitem__)
+    if clearest[track] <= CLEARER * clearest[loud[0]]:  # hiss, or the hum of a socket without a microphone
+        track = loud[0]
     heard = tracks[track]
     power, steep = np.mean(heard.power, axis=0), np.mean(heard.steep, axis=0)
     clear = _clearness(np.array(heard.steep))
@@ -71,7 +74,7 @@ def choose(tracks: list[Heard]) -> Choice:
         return Choice(track, channel - 1, f"{which}, because the channels cancel in their mean")
     if len(power) > 2 and steep[0] < LOW * power[0] and clear[channel] > CLEARER * clear[0]:
         return Choice(track, channel - 1, f"{which}, because hum hides it in the mean of all")
-    return Choice(track, None, f"{where}, because nothing is to be heard in those before" if track else "")
+    return Choice(track, None, f"{where}, because less or nothing is heard in those before" if track else "")
 
 
 def _clearness(steep: Float[np.ndarray, "blocks kinds"]) -> Float[np.ndarray, " kinds"]:

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from devrf.capture.limits import is_device
+
 MANY_FILES = 32  # from here on the whole file system is put on the disk at once, which is quicker
 # said by network file systems that keep names by themselves
 NOT_FOR_FOLDERS = (errno.EINVAL, errno.EOPNOTSUPP)
@@ -30,9 +32,11 @@ def read_json(path: Path) -> Any:
     """What a file of ours holds.
 
     Raises:
-        ValueError: It is damaged: no JSON, or nested deeper than anything that we write.
+        ValueError: It is damaged: no JSON, nested deeper than anything that we write, or no file.
         OSError: It cannot be read.
     """
+    if is_device(path):
+        raise ValueError("a device or a pipe")
     return parse_json(path.read_bytes())
 
 

@@ -5,6 +5,7 @@ file within them takes no more than some gigabytes. Texts of a format of its own
 limits beside their readers. docs/security.md lists all of them.
 """
 
+import stat
 from pathlib import Path
 
 from devrf.capture.errors import CaptureError
@@ -36,17 +37,29 @@ def check_pixels(path: Path, width: int, height: int, most: int = PICTURE_PX) ->
 
 
 def check_bytes(path: Path, most: int, size: int | None = None) -> None:
-    """Refuse a file of more than `most` bytes; `size` is that of its content where it is packed.
+    """Refuse a file of more than `most` bytes, and what is none; `size` is that of its content where it is packed.
 
     Raises:
-        CaptureError: It is larger.
+        CaptureError: It is larger, or a device or a pipe.
         OSError: It cannot be looked at.
     """
+    if is_device(path):
+        raise CaptureError("file-is-device", f"{path}: is a device or a pipe; expected a file")
     size = path.stat().st_size if size is None else size
     if size > most:
         wrong = f"{path}: {size / 1e6:.0f} MB, at most {most / 1e6:.0f} MB are read of such a file"
         remedy = "is it another kind of file, or damaged? Copy it again"
         raise CaptureError("file-too-large", f"{wrong}; {remedy}")
+
+
+def is_device(path: Path) -> bool:
+    """Whether a path leads to a device, a pipe or a socket, of which a program may wait for ever for the end.
+
+    Raises:
+        OSError: It cannot be looked at.
+    """
+    mode = path.stat().st_mode
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def check_span(path: Path, seconds: float) -> None:

@@ -43,8 +43,14 @@ def list_pictures(folder: Path) -> list[Path]:
         return pictures
     unread = unread_kinds(folder)
     if unread:
-        wrong = f"{folder}: holds {_counted(unread)} only, which are not read; {CONVERT}"
-        raise InputError("picture-kind-unread", wrong)
+        raise InputError(
+            "picture-kind-unread", f"{folder}: holds {_counted(unread)} only, which are not read; {CONVERT}"
+        )
+    inside = {p.name: sum(len(_photos(part)) for part in _parts(p)) for p in _folders(folder)}
+    if any(inside.values()):
+        counted = ", ".join(f"{count} in {name}" for name, count in inside.items() if count)
+        text = f"{folder}: no pictures in this folder itself, but {counted}; name one of these, or put them together"
+        raise InputError("pictures-inside", text)
     kinds = ", ".join(sorted({p.suffix or p.name for p in _files(folder)})[:6]) or "nothing"
     text = f"{folder}: no pictures in this folder (it holds: {kinds}); expected JPEG, PNG or RAW files"
     raise InputError("pictures-none", text)

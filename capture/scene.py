@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from devrf.capture.camera import Camera
+from devrf.capture.camera import RIGID_TOLERANCE, Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels
@@ -121,6 +121,8 @@ class Scene:
     def __post_init__(self) -> None:
         if not self.static and not self.dynamic:
             raise CaptureError("pictures-none", "the scene has no pictures")
+        if self.box_from_world.shape != (4, 4) or not _is_similarity(self.box_from_world):
+            raise ValueError(f"box_from_world is no similarity: {self.box_from_world.tolist()}")
         if not (self.aabb[1] > self.aabb[0]).all():
             raise ValueError(f"scene box is empty: {self.aabb.tolist()}")
         if not 0 <= self.near < self.far:
@@ -243,3 +245,11 @@ def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
 def image_scale_for(width: int, height: int, max_pixels: int) -> float:
     """Relative size at which a picture has at most `max_pixels` pixels; never enlarges."""
     return min(1.0, float(np.sqrt(max_pixels / (width * height))))
+
+
+def _is_similarity(matrix: Float[np.ndarray, "4 4"]) -> bool:
+    """Whether a matrix turns, moves and scales, and nothing else."""
+    if not np.isfinite(matrix).all() or (det := np.linalg.det(matrix[:3, :3])) <= 0:
+        return False
+    R = matrix[:3, :3] / np.cbrt(det)
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= RIGID_TOLERANCE and (matrix[3] == [0, 0, 0, 1]).all())

@@ -1,5 +1,6 @@
 """The commands that look at what a run has made, and take it elsewhere: report, compare, view, render, export."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +35,15 @@ def report(
     """Make the report anew from what the run folder holds, and say where it is."""
     talk = talk_of(quiet, verbose)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+    with errors_told(talk):
+        left = _report_is_left(job.run_dir)
+    if left:
+        talk.say(
+            "  note: the run folder may not be written by this user: its report is left as it is",
+            style="yellow",
+        )
+        job.fresh.append("report")
+        return run_command.say_where(job)
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
     with errors_told(talk):
         stale = run_command.stale(job, "render")
@@ -239,3 +249,20 @@ def export(
             )
             talk.error(what, "stopped")
             raise typer.Exit(STOPPED) from None
+
+
+def _report_is_left(run_dir: Path) -> bool:
+    """Whether a run that this user may only read has a report.
+
+    Raises:
+        InputError: It may only be read, and has none.
+    """
+    folder = run_dir / "report"
+    if not run_dir.is_dir() or os.access(folder if folder.is_dir() else run_dir, os.W_OK):
+        return False
+    if not (folder / "index.html").is_file():
+        wrong = f"{run_dir}: may not be written by this user, and holds no report"
+        raise InputError(
+            "folder-unwritable", f"{wrong}; copy the run folder, or ask who made it for a report"
+        )
+    return True

@@ -29,7 +29,7 @@ from devrf.capture.errors import InputError
 __all__ = ["RIG_WRITERS", "Found", "FoundCamera", "find_calibration", "find_single_files"]
 
 READ = (
-    "rig.json; a COLMAP model; yml or xml of OpenCV (one camera, or a stereo pair), ROS or EasyMocap; a kalibr "
+    "rig.json; a COLMAP model; yml, xml or JSON of OpenCV (one camera, or a stereo pair), ROS or EasyMocap; a kalibr "
     "camchain; toml of caliscope, aniposelib or Pose2Sim; Qualisys .qca.txt"
 )
 Writer = Callable[[Path, Mapping[str, Camera], bool], None]

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import RIGID_TOLERANCE, Camera, LensModel
 from devrf.capture.errors import InputError
+from devrf.capture.limits import is_device
 
 Unit = Literal["m", "cm", "mm", "arbitrary", "unsaid"]
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
@@ -82,6 +83,8 @@ def text_of(path: Path) -> str:
         InputError: Too large, not text, or cannot be read.
     """
     try:
+        if is_device(path):
+            raise InputError("file-is-device", f"{path}: is a device or a pipe; expected a calibration file")
         if path.stat().st_size > LARGEST_BYTES:
             text = f"{path}: has {path.stat().st_size / 1e6:.0f} MB; expected a calibration file"
             raise InputError("file-too-large", text)

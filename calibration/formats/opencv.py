@@ -1,6 +1,7 @@
 """Calibrations written by OpenCV (`cv2.FileStorage`, yml or xml) and by ROS (`camera_info` yaml), in and out.
 
 Read:
+- as yml, xml or JSON.
 - one camera (OpenCV's calibration samples, ROS): `camera_matrix`, `distortion_coefficients`, `image_width`,
   `image_height`; a folder of such files has one camera in each. Intrinsics only.
 - a stereo pair (OpenCV's stereo sample): M1, D1, M2, D2 in intrinsics.yml, R and T in extrinsics.yml beside it
@@ -8,6 +9,7 @@ Read:
 OpenCV has no file for more than two cameras. We write one camera a file with one key more: `cam_from_world` (3x4).
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,7 @@ from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 
-ENDINGS = (".yml", ".yaml", ".xml")
+ENDINGS = (".yml", ".yaml", ".xml", ".json")
 MATRIX_KEYS = ("camera_matrix", "Camera_Matrix")  # the second by OpenCV before 3.0
 DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients")
 WIDTH_KEYS, HEIGHT_KEYS = ("image_width", "image_Width"), ("image_height", "image_Height")
@@ -44,12 +46,26 @@ def storage(text: str) -> dict[str, Any] | None:
 
     FileStorage reads ROS's yaml too, which has no `%YAML:1.0` line.
     """
+    if text.lstrip().startswith("{"):
+        try:
+            return _plain(json.loads(text))
+        except (ValueError, RecursionError):
+            return None
     try:
         file = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = file.root()
         return {key: _value(root.getNode(key)) for key in root.keys()} if root.isMap() else None
     except (cv2.error, SystemError):  # SystemError: how OpenCV 5.0's binding reports a parse error
         return None
+
+
+def is_json(path: Path) -> bool:
+    """Whether a JSON file is OpenCV's (FileStorage writes it too) or has its keys."""
+    try:
+        data = storage(text_of(path))
+    except InputError:
+        return False
+    return data is not None and (is_single(data) or is_stereo(data))
 
 
 def is_single(data: Mapping[str, Any]) -> bool:
@@ -65,6 +81,9 @@ def is_stereo(data: Mapping[str, Any]) -> bool:
 def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
     """One camera's file."""
     key = _first(data, MATRIX_KEYS)
+    if data.get("xi") not in (None, 0):
+        wrong = f"{path}: xi is {np.ravel(data['xi']).tolist()}, of OpenCV's omnidirectional lens, which is not read"
+        raise InputError("lens-unread", f"{wrong}; calibrate the lens as a fisheye (cv2.fisheye)")
     name = data.get("distortion_model")
     if name is not None and str(name) not in ROS_MODELS:
         text = f"{path}: distortion_model is {name!r}; expected {', '.join(ROS_MODELS)}"
@@ -132,13 +151,7 @@ def write_opencv(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> N
 
 def _value(node: Any) -> Any:
     if node.isMap():
-        found = {key: _value(node.getNode(key)) for key in node.keys()}
-        rows, cols, data = (found.get(key) for key in ("rows", "cols", "data"))
-        if isinstance(rows, int) and isinstance(cols, int) and isinstance(data, list):
-            nested = any(isinstance(value, list | dict | np.ndarray) for value in data)
-            whole = min(rows, cols) > 0 and len(data) == rows * cols and not nested
-            return np.array(data, dtype=object).reshape(rows, cols) if whole else data
-        return found
+        return _map({key: _value(node.getNode(key)) for key in node.keys()})
     if node.isSeq():
         return [_value(node.at(n)) for n in range(node.size())]
     if node.isInt():
@@ -146,6 +159,23 @@ def _value(node: Any) -> Any:
     if node.isReal():
         return node.real()
     return node.string() if node.isString() else None
+
+
+def _plain(value: Any) -> Any:
+    """A JSON value, its matrices as arrays."""
+    if isinstance(value, dict):
+        return _map({key: _plain(inner) for key, inner in value.items()})
+    return [_plain(inner) for inner in value] if isinstance(value, list) else value
+
+
+def _map(found: dict[str, Any]) -> Any:
+    """A map as it is; a matrix as an array, or as the list of its numbers where they are not as many as it says."""
+    rows, cols, data = (found.get(key) for key in ("rows", "cols", "data"))
+    if isinstance(rows, int) and isinstance(cols, int) and isinstance(data, list):
+        nested = any(isinstance(value, list | dict | np.ndarray) for value in data)
+        whole = min(rows, cols) > 0 and len(data) == rows * cols and not nested
+        return np.array(data, dtype=object).reshape(rows, cols) if whole else data
+    return found
 
 
 def _first(data: Mapping[str, Any], keys: tuple[str, ...]) -> str:

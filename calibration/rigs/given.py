@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from devrf.calibration.formats import Found, FoundCamera, find_calibration, find_single_files
+from devrf.calibration.formats.opencv import is_json as is_opencv_json
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, read_rig
 from devrf.capture.errors import InputError
@@ -74,7 +75,9 @@ def read_given(
         InputError: Another format, a camera that is missing, or a calibration for other pictures.
         CaptureError: A damaged COLMAP model.
     """
-    own = read_rig(source) if isinstance(source, Path) and _is_json(source) else None
+    own = None
+    if isinstance(source, Path) and _is_json(source) and not is_opencv_json(source):
+        own = read_rig(source)
     found = _found(source) if own is None else _own(own)
     where = str(source) if isinstance(source, Path) else KEY
     notes = [GivenNote("given calibration", f"{found.format}, {len(found.cameras)} cameras")]

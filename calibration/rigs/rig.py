@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from devrf.calibration.formats.found import OTHER_NAMES
 from devrf.calibration.rigs.graph import Link
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
@@ -108,6 +109,8 @@ def read_rig(path: Path) -> Rig:
         cameras = {}
         for name, c in data["cameras"].items():
             where = f"camera '{name}': "
+            if "distortion" not in c and (other := [key for key in OTHER_NAMES if key in c]):
+                raise ValueError(f"has no distortion, but {', '.join(other)}")
             camera = Camera(
                 int(c["width"]),
                 int(c["height"]),

@@ -32,8 +32,8 @@ from devrf.capture.formats.colmap_rigs import (
     write_rigs,
 )
 from devrf.capture.formats.export import Export, copied, static_of
-from devrf.capture.formats.files import Header, find_picture, read_header, with_slashes
-from devrf.capture.formats.llff import TEST_LIST, read_names
+from devrf.capture.formats.files import Header, find_picture, read_header
+from devrf.capture.formats.listed import TEST_LIST, pictures_of_list, read_names
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, SparsePoints
@@ -63,8 +63,9 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
     if not model.images:
         text = f"{place}: no image is registered; expected a model with pictures"
         raise CaptureError("pictures-none", text)
-    test = read_names(place / TEST_LIST)
+    names = read_names(place / TEST_LIST)
     order = sorted(model.images, key=lambda number: natural_key(model.images[number].name))
+    test = pictures_of_list(names or [], [model.images[number].name for number in order], TEST_LIST, notes)
     frames, grey = [], 0
     for n, number in enumerate(order):
         image = model.images[number]
@@ -75,7 +76,7 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
         if intrinsics is None:
             text = f"{where}: its camera {image.camera_id} is not in the model; export it again"
             raise CaptureError("camera-missing", text)
-        split = "test" if test is not None and with_slashes(image.name) in test else "train"
+        split = "test" if n in test else "train"
         camera = _camera(intrinsics, image, header, where)
         frames.append(PosedFrame(header.path, camera, "static", n, None, None, split))
     if grey:
@@ -92,7 +93,7 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
             f"{len(model.points)} sparse points are not used, the box is a loose cube: {few} name fewer than "
             f"{SHORTEST_TRACK} pictures that show them, the others have errors of {LARGEST_ERROR_PX:g} px or more"
         )
-    return Pictures(tuple(frames), has_split=test is not None, points=points)
+    return Pictures(tuple(frames), has_split=names == [] or bool(test), points=points)
 
 
 def write_colmap(export: Export) -> None:

@@ -18,13 +18,13 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures, faces_forward
 from devrf.capture.formats.export import Export, Pinholes, static_of
-from devrf.capture.formats.files import Header, read_header, read_text, with_slashes
+from devrf.capture.formats.files import Header, read_header
+from devrf.capture.formats.listed import TEST_LIST, pictures_of_list, read_names
 from devrf.capture.formats.opengl import cam_from_opengl
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
 
 FACTORS = ("", "_2", "_4", "_8")  # endings of folders with smaller copies, the largest first
-TEST_LIST = "test.txt"
 DEPTH_PERCENTILES = (0.1, 99.9)
 LEAST_POINTS = 10  # in a picture, for its own bounds
 LEAST_NEAR = 0.01  # of far, where the scene says no nearest content
@@ -34,11 +34,11 @@ def read_llff(folder: Path, notes: list[str]) -> Pictures:
     """A forward-facing scene at rest."""
     rows = read_rows(folder / "poses_bounds.npy", 17)
     files = pictures_of_rows(folder, len(rows), notes)
-    test = read_names(folder / TEST_LIST)
+    names = read_names(folder / TEST_LIST)
     frames, bounds = llff_frames(folder, rows, files, notes)
-    if test is not None:
-        frames = tuple(replace(f, split=("test" if f.path.name in test else "train")) for f in frames)
-    return Pictures(frames, has_split=test is not None, bounds=bounds, behind="black")
+    test = pictures_of_list(names or [], [f.path.name for f in frames], TEST_LIST, notes)
+    frames = tuple(replace(f, split="test") if n in test else f for n, f in enumerate(frames))
+    return Pictures(frames, has_split=names == [] or bool(test), bounds=bounds, behind="black")
 
 
 def write_llff(export: Export) -> None:
@@ -196,14 +196,3 @@ def pictures_in(folder: Path, key: Callable[[str], Any] = natural_key) -> list[P
         p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")
     ]
     return [p.resolve() for p in sorted(files, key=lambda p: key(p.name))]
-
-
-def read_names(path: Path) -> frozenset[str] | None:
-    """Names in a list, one per line, with slashes; None where there is no list."""
-    if not path.is_file():
-        return None
-    try:
-        return frozenset(with_slashes(line.strip()) for line in read_text(path).splitlines() if line.strip())
-    except OSError as error:
-        text = f"{path}: no list of names ({error}); write one name per line, or remove it"
-        raise CaptureError("file-damaged", text) from None

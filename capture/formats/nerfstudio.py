@@ -7,6 +7,7 @@ Without a training picture in motion there is no motion to learn: the set is one
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from devrf.capture.formats.files import frames_of, read_json, with_slashes, writ
 from devrf.capture.formats.ply import write_ply
 from devrf.capture.formats.point_colours import point_colours
 from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
-from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of
+from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of, test_pictures
 from devrf.capture.scene import PosedFrame
 
 POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
@@ -34,6 +35,9 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     frames = read_transforms(path, notes)
     static = tuple(f for f in frames if f.time is None)
     dynamic = tuple(f for f in frames if f.time is not None)
+    if _is_one_moment([f.time for f in frames]):
+        notes.append(f"every picture has the time {frames[0].time:g}: taken as a scene at rest")
+        static, dynamic = tuple(replace(f, time=None, time_s=None) for f in frames), ()
     if not static:
         wrong = f"data set {folder}: no picture without a time, so none of the scene at rest"
         raise CaptureError("rest-missing", f"{wrong}; add a sweep of it")
@@ -56,6 +60,11 @@ def read_nerfstudio(folder: Path, notes: list[str]) -> Pictures:
     )
 
 
+def _is_one_moment(times: Sequence[object]) -> bool:
+    """Whether a set gives all its pictures one and the same time, as converters do that know of no scene at rest."""
+    return times[0] is not None and all(time == times[0] for time in times)
+
+
 def _points_beside(folder: Path, name: object) -> int | None:
     """How many points a PLY file has by its header; None where none is named or there."""
     file = folder / with_slashes(str(name))
@@ -71,8 +80,12 @@ def is_at_rest(folder: Path) -> bool:
     path = folder / "transforms.json"
     try:
         meta = read_json(path)
-        moving = [entry for entry in frames_of(meta, path) if entry.get("time") is not None]
-        return all(split_of(entry, meta, str(path)) == "test" for entry in moving)
+        entries = frames_of(meta, path)
+        if _is_one_moment([entry.get("time") for entry in entries]):
+            return True
+        test = test_pictures(meta, entries, path, [])
+        moving = [(n in test, entry) for n, entry in enumerate(entries) if entry.get("time") is not None]
+        return all(split_of(entry, listed, str(path)) == "test" for listed, entry in moving)
     except CaptureError:
         return False  # who reads it says why
 

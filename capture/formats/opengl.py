@@ -34,9 +34,29 @@ MODELS: dict[
     "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
     "RADIAL_FISHEYE": "OPENCV_FISHEYE",
 }
-# that files may have; a lens has some of them
-COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_p0")  # keys of instant-ngp
+COEFFICIENTS = (
+    "k1",
+    "k2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "p1",
+    "p2",
+    *("s1", "s2", "s3", "s4", "tau_x", "tau_y", "skew"),  # of no lens that is read
+)  # that files may have; a lens has some of them
+OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_")  # as keys of instant-ngp begin
+UNREAD = (  # further keys by which a pixel looks elsewhere: of instant-ngp, and a lens by names of other programs
+    *(
+        "rolling_shutter",
+        "fisheye",
+        "distortion",
+        "distortions",
+        "distortion_params",
+        "distortion_coefficients",
+    ),
+    *("distortion_coeffs", "distortion_coefs", "dist_coeffs", "dist_coeff", "dist"),
+)
 RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they are not rotations at all
 
 
@@ -122,11 +142,17 @@ def _focal_length(entry: dict[str, Any], axis: str, side: int, where: str) -> fl
 def _lens_model(entry: dict[str, Any], where: str) -> LensModel:
     """By `camera_model`, which may be null, and `is_fisheye`."""
     said, flag = entry.get("camera_model"), entry.get("is_fisheye")
-    for key in OTHER_PROJECTIONS:
-        if entry.get(key) is not None and entry[key] is not False:
+    for key in [key for key in entry if key.startswith(OTHER_PROJECTIONS)]:
+        if entry[key] is not None and entry[key] is not False:
             wrong = f"{where}: {key} is {entry[key]!r}, another projection, which is not read"
-            text = f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
-            raise CaptureError("lens-unread", text)
+            raise CaptureError(
+                "lens-unread", f"{wrong}; expected {', '.join(MODELS)}; undistort the pictures"
+            )
+    for key in [key for key in UNREAD if not _is_nothing(entry.get(key))]:
+        wrong = f"{where}: {key} is {entry[key]!r}, which is not read"
+        expected = ", ".join(DISTORTION_KEYS["OPENCV"])
+        remedy = "name the lens by camera_model and its coefficients, or undistort the pictures"
+        raise CaptureError("lens-unread", f"{wrong}; expected {expected}; {remedy}")
     if said is not None and (not isinstance(said, str) or said not in MODELS):
         wrong = f"{where}: camera_model {said} is not read; expected {', '.join(MODELS)}"
         raise CaptureError("lens-unread", f"{wrong}; undistort the pictures")
@@ -138,6 +164,12 @@ def _lens_model(entry: dict[str, Any], where: str) -> LensModel:
         wrong = f"{where}: camera_model is {said} and is_fisheye is true; expected one lens"
         raise CaptureError("lens-unread", f"{wrong}; remove the one that is not true")
     return model
+
+
+def _is_nothing(value: Any) -> bool:
+    """Whether a key says nothing: null, false, zeros, a list or a matrix of them."""
+    rows = value if isinstance(value, list) else [value]
+    return not any(any(row) if isinstance(row, list) else row for row in rows)
 
 
 def intrinsics_entry(camera: Camera) -> dict[str, Any]:

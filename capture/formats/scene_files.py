@@ -13,6 +13,7 @@ from devrf.capture.formats.transforms import read_transforms, write_transforms
 from devrf.capture.scene import Scene, SparsePoints
 
 PLAIN_KEYS = ("near", "far", "kind", "background", "t0_s", "t1_s", "rest_time", "metric")
+DAMAGE = (KeyError, TypeError, ValueError, AttributeError, OverflowError, IndexError)  # of values in a file
 OWN_KEY = "devrf_scene"  # under which exported transforms files carry `scene_entry`
 
 
@@ -30,20 +31,28 @@ def write_scene(folder: Path, scene: Scene) -> None:
 
 
 def read_scene(folder: Path) -> Scene:
-    """Read what `write_scene` wrote."""
+    """Read what `write_scene` wrote.
+
+    Raises:
+        CaptureError: It was changed since, or is damaged.
+    """
     meta = read_json(folder / "scene.json")
     parts = {part: folder / part / "transforms.json" for part in ("static", "dynamic")}
     frames = {part: read_transforms(path) if path.is_file() else () for part, path in parts.items()}
     points = None
     if (folder / "points.npz").is_file():
         points = SparsePoints(**read_npz(folder / "points.npz", ("xyz", "obs_point", "obs_frame")))
-    return Scene(
-        static=frames["static"],
-        dynamic=frames["dynamic"],
-        points=points,
-        image_scale=meta["image_scale"],
-        **_values(meta),
-    )
+    try:
+        return Scene(
+            static=frames["static"],
+            dynamic=frames["dynamic"],
+            points=points,
+            image_scale=meta["image_scale"],
+            **_values(meta),
+        )
+    except DAMAGE as error:
+        text = f"{folder / 'scene.json'}: is damaged ({error}); run again with --force scene"
+        raise CaptureError("file-damaged", text) from None
 
 
 def scene_entry(scene: Scene) -> dict[str, Any]:
@@ -61,7 +70,7 @@ def with_scene_entry(scene: Scene, entry: Any, path: Path) -> Scene:
     """The scene with box, times and background of an exported data set, as `scene_entry` wrote them."""
     try:
         return replace(scene, **_values(entry))
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except DAMAGE as error:
         text = f"{path}: {OWN_KEY} is damaged ({error}); remove the key, or export again"
         raise CaptureError("entry-wrong", text) from None
 
@@ -73,4 +82,6 @@ def _values(meta: dict[str, Any]) -> dict[str, Any]:
         "aabb": np.array([meta["box"]["min"], meta["box"]["max"]], dtype=np.float64),
         "ndc": None if ndc is None else (float(ndc[0]), float(ndc[1])),
         **{key: meta[key] for key in PLAIN_KEYS},
+        **{key: float(meta[key]) for key in ("near", "far", "t0_s", "t1_s")},
+        "rest_time": None if meta["rest_time"] is None else float(meta["rest_time"]),
     }

@@ -17,9 +17,9 @@ from devrf.capture.formats.files import (
     read_json,
     relative_to,
     safe_name,
-    with_slashes,
     write_json,
 )
+from devrf.capture.formats.listed import pictures_of_list
 from devrf.capture.formats.opengl import DISTORTION_KEYS, camera_of, intrinsics_entry, opengl_pose
 from devrf.capture.look import EVEN, SAME, Look, as_gains, as_matrix
 from devrf.capture.scene import PosedFrame, Split
@@ -67,7 +67,9 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
     meta = read_json(path)
     common = {key: value for key, value in meta.items() if key != "frames"}
     frames, grey = [], 0
-    for number, entry in enumerate(frames_of(meta, path)):
+    entries = frames_of(meta, path)
+    test = test_pictures(meta, entries, path, [] if notes is None else notes)
+    for number, entry in enumerate(entries):
         where = f"{path}: frames[{number}] ({entry['file_path']})"
         header = read_header(find_picture(path.parent, entry["file_path"]))
         grey += header.grey
@@ -81,7 +83,7 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 index=index_of(entry, number, where),
                 time_s=time if time_s is None else time_s,
                 time=time,
-                split=split_of(entry, meta, where),
+                split=split_of(entry, number in test, where),
                 flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
                 look=_look(entry, path.parent, where),
                 matte=None
@@ -122,17 +124,33 @@ def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
         raise CaptureError("entry-wrong", f"{wrong}; expected {expected}") from None
 
 
-def split_of(entry: dict[str, Any], meta: dict[str, Any], where: str) -> Split:
-    """`split` of the entry, else by nerfstudio's lists of names.
+def test_pictures(
+    meta: dict[str, Any], entries: list[dict[str, Any]], path: Path, notes: list[str]
+) -> set[int]:
+    """Entries that nerfstudio's lists of names mean for testing; how many names mean none is added to `notes`.
+
+    Raises:
+        CaptureError: A list that is none.
+    """
+    names: list[str] = []
+    for key in ("test_filenames", "val_filenames"):
+        listed = meta.get(key) or []
+        if not isinstance(listed, list):
+            text = f"{path}: {key} is {listed!r}; expected a list of names"
+            raise CaptureError("entry-wrong", text)
+        names += map(str, listed)
+    return pictures_of_list(names, [e["file_path"] for e in entries], "test_filenames, val_filenames", notes)
+
+
+def split_of(entry: dict[str, Any], listed: bool, where: str) -> Split:
+    """`split` of the entry, else whether it is `listed` for testing (`test_pictures`).
 
     Raises:
         CaptureError: A split that is none.
     """
     split = entry.get("split")
     if split is None:
-        name = with_slashes(entry["file_path"])
-        listed = [other for kind in ("test", "val") for other in meta.get(f"{kind}_filenames") or ()]
-        return "test" if name in {with_slashes(str(other)) for other in listed} else "train"
+        return "test" if listed else "train"
     if split not in ("train", "test", "val"):
         raise CaptureError("entry-wrong", f"{where}: split is {split!r}; expected train or test")
     return "train" if split == "train" else "test"

@@ -66,6 +66,13 @@ def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
     )
     by_name = {f.stem.lower(): f for f in files}
     by_number = {int(m[1]): f for f in files if (m := re.search(r"(\d+)$", f.stem))}
+    films = {index for index, name in names.items() if name is None}
+    if films and 0 not in films and min(by_number, default=0) == 1 and films < by_number.keys():
+        wrong = (
+            f"{folder}: its files are numbered from 1 and are more than the camera's {len(films)} pictures"
+        )
+        remedy = "frames are counted from 0: rename them, or leave out those of frames that are not used"
+        raise CaptureError("mattes-misnumbered", f"{wrong}; {remedy}")
     found, missing = [], []
     for index, name in names.items():
         if name is None:

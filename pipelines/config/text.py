@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from devrf.capture.limits import is_device
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.words import near_file
 
@@ -63,7 +64,9 @@ def read_yaml(path: Path) -> dict:
     if path.is_dir():
         raise ConfigError([f"{path}: is a folder; name the scene.yaml in it"])
     try:
-        with path.open("rb") as file:  # not by its size: a device has none
+        if is_device(path):
+            raise ConfigError([f"{path}: is a device or a pipe; expected a scene.yaml"])
+        with path.open("rb") as file:
             content = file.read(LARGEST_BYTES + 1)
         if len(content) > LARGEST_BYTES:
             raise ConfigError([f"{path}: more than {LARGEST_BYTES // 1000} kB; expected a scene.yaml"])

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from devrf.capture.durable import parse_json
+from devrf.capture.limits import is_device
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.code_version import Code, code_of, series
 from devrf.pipelines.stamps.digests import Digests
@@ -113,7 +114,7 @@ def _leaves(whole: dict, dotted: str) -> list[tuple[str, Any]]:
 def read_stamp(folder: Path) -> dict | None:
     """The stamp of a finished stage, or None."""
     try:
-        return parse_stamp((folder / STAMP).read_bytes())
+        return None if is_device(folder / STAMP) else parse_stamp((folder / STAMP).read_bytes())
     except OSError:
         return None
 

@@ -520,3 +520,27 @@ def test_kalibr_says_which_lens_its_coefficients_are_of(tmp_path: Path) -> None:
 def test_a_lens_stated_to_have_no_distortion(model: str, tmp_path: Path) -> None:
     (tmp_path / "a.yml").write_text(of_matrix(f"{model}distortion_coefficients: []\n"))
     assert not find_calibration(tmp_path / "a.yml").cameras["a"].distortion.any()
+
+
+def test_json_of_opencv_and_with_its_keys(tmp_path: Path) -> None:
+    rows = [[500.0, 0, 319.5], [0, 500, 239.5], [0, 0, 1]]
+    for name, content in {
+        "lists": {"camera_matrix": rows, "dist_coeff": [LENS], "image_width": 640, "image_height": 480},
+        "matrix": {"camera_matrix": {"rows": 3, "cols": 3, "data": sum(rows, [])}, "dist": LENS},
+    }.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+        camera = find_calibration(tmp_path / f"{name}.json").cameras[name]
+        assert camera.K.tolist() == [[500, 0, 320], [0, 500, 240], [0, 0, 1]]
+        assert camera.distortion.tolist() == LENS
+    (tmp_path / "lists.json").write_text("{")
+    with refused("calibration-unread", "lists.json", kind=InputError):
+        find_calibration(tmp_path / "lists.json")
+
+
+@pytest.mark.parametrize(
+    "value", ["1.2", "!!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1.2 ]"]
+)
+def test_an_omnidirectional_lens_is_named(value: str, tmp_path: Path) -> None:
+    (tmp_path / "a.yml").write_text(of_matrix(f"xi: {value}\ndistortion_coefficients: [0.1, 0, 0, 0]\n"))
+    with refused("lens-unread", "a.yml", "xi is [1.2]", kind=InputError):
+        find_calibration(tmp_path / "a.yml")

@@ -147,6 +147,15 @@ def test_what_no_camera_or_scale_has_is_refused(tmp_path: Path, key: str, value:
         read(tmp_path / "rig.json")
 
 
+def test_a_lens_of_a_rig_under_another_name_is_asked_for(tmp_path: Path) -> None:
+    own_rig(tmp_path / "rig.json")
+    content = json.loads((tmp_path / "rig.json").read_text())
+    content["cameras"]["cam1"]["dist_coeffs"] = content["cameras"]["cam1"].pop("distortion")
+    (tmp_path / "rig.json").write_text(json.dumps(content))
+    with refused("file-damaged", "rig.json", "'cam1'", "dist_coeffs", kind=InputError):
+        read(tmp_path / "rig.json")
+
+
 def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
     RIG_WRITERS["rig-easymocap"](tmp_path, cameras(), True)
     for name in ("intri.yml", "extri.yml"):
@@ -180,7 +189,7 @@ def one_file(path: Path, camera: Camera) -> Path:
     return path
 
 
-@pytest.mark.parametrize("ending", ["yml", "xml"])
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
 def test_a_file_a_camera_in_a_folder_or_by_name(ending: str, tmp_path: Path) -> None:
     files = {n: one_file(tmp_path / f"{n}.{ending}", c) for n, c in cameras().items()}
     (tmp_path / "notes.xml").write_text("<?xml version='1.0'?><opencv_storage><a>1</a></opencv_storage>")

@@ -90,6 +90,7 @@ def microphone(seed: int = 0, level: float = 1.0) -> np.ndarray:
 
 HUM = np.sin(2 * np.pi * 50 * np.arange(int(1.5 * RATE_HZ)) / RATE_HZ)
 SILENT = np.zeros_like(HUM)
+HISS = np.random.default_rng(9).normal(0, 3e-4, len(HUM))  # of a socket that nothing is plugged into
 
 
 @pytest.mark.parametrize(
@@ -100,10 +101,16 @@ SILENT = np.zeros_like(HUM)
         ([np.stack([microphone(), SILENT])], microphone() / 2, ""),
         ([np.stack([0.9 * HUM, microphone(level=0.05)])], microphone(level=0.05), "channel 2 of 2"),
         ([SILENT[None], microphone()[None]], microphone(), "track 2 of 2"),
+        ([HISS[None], microphone()[None]], microphone(), "track 2 of 2"),
+        (
+            [HUM[None], np.stack([microphone(), -microphone()])],
+            microphone(),
+            "channel 1 of 2 in track 2 of 2",
+        ),
         ([microphone()[None], microphone(1)[None]], microphone(), ""),
         ([np.stack([SILENT, SILENT])], SILENT, ""),
     ],
-    ids=["opposed", "equal", "one", "hum", "second track", "two tracks", "silent"],
+    ids=["opposed", "equal", "one", "hum", "second track", "hiss", "hum in track 1", "two tracks", "silent"],
 )
 def test_the_channel_in_which_something_is_to_be_heard(tmp_path, tracks, expected, named):
     sound = read_sound(track_file(tmp_path / "a.mkv", *tracks))

@@ -46,6 +46,35 @@ def test_a_scene_comes_back_as_it_was(scene, tmp_path):
     np.testing.assert_array_equal(back.aabb, scene.aabb)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        (
+            "box_from_world",
+            [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, True, 0], [0, 0, 0, 1.0]],
+        ),  # of another length
+        ("box_from_world", [[0] * 4] * 4),
+        ("box_from_world", [[1, 0], [0, 1]]),
+        ("box_from_world", None),
+        ("box", {"min": [0, 0, 0], "max": [0, 0, 0]}),
+        ("near", "close"),
+        ("t0_s", [1]),
+        ("rest_time", {}),
+        ("background", 7),
+        ("ndc", []),
+    ],
+)
+def test_a_scene_that_was_changed_is_damaged(scene, tmp_path, key, value):
+    write_scene(tmp_path / "scene", scene)
+    file = tmp_path / "scene/scene.json"
+    content = json.loads(file.read_text())
+    if key == "box_from_world" and value and value[0] == [1, 0, 0, 0]:
+        value = (np.array(value) * [[2], [2], [1], [1]]).tolist()
+    file.write_text(json.dumps(content | {key: value}))
+    with refused("file-damaged", file, kind=CaptureError):
+        read_scene(tmp_path / "scene")
+
+
 def test_the_file_has_opengl_axes(scene, tmp_path):
     write_scene(tmp_path / "scene", scene)
     entry = json.loads((tmp_path / "scene/static/transforms.json").read_text())["frames"][0]

@@ -168,6 +168,18 @@ def test_names_of_given_mattes(tmp_path: Path, called: str) -> None:
     assert find_mattes(tmp_path / "cam0", film if "12" in called else photo)[0].name == called
 
 
+def test_mattes_numbered_from_1_where_the_first_frames_are_not_used(tmp_path: Path) -> None:
+    """As of a clip that begins with black pictures: each would have the matte of the frame before."""
+    for n in range(1, 7):
+        write_png(tmp_path / f"{n:04d}.png", blob())
+    with refused("mattes-misnumbered", str(tmp_path), kind=CaptureError):
+        find_mattes(tmp_path, dict.fromkeys(range(2, 6)))
+    made_for_them = find_mattes(tmp_path, dict.fromkeys(range(1, 7)))
+    assert [f.stem for f in made_for_them] == [f"{n:04d}" for n in range(1, 7)]
+    write_png(tmp_path / "0000.png", blob())
+    assert find_mattes(tmp_path, dict.fromkeys(range(2, 6)))[0].stem == "0002"
+
+
 def test_missing_mattes_are_named(tmp_path: Path) -> None:
     for n in range(1, 4):
         write_png(tmp_path / f"{n:04d}.png", blob())

@@ -38,6 +38,12 @@ def test_photos_in_folders_inside_are_said(tmp_path):
     assert "2 in more" in fault.found and list_pictures(tmp_path) == [tmp_path / "a.jpg"]
 
 
+def test_a_folder_of_folders_names_them_with_their_photos(tmp_path):
+    touch(tmp_path, "day1/a.jpg", "day1/b.jpg", "DCIM/100CANON/c.jpg", "notes/d.txt")
+    with refused("pictures-inside", str(tmp_path), "1 in DCIM", "2 in day1"):
+        list_pictures(tmp_path)
+
+
 def test_a_folder_of_what_is_not_read(tmp_path):
     touch(tmp_path, "a.heic", "b.jxl")
     with refused("picture-kind-unread", "1 HEIC", "1 JPEG XL", "JPEG"):

@@ -1,6 +1,7 @@
 """Data sets as others publish them, made here by their own rules, without the shortcuts of their loaders."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -274,6 +275,15 @@ def test_nerfstudio_seconds_are_rescaled_and_said(tmp_path: Path):
     assert [f.index for f in scene.dynamic] == [0, 0, 0, 1, 1, 1]
 
 
+def test_nerfstudio_pictures_of_one_moment_are_at_rest(tmp_path: Path):
+    nerfstudio(tmp_path, [0.0] * 4)
+    notes: list[str] = []
+    scene = read_dataset("nerfstudio", tmp_path, notes=notes)
+    assert (len(scene.static), len(scene.dynamic)) == (4, 0)
+    assert {(f.time, f.time_s) for f in scene.static} == {(None, None)}
+    assert any("the time 0" in note for note in notes)
+
+
 def test_nerfstudio_lists_of_test_pictures(tmp_path: Path):
     nerfstudio(tmp_path, [None] * 4, test_filenames=["images/2.png"], train_filenames=["images/0.png"])
     assert [f.split for f in read_dataset("nerfstudio", tmp_path).static] == [
@@ -282,6 +292,49 @@ def test_nerfstudio_lists_of_test_pictures(tmp_path: Path):
         "test",
         "train",
     ]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["./images/2.png", "images\\2.png", "2.png", "2", "images/2", "IMAGES/2.PNG", "/a/set/images/2.png"],
+)
+@pytest.mark.parametrize("form", ["nerfstudio", "llff"])
+def test_names_in_a_list_of_test_pictures(tmp_path: Path, forward: Path, form, name: str):
+    """However they are written; a name that means no picture is said."""
+    notes: list[str] = []
+    folder = tmp_path / "set"
+    if form == "llff":
+        shutil.move(forward / "static", folder)
+        for n in range(9):
+            (folder / f"images_2/{n:03d}.png").rename(folder / f"images_2/{n}.png")
+        (folder / "test.txt").write_text(f"{name}\n\ngone.png\n", encoding="utf-8-sig")
+    else:
+        nerfstudio(folder, [None] * 4, val_filenames=[name, "gone.png"])
+    frames = read_dataset(form, folder, notes=notes).static
+    assert [f.path.name for f in frames if f.split == "test"] == ["2.png"]
+    assert [note for note in notes if "1 of 2 names" in note and note.endswith("several: gone.png")]
+
+
+def test_a_list_of_test_pictures_that_names_none_is_no_list(tmp_path: Path):
+    notes: list[str] = []
+    nerfstudio(tmp_path, [None] * 4, test_filenames=["a.png", "b.png"])
+    frames = read_dataset("nerfstudio", tmp_path, holdout_every=2, notes=notes).static
+    assert [f.split for f in frames] == ["test", "train"] * 2
+    assert any("2 of 2 names" in note and "a.png, b.png; no test picture" in note for note in notes)
+    (tmp_path / "other").mkdir()
+    for n in range(4):  # two folders with pictures of the same name: 1.png is either
+        picture(tmp_path / f"other/{n}.png")
+    meta = json.loads((tmp_path / "transforms.json").read_text())
+    meta["frames"] += [{**e, "file_path": e["file_path"].replace("images", "other")} for e in meta["frames"]]
+    for listed, test in (("1.png", []), ("set/other/1", ["other"])):
+        meta["test_filenames"] = [listed, "images/0.png"]
+        (tmp_path / "transforms.json").write_text(json.dumps(meta))
+        frames = read_dataset("nerfstudio", tmp_path).static
+        assert [f.path.parent.name for f in frames if f.split == "test"] == ["images", *test]
+    meta["test_filenames"] = "images/0.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    with refused("entry-wrong", "test_filenames", kind=CaptureError):
+        read_dataset("nerfstudio", tmp_path)
 
 
 # --- backgrounds ---
@@ -381,6 +434,12 @@ def lens_set(folder: Path, common: dict, entry: dict) -> Path:
             [0.05, -0.02, 0, 0, 0.1],
         ),
         ({"camera_model": None, "latlong": False}, {"camera_model": None}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
+        (
+            {"rolling_shutter": [0.0] * 4, "distortion": None, "skew": 0, "dist": [[0, 0]], "fisheye": False},
+            {},
+            "OPENCV",
+            [0.05, -0.02, 0, 0, 0],
+        ),
         ({"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "PINHOLE"}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
     ],
 )
@@ -399,6 +458,18 @@ def test_lenses_by_the_words_of_others(tmp_path: Path, common, entry, model, dis
         ({"camera_model": "OPENCV", "is_fisheye": True}, "lens-unread", ("is_fisheye", "OPENCV")),
         ({"is_fisheye": "yes"}, "entry-wrong", ("is_fisheye", "'yes'")),
         ({"k4": 0.01}, "lens-unread", ("k4 = 0.01", "k1, k2, p1, p2, k3")),
+        (
+            {"k6": 0.01, "s1": 0.02, "skew": 0.0},
+            "lens-unread",
+            ("k6 = 0.01, s1 = 0.02", "k1, k2, p1, p2, k3"),
+        ),
+        ({"skew": 1.5}, "lens-unread", ("skew = 1.5",)),
+        ({"ftheta_p1": 0.5}, "lens-unread", ("ftheta_p1",)),
+        ({"rolling_shutter": [0, 0, 0.03, 0]}, "lens-unread", ("rolling_shutter",)),
+        ({"dist_coeffs": [0.05, -0.02, 0, 0]}, "lens-unread", ("dist_coeffs", "k1, k2, p1, p2, k3")),
+        ({"distortion": {"k1": 0.1}}, "lens-unread", ("distortion is {'k1': 0.1}",)),
+        ({"distortion_params": [0.1]}, "lens-unread", ("distortion_params",)),
+        ({"fisheye": True}, "lens-unread", ("fisheye is True",)),
         ({"is_fisheye": True, "p1": 0.01}, "lens-unread", ("p1 = 0.01", "k1, k2, k3, k4")),
     ],
 )

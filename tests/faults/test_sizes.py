@@ -3,6 +3,7 @@ and without the memory that they ask for."""
 
 import io
 import json
+import os
 import struct
 import zipfile
 import zlib
@@ -20,9 +21,12 @@ from tests.faults.fuzz_material import pictures, scene_yaml
 from tests.faults.fuzzing import Fuzzer
 from tests.refused import refused as raises
 
-from devrf.capture import arrays, limits
+from devrf.calibration.formats import find_calibration
+from devrf.calibration.rigs.rig import read_rig
+from devrf.capture import arrays, durable, limits
 from devrf.capture.arrays import ArrayError, npz_shapes, read_npy, read_npz
-from devrf.capture.errors import CaptureError, FlowError, ReconstructError
+from devrf.capture.errors import CaptureError, DevrfError, FlowError, InputError, ReconstructError
+from devrf.capture.formats.datasets import read_dataset
 from devrf.capture.formats.files import read_header, read_json
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.formats.llff import read_rows
@@ -35,6 +39,9 @@ from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
 from devrf.flow import weights_file
 from devrf.flow.weights_file import read_weights
+from devrf.pipelines.config.error import ConfigError
+from devrf.pipelines.config.text import read_yaml
+from devrf.pipelines.stamps.stamp import read_stamp
 from devrf.reconstruct.model_io import FORMAT, load_rest
 
 LITTLE_MB = 700  # the libraries, and a few pictures; what these files claim is a hundred times that
@@ -258,6 +265,37 @@ def test_texts_that_are_too_long_or_too_deep(tmp_path: Path) -> None:
         read_json(path)
     with raises("file-too-large", path, "100 MB", kind=CaptureError):
         read_timestamps(path, ["cam0"])
+
+
+@pytest.mark.parametrize(
+    ("name", "read", "error"),
+    [
+        ("transforms.json", lambda path: read_dataset("nerfstudio", path.parent), CaptureError),
+        ("cameras.txt", lambda path: read_dataset("colmap", path.parent), CaptureError),
+        ("rig.json", read_rig, CaptureError),
+        ("camchain.yaml", find_calibration, InputError),
+        ("times.csv", lambda path: read_timestamps(path, ["cam0"]), DevrfError),
+        ("scene.yaml", read_yaml, ConfigError),
+        ("metrics.json", durable.read_json, ValueError),
+    ],
+)
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_pipes_and_devices_are_not_waited_for(
+    name: str, read: Callable, error: type, kind: str, tmp_path: Path
+):
+    if kind == "pipe":
+        os.mkfifo(tmp_path / name)
+    else:
+        (tmp_path / name).symlink_to("/dev/zero")
+    for other in {"images.txt", "points3D.txt"} if name == "cameras.txt" else set[str]():
+        (tmp_path / other).write_text("")
+    with pytest.raises(error):
+        read(tmp_path / name)
+
+
+def test_a_pipe_in_place_of_a_stamp_is_none(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "stamp.json")
+    assert read_stamp(tmp_path) is None
 
 
 def test_a_table_beside_clips_that_is_too_long_is_not_used(tmp_path: Path, run: Fuzzer) -> None:

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from tests.conftest import Command
 from tests.pipelines.report_folder import NASTY, write_json, write_run
+from tests.refused import refused
 
+from devrf.capture.errors import InputError
+from devrf.pipelines.cli_results import _report_is_left
 from devrf.pipelines.report import page as report_page
 from devrf.pipelines.report.charts import Series, line_chart
 from devrf.pipelines.report.confidence import confidence
@@ -327,3 +330,16 @@ def test_command_reports_a_run_that_has_not_come_to_its_end(tmp_path, devrf: Com
     assert devrf("report", tmp_path).code == 0
     assert "has not run" in Page((tmp_path / "run/report/index.html").read_text()).text
     assert devrf("status", tmp_path).code == 0
+
+
+def test_a_run_that_may_only_be_read_keeps_its_report(tmp_path, monkeypatch):
+    """As of another user, or on a disk that is read-only; the administrator may write anywhere, so it is asked only."""
+    (tmp_path / "report").mkdir()
+    monkeypatch.setattr("os.access", lambda path, mode: True)
+    assert not _report_is_left(tmp_path)
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with refused("folder-unwritable", tmp_path, kind=InputError):
+        _report_is_left(tmp_path)
+    (tmp_path / "report" / "index.html").touch()
+    assert _report_is_left(tmp_path)
+    assert not _report_is_left(tmp_path / "gone")

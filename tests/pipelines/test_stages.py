@@ -127,6 +127,7 @@ def test_code_version_changes_with_the_code(tmp_path: Path, monkeypatch: pytest.
         ([None, None, None, None], True),
         ([None, None, 0.0, 1.0], False),
         ([None, None, None, 0.5], True),  # the last is a test picture
+        ([0.0, 0.0, 0.0, 0.0], True),  # of one moment
     ],
 )
 def test_motion_needs_training_pictures_with_times(tmp_path: Path, times: list, at_rest: bool) -> None:
@@ -145,4 +146,7 @@ def test_motion_needs_training_pictures_with_times(tmp_path: Path, times: list, 
     notes: list[str] = []
     scene = read_dataset("nerfstudio", tmp_path, notes=notes)
     assert bool(scene.dynamic) is not at_rest
-    assert [note.split()[0] for note in notes] == ["1"] * times.count(0.5)  # how many are left out
+    said = ["1"] * times.count(0.5) + ["every"] * (
+        times.count(0.0) == 4
+    )  # how many are left out, or are at rest
+    assert [note.split()[0] for note in notes] == said
