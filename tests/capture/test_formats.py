@@ -6,9 +6,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.refused import refused
 from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
+from devrf.capture.errors import CaptureError
 from devrf.capture.formats import FLIP_YZ, read_dataset, read_scene, read_transforms, write_scene
 from devrf.capture.scene import PosedFrame, Scene
 
