@@ -21,6 +21,7 @@ from devrf.capture.formats.export import Export, Pinholes, static_of
 from devrf.capture.formats.files import Header, read_header
 from devrf.capture.formats.listed import TEST_LIST, pictures_of_list, read_names
 from devrf.capture.formats.opengl import cam_from_opengl
+from devrf.capture.formats.row_order import order_that_fits
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame, Scene
 
@@ -33,7 +34,7 @@ LEAST_NEAR = 0.01  # of far, where the scene says no nearest content
 def read_llff(folder: Path, notes: list[str]) -> Pictures:
     """A forward-facing scene at rest."""
     rows = read_rows(folder / "poses_bounds.npy", 17)
-    files = pictures_of_rows(folder, len(rows), notes)
+    files = pictures_of_rows(folder, rows, notes)
     names = read_names(folder / TEST_LIST)
     frames, bounds = llff_frames(folder, rows, files, notes)
     test = pictures_of_list(names or [], [f.path.name for f in frames], TEST_LIST, notes)
@@ -153,19 +154,31 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
     return bounds
 
 
-def pictures_of_rows(folder: Path, count: int, notes: list[str]) -> list[Path]:
+def pictures_of_rows(folder: Path, rows: Float[np.ndarray, "n 17"], notes: list[str]) -> list[Path]:
     """The picture of each row: `largest_pictures` by the code points of their names, as LLFF's own tools sort them.
 
+    By the numbers in the names where what the pictures share says so.
+
     Raises:
-        CaptureError: As of `largest_pictures`.
+        CaptureError: As of `largest_pictures`, and of the rows' cameras where the two orders differ.
     """
-    files = largest_pictures(folder, count, str)
-    if files != largest_pictures(folder, count):
-        first = ", ".join(file.name for file in files[:3])
+    files, numbered = largest_pictures(folder, len(rows), str), largest_pictures(folder, len(rows))
+    if files == numbered:
+        return files
+    fits = order_that_fits([llff_frames(folder, rows, order, [])[0] for order in (files, numbered)])
+    wrong = f"{folder.name}: rows of poses_bounds.npy are taken to be in the order of"
+    by_code = "names sorted by code points"
+    if fits == 1:
+        files, first = numbered, ", ".join(file.name for file in numbered[:3])
         notes.append(
-            f"{folder.name}: rows of poses_bounds.npy are taken to be in the order of names sorted by code points "
-            f"({first}, ...), as LLFF's tools write them; by the numbers in the names the cameras would be others"
+            f"{wrong} the numbers in their names ({first}, ...): so what pictures share fits, not by {by_code}"
         )
+        return files
+    first = ", ".join(file.name for file in files[:3])
+    why = "as LLFF's tools write them" + ("" if fits is None else ", and what pictures share fits")
+    notes.append(
+        f"{wrong} {by_code} ({first}, ...), {why}; by the numbers in the names the cameras would be others"
+    )
     return files
 
 
