@@ -1,4 +1,4 @@
-"""Which order of pictures fits their cameras: what two pictures share lies on epipolar lines of the right cameras only."""
+"""Which order of pictures fits their cameras: what two share lies on epipolar lines of the right cameras only."""
 
 from collections.abc import Sequence
 from pathlib import Path
