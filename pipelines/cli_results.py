@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from devrf.capture.errors import InputError
+from devrf.capture.writable import check_file
 from devrf.pipelines import run_command
 from devrf.pipelines.cli_options import (
     DeviceOption,
@@ -18,9 +19,11 @@ from devrf.pipelines.cli_options import (
     errors_told,
     talk_of,
 )
+from devrf.pipelines.console import Talk
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.runner.signals import stopped_by_signals
 from devrf.pipelines.stages import STAGES
 
@@ -29,12 +32,20 @@ def report(
     scene: SceneArgument,
     preset: PresetOption = None,
     overrides: SetOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The page as this file, of a run folder that may only be read, too; that one stays as it is"
+        ),
+    ] = None,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
     """Make the report anew from what the run folder holds, and say where it is."""
     talk = talk_of(quiet, verbose)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+    if out is not None:
+        return _report_beside(talk, job, scene, out)
     with errors_told(talk):
         left = _report_is_left(job.run_dir)
     if left:
@@ -55,10 +66,7 @@ def report(
 
     with errors_told(talk):
         if not done:
-            text = (
-                f"{job.run_dir}: nothing has been run yet; run the scene first (devrf-pipeline run {scene})"
-            )
-            raise InputError("run-missing", text)
+            raise _nothing_run(job, scene)
         check_run_folder(job.run_dir, ("report",))
         with disk_told(job.run_dir / "report", "make room there"):
             report_so_far(job.config, job.run_dir, stale)
@@ -251,6 +259,26 @@ def export(
             raise typer.Exit(STOPPED) from None
 
 
+def _report_beside(talk: Talk, job: Run, scene: Path, page: Path) -> None:
+    """Write the page as a file of the user's choice."""
+    from devrf.pipelines.report.templates import MADE_BY
+    from devrf.pipelines.stages.report import write_report
+
+    with errors_told(talk):
+        check_file(page, "--out", (MADE_BY,))
+        if not any((job.run_dir / stage.name).is_dir() for stage in STAGES):
+            raise _nothing_run(job, scene)
+        with disk_told(page, "make room there"):
+            page.parent.mkdir(parents=True, exist_ok=True)
+            write_report(job.config, job.run_dir, page, run_command.stale(job, "render"))
+    talk.say(f"  report: {page}")
+
+
+def _nothing_run(job: Run, scene: Path) -> InputError:
+    remedy = f"run the scene first (devrf-pipeline run {scene})"
+    return InputError("run-missing", f"{job.run_dir}: nothing has been run yet; {remedy}")
+
+
 def _report_is_left(run_dir: Path) -> bool:
     """Whether a run that this user may only read has a report.
 
@@ -263,6 +291,6 @@ def _report_is_left(run_dir: Path) -> bool:
     if not (folder / "index.html").is_file():
         wrong = f"{run_dir}: may not be written by this user, and holds no report"
         raise InputError(
-            "folder-unwritable", f"{wrong}; copy the run folder, or ask who made it for a report"
+            "folder-unwritable", f"{wrong}; name a file for it (--out page.html), or copy the run folder"
         )
     return True

@@ -22,7 +22,7 @@ KINDS = {
 
 def run(context: StageContext) -> None:
     """Write `index.html`."""
-    unreadable = write_report(context.config, context.run_dir, context.out)
+    unreadable = write_report(context.config, context.run_dir, context.out / PAGE)
     context.progress(1.0, PAGE)
     if unreadable:
         names = ", ".join(unreadable)
@@ -46,13 +46,13 @@ def report_so_far(config: SceneConfig, run_dir: Path, stale: Mapping[str, str]) 
     folder = run_dir / "report"
     folder.mkdir(exist_ok=True)
     (folder / "stamp.json").unlink(missing_ok=True)
-    write_report(config, run_dir, folder, stale)
+    write_report(config, run_dir, folder / PAGE, stale)
 
 
 def write_report(
-    config: SceneConfig, run_dir: Path, out: Path, stale: Mapping[str, str] | None = None
+    config: SceneConfig, run_dir: Path, path: Path, stale: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Write the page about `run_dir`, at whatever state it is, into the folder `out`.
+    """Write the page about `run_dir`, at whatever state it is, as the file `path`.
 
     Returns:
         Files that are there but could not be read, with the reason.
@@ -64,7 +64,7 @@ def write_report(
     run_folder = RunFolder(run_dir, names, reasons, errors, stale or {})
     facts = [KINDS[config.kind], f"preset {config.preset}"]
     page = build_report(run_folder, config.name, facts)
-    new = out / f".{PAGE}.tmp"
+    new = path.with_name(f".{path.name}.tmp")
     new.write_text(page, encoding="utf-8")
-    new.replace(out / PAGE)
+    new.replace(path)
     return run_folder.unreadable

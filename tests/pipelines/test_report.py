@@ -332,6 +332,23 @@ def test_command_reports_a_run_that_has_not_come_to_its_end(tmp_path, devrf: Com
     assert devrf("status", tmp_path).code == 0
 
 
+def test_the_page_as_a_file_leaves_the_run_as_it_is(tmp_path, devrf: Command):
+    (tmp_path / "scene.yaml").write_text(
+        "name: half\noutput: run\ncapture: {cameras: {cam0: cam0.mp4, cam1: cam1.mp4}}\n"
+        "calibration: {rig: {given: rig.json}}\n"
+    )
+    page = tmp_path / "pages/half.html"
+    assert devrf("report", tmp_path, "--out", page).code == 2  # nothing there
+    write_json(tmp_path / "run/ingest/ingest.json", {"cameras": {}})
+    before = sorted(tmp_path.rglob("run/**/*"))
+    for _ in range(2):  # its own page is replaced
+        assert devrf("report", tmp_path, "--out", page).code == 0
+    assert "has not run" in Page(page.read_text()).text and sorted(tmp_path.rglob("run/**/*")) == before
+    (tmp_path / "mine.html").write_text("<p>mine")
+    assert devrf("report", tmp_path, "--out", tmp_path / "mine.html").code == 2
+    assert (tmp_path / "mine.html").read_text() == "<p>mine"
+
+
 def test_a_run_that_may_only_be_read_keeps_its_report(tmp_path, monkeypatch):
     """As of another user, or on a disk that is read-only; the administrator may write anywhere, so it is asked only."""
     (tmp_path / "report").mkdir()
