@@ -178,7 +178,7 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
     wrong = devrf("export", scene, "--format", "rig-anipos")
     assert wrong.code == 2 and "rig-anipose?" in wrong.err and "[option-unknown-value]" in wrong.err
     text = (tmp_path / "run/export/rig-anipose/README.txt").read_text()
-    assert "metres" in text
+    assert "metres" in text and "p1 and p2" in text
 
 
 def from_first(rig: Rig) -> list[np.ndarray]:
