@@ -107,7 +107,7 @@ def scene_bounds(
     box_from_world[:3, 3] = -centre / unit
     in_box = points @ box_from_world[:3, :3].T + box_from_world[:3, 3]
     outside = float((np.abs(in_box) > half / unit).any(1).mean()) if len(points) else None
-    near, far = _near_far(cameras, fixed, distances, in_box, box_from_world, half / unit)
+    near, far = _near_far(cameras, len(fixed), distances, in_box, box_from_world, half / unit)
     mean_view = float(np.linalg.norm(np.mean([c.cam_from_world[2, :3] for c in cameras], axis=0)))
     return Bounds(
         box_from_world=box_from_world,
@@ -251,7 +251,7 @@ def _far_over_most(distances: Float[np.ndarray, " m"]) -> float | None:
 
 def _near_far(
     cameras: Sequence[Camera],
-    fixed: Sequence[Camera],
+    fixed: int,
     distances: Float[np.ndarray, " m"],
     points: Float[np.ndarray, "n 3"],
     box_from_world: Float[np.ndarray, "4 4"],
@@ -259,21 +259,17 @@ def _near_far(
 ) -> tuple[float, float]:
     """Nearest and farthest content along rays, box units; the box itself is never cut.
 
-    What the sweep has come near to, a fixed camera sees from across the room: of these, which have no sightings, all
-    points count.
+    What the sweep has come near to, a fixed camera sees from across the room: of these, the last `fixed` cameras, which
+    have no sightings, all points count.
     """
     unit = np.cbrt(np.linalg.det(box_from_world[:3, :3]))
-
-    def centres_of(some: Sequence[Camera]) -> Float[np.ndarray, "c 3"]:
-        centres = np.array([c.centre for c in some]).reshape(-1, 3)
-        return centres @ box_from_world[:3, :3].T + box_from_world[:3, 3]
-
-    centres = centres_of(cameras)
+    centres = np.array([box_from_world[:3, :3] @ c.centre + box_from_world[:3, 3] for c in cameras])
     to_box = np.linalg.norm(np.maximum(np.abs(centres) - half, 0.0), axis=1)
     through_box = np.linalg.norm(np.abs(centres) + half, axis=1)
     near, far = float(to_box.min()), float(through_box.max())
     if len(distances):
         low, high = np.percentile(distances * unit, [1, 99])
-        away = [np.percentile(np.linalg.norm(points - centre, axis=1), 99) for centre in centres_of(fixed)]
+        of_fixed = centres[len(cameras) - fixed :]
+        away = [np.percentile(np.linalg.norm(points - centre, axis=1), 99) for centre in of_fixed]
         near, far = min(near, NEAR_SHARE * float(low)), max(far, FAR_SHARE * float(max([high, *away])))
     return max(near, SMALLEST_NEAR), far

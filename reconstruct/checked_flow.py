@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -44,21 +45,10 @@ def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
         order = sorted(mine)
         before = {index: mine[earlier] for earlier, index in zip(order, order[1:], strict=False)}
         agrees = np.full(clip.valid.shape, BEST, np.uint8)
-
-        def ask(
-            n: int, clip: CameraFlow = clip, mine: dict[int, int] = mine, before: dict[int, int] = before
-        ) -> Agreement | None:
-            index = int(clip.index[n])
-            if index not in before:
-                return None
-            current, previous = rays.picture(mine[index]), rays.picture(before[index])
-            if not current.shape == previous.shape == (*clip.valid[n].shape, 3):
-                return None
-            return agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
-
+        pairs = [(mine.get(index), before.get(index)) for index in clip.index.tolist()]
         with ThreadPoolExecutor(usable_cores()) as pool:  # its filters let other threads run
-            answers = enumerate(pool.map(ask, range(len(clip.index))))
-            found = {n: answer for n, answer in answers if answer is not None}
+            answers = pool.map(partial(_asked, rays, clip), range(len(pairs)), pairs)
+            found = {n: answer for n, answer in enumerate(answers) if answer is not None}
         for n, pair in found.items():
             agrees[n] = np.rint(BEST * pair.weight)
         asked, against = (sum(getattr(pair, x) for pair in found.values()) for x in ("asked", "contradicted"))
@@ -70,6 +60,16 @@ def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
                 agrees[n] = 0
         out[name] = replace(clip, agreement=agrees, valid=clip.valid & (agrees > 0))
     return CheckedFlow(out, contradicted)
+
+
+def _asked(rays: RaySet, clip: CameraFlow, n: int, pair: tuple[int | None, int | None]) -> Agreement | None:
+    """What two pictures say of a clip's flow from the one to the other; None where one is missing or of another size."""
+    if None in pair:
+        return None
+    current, previous = (rays.picture(number) for number in pair if number is not None)
+    if not current.shape == previous.shape == (*clip.valid[n].shape, 3):
+        return None
+    return agreement(current, previous, clip.flow[n].astype(np.float32), clip.valid[n])
 
 
 def _mostly(contradicted: int, asked: int, pixels: int) -> bool:

@@ -117,9 +117,8 @@ def _changes(rays: RaySet, members: list[int], flows: Mapping[str, CameraFlow]) 
             band = smooth[:, at : at + rows].astype(np.float32) / 255
             apart[at : at + rows] = np.abs(band - np.median(band, axis=0)).max(axis=(0, 3))
 
-        list(
-            pool.map(compare, range(0, len(apart), rows))
-        )  # in floating point all would be many times as large
+        # In bands: in floating point all would be many times as large.
+        list(pool.map(compare, range(0, len(apart), rows)))
     blocks = _as_a_whole(apart)
     for name in {rays.frames[n].camera_name for n in members} & flows.keys() if flows else ():
         if flows[name].flow.shape[1:3] == blocks.shape:

@@ -12,7 +12,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
 
 SHARE = (
-    0.8  # of the nearest point's distance, as of the points' for the whole scene (`calibration/bounds.py`)
+    0.8  # of the nearest point's distance; of nearly all points' for the whole scene (calibration/bounds.py)
 )
 FEWEST = 50  # points that a camera sees, from which they say anything: nobody found any on a plain wall
 MOST = 1 << 15  # points that are kept, 200 kB: a plain box right before a camera had six of 5000
@@ -44,5 +44,5 @@ def near_plane(
         return least
     away = SHARE * float(np.linalg.norm(xyz[shown] - camera.centre, axis=1).min())
     lo, hi = aabb.double().numpy()
-    to_box = float(np.linalg.norm(np.maximum(np.maximum(lo - camera.centre, camera.centre - hi), 0)))
+    to_box = float(np.linalg.norm(np.clip(camera.centre, lo, hi) - camera.centre))
     return max(least, min(away, to_box))

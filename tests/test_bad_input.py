@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import threading
+import wave
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -375,3 +376,12 @@ def test_a_full_disk(devrf: Callable, tmp_path: Path, material: Path, small_disk
     (small_disk / "filler").unlink()
     again = devrf(*run, "static_poses")
     assert again.code == 0 and "ingest: skipped" in again.out, again.said
+
+
+def test_wave_files_are_not_videos(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    path = tmp_path / "sound.wav"
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, 8000, 0, "NONE", ""))
+        file.writeframes(b"\0\0" * 800)
+    result = devrf("run", scene(tmp_path, material, static=str(path), cameras=None))
+    assert result.code == 2 and "sound.wav" in result.err

@@ -21,10 +21,8 @@ MISREAD = 0.1  # squares; corners that lie further from a smooth picture of the 
 MIN_SMOOTH = 9  # corners of which a smooth picture can be told: its 14 unknowns leave some over
 WINDOW = 0.35  # of the distance between corners: as far as an edge runs without meeting the next corner
 LARGEST_WINDOW = 30  # pixels, to each side
-MARKER_WINDOW = {
-    1: 0.12,
-    2: 0.2,
-}  # of a marker's side, by `border`: within the black border, a seventh of a 5x5 marker
+# of a marker's side, by `border`: within the black border, a seventh of a 5x5 marker
+MARKER_WINDOW = {1: 0.12, 2: 0.2}
 BLUR_REACH = 0.45  # of an edge's length, to both sides of it: where black and white are read
 BLUR_NEAR = 0.12  # where the edge itself must lie: markers begin beyond
 BLUR_SAMPLES = 91

@@ -23,7 +23,6 @@ from devrf.capture.formats.llff import (
     largest_pictures,
     llff_frames,
     pictures_in,
-    pictures_of_rows,
     pinhole,
     read_rows,
 )
@@ -37,8 +36,7 @@ LARGEST_TURN_DEG = 10.0
 def read_devrf_forward(folder: Path, moving: Path, notes: list[str]) -> Pictures:
     """A forward-facing scene at rest and in motion."""
     rows = read_rows(folder / "static" / "poses_bounds.npy", 17)
-    files = pictures_of_rows(folder / "static", rows, notes)
-    static, bounds = llff_frames(folder / "static", rows, files, notes)
+    static, bounds = llff_frames(folder / "static", rows, notes)
     views = [p for p in sorted(moving.glob("view*"), key=_number) if _number(p) > 0]
     if len(views) < 2 or [_number(p) for p in views] != list(range(1, len(views) + 1)):
         found = ", ".join(p.name for p in views) or "none"

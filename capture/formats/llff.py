@@ -30,13 +30,14 @@ DEPTH_PERCENTILES = (0.1, 99.9)
 LEAST_POINTS = 10  # in a picture, for its own bounds
 LEAST_NEAR = 0.01  # of far, where the scene says no nearest content
 
+Rows = tuple[tuple[PosedFrame, ...], Float[np.ndarray, "n 2"]]
+
 
 def read_llff(folder: Path, notes: list[str]) -> Pictures:
     """A forward-facing scene at rest."""
     rows = read_rows(folder / "poses_bounds.npy", 17)
-    files = pictures_of_rows(folder, rows, notes)
     names = read_names(folder / TEST_LIST)
-    frames, bounds = llff_frames(folder, rows, files, notes)
+    frames, bounds = llff_frames(folder, rows, notes)
     test = pictures_of_list(names or [], [f.path.name for f in frames], TEST_LIST, notes)
     frames = tuple(replace(f, split="test") if n in test else f for n, f in enumerate(frames))
     return Pictures(frames, has_split=names == [] or bool(test), bounds=bounds, behind="black")
@@ -82,10 +83,37 @@ def bounds_of(scene: Scene) -> Float[np.ndarray, "static 2"]:
     return out
 
 
-def llff_frames(
-    folder: Path, rows: Float[np.ndarray, "n 17"], files: list[Path], notes: list[str]
-) -> tuple[tuple[PosedFrame, ...], Float[np.ndarray, "n 2"]]:
-    """Pictures at rest with their cameras, and their bounds [n, 2], in LLFF's world."""
+def llff_frames(folder: Path, rows: Float[np.ndarray, "n 17"], notes: list[str]) -> Rows:
+    """Pictures at rest with their cameras, and their bounds [n, 2], in LLFF's world.
+
+    A row belongs to `largest_pictures` by the code points of their names, as LLFF's own tools sort them; by the numbers
+    in the names where what the pictures share says so.
+
+    Raises:
+        CaptureError: As of `largest_pictures`, or a row that is no camera of its picture.
+    """
+    files, numbered = largest_pictures(folder, len(rows), str), largest_pictures(folder, len(rows))
+    if files == numbered:
+        return _frames(folder, rows, files, notes)
+    said: tuple[list[str], list[str]] = ([], [])
+    read = [_frames(folder, rows, order, of) for order, of in zip((files, numbered), said, strict=True)]
+    fits = order_that_fits([frames for frames, _ in read])
+    chosen = fits or 0
+    first = ", ".join(file.name for file in (files, numbered)[chosen][:3])
+    wrong = f"{folder.name}: rows of poses_bounds.npy are taken to be in the order of"
+    by_code, share = "names sorted by code points", "what pictures share fits"
+    if chosen:
+        notes.append(f"{wrong} the numbers in their names ({first}, ...): so {share}, not by {by_code}")
+    else:
+        why = "as LLFF's tools write them" + ("" if fits is None else f", and {share}")
+        notes.append(
+            f"{wrong} {by_code} ({first}, ...), {why}; by the numbers in the names the cameras would be others"
+        )
+    notes += said[chosen]
+    return read[chosen]
+
+
+def _frames(folder: Path, rows: Float[np.ndarray, "n 17"], files: list[Path], notes: list[str]) -> Rows:
     path = folder / "poses_bounds.npy"
     headers = [read_header(file) for file in files]
     grey = sum(header.grey for header in headers)
@@ -152,34 +180,6 @@ def check_bounds(bounds: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarr
         wrong = f"{path}: bounds of row {n} are {bounds[n].tolist()}; expected 0 < near < far"
         raise CaptureError("entry-wrong", f"{wrong}; the picture saw no points: remove its row and its file")
     return bounds
-
-
-def pictures_of_rows(folder: Path, rows: Float[np.ndarray, "n 17"], notes: list[str]) -> list[Path]:
-    """The picture of each row: `largest_pictures` by the code points of their names, as LLFF's own tools sort them.
-
-    By the numbers in the names where what the pictures share says so.
-
-    Raises:
-        CaptureError: As of `largest_pictures`, and of the rows' cameras where the two orders differ.
-    """
-    files, numbered = largest_pictures(folder, len(rows), str), largest_pictures(folder, len(rows))
-    if files == numbered:
-        return files
-    fits = order_that_fits([llff_frames(folder, rows, order, [])[0] for order in (files, numbered)])
-    wrong = f"{folder.name}: rows of poses_bounds.npy are taken to be in the order of"
-    by_code = "names sorted by code points"
-    if fits == 1:
-        files, first = numbered, ", ".join(file.name for file in numbered[:3])
-        notes.append(
-            f"{wrong} the numbers in their names ({first}, ...): so what pictures share fits, not by {by_code}"
-        )
-        return files
-    first = ", ".join(file.name for file in files[:3])
-    why = "as LLFF's tools write them" + ("" if fits is None else ", and what pictures share fits")
-    notes.append(
-        f"{wrong} {by_code} ({first}, ...), {why}; by the numbers in the names the cameras would be others"
-    )
-    return files
 
 
 def largest_pictures(folder: Path, count: int | None, key: Callable[[str], Any] = natural_key) -> list[Path]:

@@ -34,6 +34,7 @@ MODELS: dict[
     "SIMPLE_RADIAL_FISHEYE": "OPENCV_FISHEYE",
     "RADIAL_FISHEYE": "OPENCV_FISHEYE",
 }
+# that files may have; a lens has some of them, none that is read those from s1 on
 COEFFICIENTS = (
     "k1",
     "k2",
@@ -43,20 +44,20 @@ COEFFICIENTS = (
     "k6",
     "p1",
     "p2",
-    *("s1", "s2", "s3", "s4", "tau_x", "tau_y", "skew"),  # of no lens that is read
-)  # that files may have; a lens has some of them
-OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_")  # as keys of instant-ngp begin
-UNREAD = (  # further keys by which a pixel looks elsewhere: of instant-ngp, and a lens by names of other programs
-    *(
-        "rolling_shutter",
-        "fisheye",
-        "distortion",
-        "distortions",
-        "distortion_params",
-        "distortion_coefficients",
-    ),
-    *("distortion_coeffs", "distortion_coefs", "dist_coeffs", "dist_coeff", "dist"),
+    "s1",
+    "s2",
+    "s3",
+    "s4",
+    "tau_x",
+    "tau_y",
+    "skew",
 )
+OTHER_PROJECTIONS = ("latlong", "equirectangular", "orthographic", "ftheta_")  # as keys of instant-ngp begin
+# further keys by which a pixel looks elsewhere: of instant-ngp, and a lens by names of other programs
+UNREAD = (
+    "rolling_shutter", "fisheye", "distortion", "distortions", "distortion_params", "distortion_coefficients",
+    "distortion_coeffs", "distortion_coefs", "dist_coeffs", "dist_coeff", "dist",
+)  # fmt: skip
 RIGID_REPAIR = 1e-2  # poses in hand-made files are rounded; beyond this they are not rotations at all
 
 

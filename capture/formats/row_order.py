@@ -11,17 +11,14 @@ from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import PosedFrame
 
 PAIRS = 6  # of pictures that are compared, for each order: those whose cameras are neighbours in it
-SIDE, FEATURES, RATIO = (
-    640,
-    1500,
-    0.75,
-)  # pixels; of one picture; of the nearest descriptor to the second (Lowe 2004)
+SIDE, FEATURES = 640, 1500  # pixels; of one picture
+RATIO = 0.75  # of the nearest descriptor's distance to the second (Lowe 2004)
 NEAR = 0.005  # of the picture's longer side, from an epipolar line
 CONTRAST = 0.01  # of features; a quarter of the usual
 FEWEST, CLEARLY = (
     10,
     3.0,
-)  # matches that an order explains, to say anything; times as many as the others: chance is 1 in 50
+)  # matches that an order explains; times as many as another one: by chance 1 in 50 fits
 
 
 def order_that_fits(orders: Sequence[Sequence[PosedFrame]]) -> int | None:
@@ -88,10 +85,8 @@ def _on_lines(one: Camera, other: Camera, a: Float[np.ndarray, "m 2"], b: Float[
     shift = other.cam_from_world[:, 3] - from_one @ one.cam_from_world[:, 3]
     x, y, z = shift
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ from_one
-    lines = (
-        np.column_stack([a, np.ones(len(a))])
-        @ (np.linalg.inv(other.K).T @ essential @ np.linalg.inv(one.K)).T
-    )
-    long = np.maximum(np.linalg.norm(lines[:, :2], axis=1), 1e-12)
-    away = np.abs((lines * np.column_stack([b, np.ones(len(b))])).sum(1)) / long
+    fundamental = np.linalg.inv(other.K).T @ essential @ np.linalg.inv(one.K)
+    a, b = (np.column_stack([points, np.ones(len(points))]) for points in (a, b))
+    lines = a @ fundamental.T
+    away = np.abs((lines * b).sum(1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=1), 1e-12)
     return int((away < NEAR * max(other.width, other.height)).sum()) if np.linalg.norm(shift) > 0 else 0

@@ -334,8 +334,7 @@ class Follower:
                 other = self.found(shots, guess, FARTHER, asked)
                 liked = self.likeness(shots, other)
                 for group in self._groups(self.lost_nodes):
-                    known = group[np.isfinite(likeness[group]) & np.isfinite(liked[group])]
-                    if len(known) and liked[known].mean() > likeness[known].mean() + AGAIN:
+                    if _more(liked[group], likeness[group]) > AGAIN:
                         found = _with(found, other, group)
                         likeness[group] = liked[group]
                 self.lost_nodes = self._lost(likeness)
@@ -348,11 +347,12 @@ class Follower:
         self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"]
     ) -> Pose:
         """The pose with what is lost carried along, but for what pictures then show even less of."""
-        out = carried = self.carried(found, self.lost_nodes)
-        liked = self.likeness(shots, carried)
+        if not self.lost_nodes.any():
+            return found
+        out = self.carried(found, self.lost_nodes)
+        liked = self.likeness(shots, out)
         for group in self._groups(self.lost_nodes):
-            known = group[np.isfinite(likeness[group]) & np.isfinite(liked[group])]
-            if len(known) and liked[known].mean() < likeness[known].mean():
+            if _more(liked[group], likeness[group]) < 0:
                 out = _with(out, found, group)
         return out
 
@@ -415,6 +415,12 @@ class Follower:
     def _stopped(self, pose: Pose) -> Pose:
         """The pose with what is lost where it was."""
         return _with(pose, self.poses[-1], np.flatnonzero(self.lost_nodes))
+
+
+def _more(liked: Float[np.ndarray, " k"], before: Float[np.ndarray, " k"]) -> float:
+    """By how much more pictures show of some nodes than before, in the mean; NaN where nothing is known of them."""
+    known = np.isfinite(liked) & np.isfinite(before)
+    return float(liked[known].mean() - before[known].mean()) if known.any() else np.nan
 
 
 def _with(pose: Pose, other: Pose, nodes: Int[np.ndarray, " k"]) -> Pose:

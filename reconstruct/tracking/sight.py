@@ -42,9 +42,8 @@ def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[n
     near = np.isfinite(at).all(1) & (z > 0)
     near &= ((at > -LARGEST) & (at < np.array([width, height]) + LARGEST)).all(1)
     points = np.flatnonzero(near)
-    points = points[
-        np.argsort(-z[points], kind="stable")
-    ]  # of several for a pixel the last one stays, the nearest
+    # Of several points for a pixel the last one stays: the nearest.
+    points = points[np.argsort(-z[points], kind="stable")]
     radius = np.clip(np.ceil(0.5 * spacing * camera.K[0, 0] / z[points]), 1, LARGEST).astype(int)  # rises
     margin = 2 * LARGEST  # no square of these points ends beyond it
     wide = width + 2 * margin

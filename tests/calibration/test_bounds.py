@@ -79,9 +79,7 @@ def test_near_does_not_cut_the_box_and_far_reaches_the_walls():
 
 def test_far_is_what_the_sweep_has_seen():
     sweep, points = ring(12, 2.2), room(np.random.default_rng(0))
-    seen = np.linalg.norm(
-        points - BALL, axis=1
-    )  # less than from any of the cameras to the wall across the room
+    seen = np.linalg.norm(points - BALL, axis=1)  # less than from a camera to the wall across the room
     bounds = scene_bounds(sweep, [], points, seen)
     unit = np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
     across = max(np.percentile(np.linalg.norm(points - c.centre, axis=1), 99) for c in sweep)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
@@ -33,11 +34,21 @@ def test_reads_what_was_written(tmp_path):
     np.testing.assert_array_equal(rgb, [p[1] for p in POINTS])
 
 
-def test_a_file_that_is_missing_or_whose_count_is_damaged_is_named(tmp_path):
-    with refused("file-missing", "points3D.bin", kind=CaptureError):
+@pytest.mark.parametrize("keep", [0, 7, 20, 60, -1])
+def test_cut_off_file_is_named(tmp_path, keep):
+    (tmp_path / "points3D.bin").write_bytes(_bytes()[:keep])
+    with refused("file-damaged", "points3D.bin", kind=CaptureError):
         read_points(tmp_path)
-    (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", 2**60) + b"\0" * 100)  # nothing is allocated
+
+
+def test_damaged_count_does_not_allocate(tmp_path):
+    (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", 2**60) + b"\0" * 100)
     with refused("file-damaged", kind=CaptureError):
+        read_points(tmp_path)
+
+
+def test_missing_file_is_named(tmp_path):
+    with refused("file-missing", "points3D.bin", kind=CaptureError):
         read_points(tmp_path)
 
 

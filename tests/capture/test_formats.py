@@ -51,10 +51,8 @@ def test_a_scene_comes_back_as_it_was(scene, tmp_path):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        (
-            "box_from_world",
-            [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, True, 0], [0, 0, 0, 1.0]],
-        ),  # of another length
+        # of another length
+        ("box_from_world", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, True, 0], [0, 0, 0, 1.0]]),
         ("box_from_world", [[0] * 4] * 4),
         ("box_from_world", [[1, 0], [0, 1]]),
         ("box_from_world", None),
@@ -113,6 +111,25 @@ def test_nerfstudio_files_of_others_with_global_intrinsics(tmp_path):
     np.testing.assert_allclose(frame.camera.cam_from_world, np.eye(4)[:3], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("content", "refusal"),
+    [
+        (None, ("file-missing", "transforms.json")),
+        ("{", ("file-damaged", "transforms.json")),
+        ('{"frames": []}', ("pictures-none", "transforms.json")),
+        (
+            '{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}',
+            ("picture-missing", "no.png"),
+        ),
+    ],
+)
+def test_bad_transforms_are_named(tmp_path, content, refusal):
+    if content is not None:
+        (tmp_path / "transforms.json").write_text(content)
+    with refused(*refusal, kind=CaptureError):
+        read_dataset("nerfstudio", tmp_path)
+
+
 def test_published_layout(data_dir):
     scene = read_dataset("devrf", data_dir / "devrf_cloth", frame_stride=5)
     assert scene.background == "white" and scene.rest_time == 0.0 and scene.kind == "inward"
@@ -129,3 +146,8 @@ def test_published_layout(data_dir):
 def test_blender_without_a_test_split_holds_out(data_dir):
     scene = read_dataset("blender", data_dir / "lego_blender_400", holdout_every=8)
     assert [sum(f.split == s for f in scene.static) for s in ("train", "test")] == [87, 13]
+
+
+def test_a_folder_of_another_layout_says_what_was_expected(tmp_path):
+    with refused("folder-missing", "dynamic_4views", kind=CaptureError):
+        read_dataset("devrf", tmp_path)

@@ -262,6 +262,13 @@ def test_a_failed_row_stops_the_run_and_keeps_the_result(folder: Path, capsys: p
     assert executed(folder, choice=Choice(allow_unhealthy=True), second=unhealthy) == ["other", "third"]
 
 
+def test_output_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    (folder / "file").write_text("in the way")
+    assert execute(job(folder, small_stages(), "output=file/run")) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert str(folder / "file/run") in said and "[folder-unwritable]" in said
+
+
 def test_a_swap_half_done_is_finished_or_undone(folder: Path) -> None:
     executed(folder)
     run_dir = folder / "run"

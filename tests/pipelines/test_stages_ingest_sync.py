@@ -90,6 +90,15 @@ def test_sync_writes_clocks_curves_and_health(tmp_path):
     assert set(verdicts(stage.health).values()) == {"ok"}
 
 
+def test_clips_that_do_not_overlap_fail(tmp_path):
+    cameras = {"cam0": frames(count=20), "cam1": frames(count=20, start_s=1.5)}
+    write_ingest(tmp_path, cameras, {n: sound(0.0 if n == "cam0" else 0.001) for n in cameras})
+    stage = context(tmp_path)
+    sync.run(stage)
+    row = next(r for r in stage.health if r.check == "time that all cameras show")
+    assert row.verdict == "fail" and "cam1: 1.50 to 2.13 s" in row.remedy
+
+
 def test_a_silent_camera_in_which_nothing_moves_fails(tmp_path):
     write_ingest(tmp_path, {"cam0": frames(), "cam1": frames()}, {"cam0": sound(0.0)})
     stage = context(tmp_path)

@@ -34,10 +34,8 @@ def _wall(x: float, n: int = FEWEST) -> torch.Tensor:
         (_wall(3.0, FEWEST - 1), LEAST),
         (_wall(0.0), 3.0),  # the box begins there
         (torch.cat([_wall(3.0), _wall(3.5, 1)]), 0.4),  # one point that is nearer
-        (
-            torch.cat([_wall(3.0), torch.tensor([[4.5, 0, 0], [3.9, 3, 0]])]),
-            0.8,
-        ),  # behind it, beside its picture
+        # behind it, beside its picture
+        (torch.cat([_wall(3.0), torch.tensor([[4.5, 0, 0], [3.9, 3, 0]])]), 0.8),
         (torch.zeros(0, 3), LEAST),
     ],
 )
