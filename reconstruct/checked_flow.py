@@ -63,7 +63,7 @@ def checked_flow(rays: RaySet, flows: Mapping[str, CameraFlow]) -> CheckedFlow:
 
 
 def _asked(rays: RaySet, clip: CameraFlow, n: int, pair: tuple[int | None, int | None]) -> Agreement | None:
-    """What two pictures say of a clip's flow from the one to the other; None where one is missing or of another size."""
+    """What two pictures say of a clip's flow from one to the other; None where one is missing or of another size."""
     if None in pair:
         return None
     current, previous = (rays.picture(number) for number in pair if number is not None)
