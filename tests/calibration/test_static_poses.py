@@ -131,3 +131,41 @@ def test_importing_pycolmap_first_through_the_package_does_not_corrupt_zlib():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stdout.strip() == "fine", done.stderr
+
+
+LENSES = """
+import json, sys
+import devrf.calibration.sweep.sfm_worker as worker
+import pycolmap
+found = {}
+for name, fy, p1, p2 in (("plain", 800, 0.0, 0.0), ("tangential", 800, 0.004, -0.003), ("oblong", 830, 0.0, 0.0)):
+    pycolmap.set_random_seed(1)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 24, 400
+    options.camera_width, options.camera_height = 640, 480
+    options.camera_model_id = pycolmap.CameraModelId.OPENCV
+    options.camera_params = [800, fy, 330, 236, -0.06, 0.01, p1, p2]
+    model = pycolmap.synthesize_dataset(options)
+    noise = pycolmap.SyntheticNoiseOptions()
+    noise.point2D_stddev = 0.4
+    pycolmap.synthesize_noise(noise, model)
+    for camera in model.cameras.values():
+        camera.params = [810, 810, 320, 240, 0, 0, 0, 0]
+    model, adjusted = worker._polish(model, 20, set())
+    (camera,) = model.cameras.values()
+    found[name] = [adjusted["plain_lens"], *map(float, camera.params)]
+print(json.dumps(found))
+"""
+
+
+def test_a_lens_has_tangential_distortion_and_oblong_pixels_only_where_residuals_need_them():
+    done = subprocess.run([sys.executable, "-c", LENSES], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    plain, fx, fy, cx, cy, _, _, p1, p2 = found["plain"]
+    assert plain and fx == fy == pytest.approx(800, abs=1) and p1 == p2 == 0.0
+    assert (cx, cy) == pytest.approx((330, 236), abs=1.5)
+    plain, *_, p1, p2 = found["tangential"]
+    assert not plain and (p1, p2) == pytest.approx((0.004, -0.003), abs=1e-3)
+    plain, fx, fy, *_ = found["oblong"]
+    assert not plain and (fx, fy) == pytest.approx((800, 830), abs=1)
