@@ -23,16 +23,20 @@ GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incrementa
 Reconstruction = Any  # pycolmap's
 # folder, rung of the ladder, seconds left -> models
 Attempt = Callable[[Path, dict[str, Any], float], list[Reconstruction]]
+Torn = Callable[[Reconstruction], int]  # neighbours of a film that a model contradicts
 
 
 class Mapping:
-    """Models of the sweep by several mappers; the best so far is the one with the most pictures, then with the
-    lowest error."""
+    """Models of the sweep by several mappers; the best so far is the one with the most pictures, then the one that
+    is torn least, then the one with the lowest error."""
 
-    def __init__(self, attempt: Attempt, work: Path, pictures: int, clock: Clock, progress: Progress) -> None:
+    def __init__(
+        self, attempt: Attempt, torn: Torn, work: Path, pictures: int, clock: Clock, progress: Progress
+    ) -> None:
         """`attempt` maps once, into a folder below `work`; `pictures` are all there are."""
-        self.attempt, self.work, self.pictures, self.clock = attempt, work, pictures, clock
+        self.attempt, self.torn, self.work, self.pictures, self.clock = attempt, torn, work, pictures, clock
         self.progress = progress
+        self.worth: tuple[int, int, float] | None = None  # of the best
         self.best: Reconstruction | None = None
         self.models: list[Reconstruction] = []  # of the best attempt, largest first
         self.name: str | None = None
@@ -62,11 +66,12 @@ class Mapping:
         """The rung of the mapper that was not tried, where it should be and there is time for it.
 
         Args:
-            rule: `always`, or `weak`: only where pictures are missing from the best model.
+            rule: `always`, or `weak`: only where pictures are missing from the best model, or it is torn.
             ladder: All rungs.
         """
         tried = {attempt["mapper"] for attempt in self.attempts}
-        wanted = rule == "always" or self.registered < self.pictures
+        weak = self.registered < self.pictures or (self.worth is not None and self.worth[1] < 0)
+        wanted = rule == "always" or weak
         if not wanted or GLOBAL_COST * self.seconds >= self.clock.left_s():
             return None
         return next((rung for rung in ladder if rung["mapper"] not in tried), None)
@@ -87,24 +92,28 @@ class Mapping:
         folder.mkdir()
         models = self.attempt(folder, rung, left)
         models = [m for m in models if m.num_points3D() >= MIN_POINTS]
-        models.sort(key=_worth, reverse=True)
+        models.sort(key=_size_and_error, reverse=True)
+        torn = self.torn(models[0]) if models else None
         self.attempts.append(
             {
                 "name": name,
                 "mapper": rung["mapper"],
                 "registered": [m.num_reg_images() for m in models],
                 "mean_reprojection_px": models[0].compute_mean_reprojection_error() if models else None,
+                "torn": torn,
                 "seconds": time.monotonic() - start,
                 "out_of_time": time.monotonic() - start >= left,
             }
         )
-        if not models:
+        if torn is None:
             return
         if against and self.best is not None:
             apart = disagreement_deg(_poses(self.best), _poses(models[0]))
             self.compared.append({"name": name, "against": self.name, "apart_deg": apart})
-        if self.best is None or _worth(models[0]) > _worth(self.best):
-            self.best, self.models, self.name = models[0], models, name
+        # A small model can look perfect: pictures count first, the error only among equals.
+        pictures, error = _size_and_error(models[0])
+        if self.worth is None or (pictures, -torn, error) > self.worth:
+            self.best, self.models, self.name, self.worth = models[0], models, name, (pictures, -torn, error)
 
 
 def disagreement_deg(
@@ -124,8 +133,7 @@ def disagreement_deg(
     return {n: rotation_angle_deg(b, turn) for n, b in zip(names, between, strict=True)}
 
 
-def _worth(model: Reconstruction) -> tuple[int, float]:
-    """A small model can look perfect: pictures count first, the error only among equals."""
+def _size_and_error(model: Reconstruction) -> tuple[int, float]:
     return model.num_reg_images(), -model.compute_mean_reprojection_error()
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from devrf.capture.camera import Camera
 from devrf.capture.formats.colmap import intrinsics
 from devrf.capture.formats.colmap_model import ModelCamera
 
@@ -108,6 +109,23 @@ def write_model(model: Any, db: Database, out: Path) -> dict[str, Any]:
             for i in images
         },
         "cameras": {str(k): _camera(c) for k, c in model.cameras.items()},
+    }
+
+
+def cameras_of(model: Any) -> dict[str, Camera]:
+    """The cameras of registered pictures, by name."""
+    lens = {k: _camera(c) for k, c in model.cameras.items()}
+    return {
+        i.name: Camera(
+            (c := lens[i.camera_id])["width"],
+            c["height"],
+            np.array(c["K"]),
+            i.cam_from_world().matrix(),
+            np.array(c["distortion"]),
+            "OPENCV_FISHEYE" if c["model"] == "OPENCV_FISHEYE" else "OPENCV",
+        )
+        for i in model.images.values()
+        if i.has_pose
     }
 
 

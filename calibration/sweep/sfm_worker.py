@@ -26,11 +26,13 @@ from devrf.calibration.sweep.sfm_budget import Clock, Matching
 from devrf.calibration.sweep.sfm_mapping import Mapping
 from devrf.calibration.sweep.sfm_output import (
     best_pair,
+    cameras_of,
     features,
     features_per_image,
     write_model,
     write_two_views,
 )
+from devrf.calibration.sweep.two_views import read_two_views, torn_apart
 from devrf.capture.cores import usable_cores
 from devrf.capture.processes import die_with_parent
 
@@ -80,7 +82,14 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     def attempt(folder: Path, rung: dict[str, Any], left_s: float) -> list[pycolmap.Reconstruction]:
         return _attempt(database, folder, job, rung, held, left_s, len(names))
 
-    mapping = Mapping(attempt, work, len(names), clock, _say)
+    def torn(model: pycolmap.Reconstruction) -> int:
+        if not job["film"]:
+            return 0
+        with pycolmap.Database.open(str(database)) as db:
+            write_two_views(db, _images_of, _kind, work)
+        return len(torn_apart(read_two_views(work / "two_views.npz"), cameras_of(model)))
+
+    mapping = Mapping(attempt, torn, work, len(names), clock, _say)
     mapping.climb(job["ladder"])
     if mapping.registered < len(names) - len(skipped) and matching.go_on():
         mapping.climb(job["ladder"][:1])

@@ -21,7 +21,7 @@ from devrf.calibration.sweep.devices import PRINCIPAL_POINT_FROM, DeviceGroup
 from devrf.calibration.sweep.gps import UP_STD, align, local_metres, why_not
 from devrf.calibration.sweep.pairs import plan_pairs
 from devrf.calibration.sweep.sfm_process import run_job
-from devrf.calibration.sweep.two_views import against_model, kinds_report, read_two_views
+from devrf.calibration.sweep.two_views import against_model, kinds_report, read_two_views, torn_apart
 from devrf.capture.arrays import read_npz
 from devrf.capture.camera import Camera, LensModel
 from devrf.capture.errors import CalibrationError, HealthError
@@ -142,6 +142,7 @@ def recover_static_poses(
                 "mask_path": None if masks is None else str(masks),
                 "groups": [_worker_group(group) for group in groups],
                 "places": {} if no_gps else {n: _prior(metres[n], std_m[n]) for n in metres},
+                "film": ordered,
                 "pairs": plan.pairs,
                 "wanted": plan.wanted,
                 "features": feature_options(
@@ -177,6 +178,7 @@ def recover_static_poses(
     model = read_static_poses(out)
     registered = dict(zip(model.names, model.cameras, strict=True))
     report["verified_pairs"] = kinds_report(views) | against_model(views, registered)
+    report["torn"] = torn_apart(views, registered) if ordered else []
     report["gps"] = _gps(model, metres, std_m, no_gps) if places else None
     report["median_triangulation_angle_deg"] = median_triangulation_angle_deg(model)
     report["points_per_image"] = {

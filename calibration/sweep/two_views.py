@@ -21,6 +21,7 @@ STRONG_PAIR = 100  # inliers; COLMAP begins a model with such a pair, so it can 
 # Of a pair's inliers do not fit the model: the pair agrees with itself, not with the others.
 CONTRADICTS = 0.5
 TRUE_PAIR, TRUE_MATCHES = 0.7, 30  # of a pair's matches fit the model: its others are not wrong by chance
+NEIGHBOURS = 2  # pictures of a film so near to each other show the same place
 TILES = 8  # per side of a picture, for what moves in it
 TILE_MATCHES = 8  # a tile with fewer says nothing
 TILE_MOVES = 0.5  # of a tile's matches do not fit
@@ -99,6 +100,13 @@ def against_model(views: TwoViews, cameras: Mapping[str, Camera]) -> dict[str, A
         "contradicting": sorted(contradicting, key=lambda pair: -pair["inliers"]),
         "moving": _moving(views, cameras, used, ~fits),
     }
+
+
+def torn_apart(views: TwoViews, cameras: Mapping[str, Camera]) -> list[list[str]]:
+    """Neighbours of a film whose strong pairs the model contradicts: there it follows a repeated texture instead."""
+    row = {name: n for n, name in enumerate(views.names)}
+    found = [pair["names"] for pair in against_model(views, cameras)["contradicting"]]
+    return sorted(names for names in found if abs(row[names[0]] - row[names[1]]) <= NEIGHBOURS)
 
 
 def epipolar_px(views: TwoViews, cameras: Mapping[str, Camera]) -> Float[np.ndarray, " matches"]:

@@ -2,7 +2,7 @@
 
 A point moves if every camera that saw it sees something else there for much of the time in which things move: what
 covers it hides it from some cameras only. A shadow changes brightness and not colour. Labels are a minimum cut
-(Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one direction and colour belong together.
+(Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one plane and colour belong together.
 """
 
 from collections.abc import Sequence
@@ -28,10 +28,8 @@ MOVES = 0.3  # share of the busy pictures from which a point moves
 ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
-TOGETHER, CREASE = (
-    8.0,
-    0.003,
-)  # votes that neighbours of one direction and colour are worth; of that, across a crease
+# Votes that neighbours of one plane and colour are worth; of that, across a crease; spacings off each other's plane.
+TOGETHER, CREASE, FLAT = 8.0, 0.003, 0.35
 CRUMB, CRUMB_REACH = (
     60,
     2.5,
@@ -101,7 +99,9 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     level = (surface.normals[rows] * surface.normals[columns]).sum(1).clip(0, 1) ** 4
     alike = np.linalg.norm(surface.rgb[rows] - surface.rgb[columns], axis=1) / COLOUR_REACH
     weight = np.exp(-((distance[:, 1:].ravel() / (REACH * surface.spacing)) ** 2) - alike**2)
-    weight *= TOGETHER * np.maximum(CREASE, level)
+    way = xyz[columns] - xyz[rows]
+    off = np.maximum(*(np.abs((way * surface.normals[side]).sum(1)) for side in (rows, columns)))
+    weight *= TOGETHER * np.maximum(CREASE, level) * np.exp(-((off / (FLAT * surface.spacing)) ** 2))
     links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
     links = links.maximum(links.T).tocoo()
     source, sink = n, n + 1
