@@ -192,8 +192,8 @@ def _pairs(r: dict[str, Any]) -> Iterator[HealthRow]:
     )
     yield row(
         "neighbouring pictures that contradict the model",
-        len(r["torn"]),
-        warn_above=0,
+        float(len(r["torn"])),
+        warn_above=0.0,
         remedy=f"The sweep's path is torn: {_some([' - '.join(names) for names in r['torn']])} show the same place, "
         "but lie apart in the model. Repeated things (tiles, equal chairs) or things that moved during the sweep do "
         "that: add things that are unique (posters, coded targets), keep still what can move, and film more slowly.",

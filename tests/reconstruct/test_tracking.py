@@ -20,7 +20,7 @@ from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.moving_points import moving_points
+from devrf.reconstruct.tracking.moving_points import _cut, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
@@ -268,6 +268,19 @@ def test_the_wall_stands_and_the_cards_move(films: list[Film]) -> None:
     rgb = np.concatenate([cards.rgb, np.zeros_like(wall)])
     moves = moving_points(Surface(xyz, normals, rgb, SPACING), films, 0.5)
     assert moves[: len(cards)].mean() > 0.95 and moves[len(cards) :].mean() < 0.05
+
+
+def test_a_shoe_does_not_belong_to_the_floor_of_its_colour() -> None:
+    """They have one direction and colour, but lie in two planes; a plate in the floor's own plane belongs to it."""
+    along = np.arange(-20, 20) * SPACING
+    floor = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(1600)], 1)
+    shoe = floor[(np.abs(floor[:, 0]) < 6 * SPACING) & (np.abs(floor[:, 1]) < 4 * SPACING)]
+    for height, moves in ((1.5 * SPACING, True), (0.0, False)):
+        xyz = np.concatenate([floor, shoe + [SPACING / 2, SPACING / 2, height]])
+        normals, rgb = np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), np.full((len(xyz), 3), 0.4)
+        votes = np.repeat([-0.6, 0.9], [len(floor), len(shoe)])
+        found = _cut(Surface(xyz, normals, rgb, SPACING), votes)
+        assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
 
 
 def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
