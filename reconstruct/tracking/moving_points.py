@@ -1,14 +1,15 @@
 """Which surface points move: by what cameras that saw them at rest see there later, and by their neighbours.
 
 A point moves if every camera that saw it sees something else there for much of the time in which things move: what
-covers it hides it from some cameras only. A shadow changes brightness and not colour. Labels are a minimum cut
-(Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one plane and colour belong together.
+covers it hides it from some cameras only, so what one camera alone saw says little. A shadow changes brightness and
+not colour. Labels are a minimum cut (Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one
+plane and colour belong together.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 from scipy.spatial import KDTree
@@ -30,10 +31,9 @@ STAYS = 0.6  # weight of the vote against motion
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
 # Votes that neighbours of one plane and colour are worth; of that, across a crease; spacings off each other's plane.
 TOGETHER, CREASE, FLAT = 8.0, 0.003, 0.35
-CRUMB, CRUMB_REACH = (
-    60,
-    2.5,
-)  # fewer points than these, nearer than so many spacings, follow their surroundings
+# Fewer points than these, nearer than so many spacings, follow their surroundings.
+CRUMB, CRUMB_REACH = 60, 2.5
+BY_TWO = 0.1  # share of a piece's seen points: fog has 0 to 0.03, what moves 0.22 and more (five captures)
 UNIT = 1000  # of weights, which are whole numbers in the cut
 
 
@@ -46,7 +46,7 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
         rest_time: Of the scene, in [0, 1].
     """
     even, raw = np.stack([_changes(surface, film, rest_time) for film in films], axis=1)
-    return _cut(surface, _votes(even, raw))
+    return _seen_by_two(surface, _cut(surface, _votes(even, raw)), np.isfinite(even).sum(0))
 
 
 def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray, "2 n"]:
@@ -125,14 +125,37 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     return _without_crumbs(surface, moves[:n])
 
 
+def _seen_by_two(
+    surface: Surface, moves: Bool[np.ndarray, " n"], cameras: Int[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Without pieces that hardly anything but one camera saw, where others were seen by more.
+
+    Such a piece may as well be covered by what moves, and mostly is fog before a plain wall.
+    """
+    some = np.flatnonzero(moves)
+    if not len(some):
+        return moves
+    piece, by = _pieces(surface, some), cameras[some]
+    seen, well = (np.bincount(piece, by >= least) for least in (1, 2))
+    kept = well > BY_TWO * seen
+    out = moves.copy()
+    out[some] = kept[piece] if kept.any() else True
+    return out
+
+
+def _pieces(surface: Surface, some: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+    """The number of the piece of each of some points, within which they are neighbours."""
+    pairs = KDTree(surface.xyz[some]).query_pairs(CRUMB_REACH * surface.spacing, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(some), len(some)))
+    return connected_components(links, directed=False)[1]
+
+
 def _without_crumbs(surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     moves = moves.copy()
     for label in (True, False):
         some = np.flatnonzero(moves == label)
         if not len(some):
             continue
-        pairs = KDTree(surface.xyz[some]).query_pairs(CRUMB_REACH * surface.spacing, output_type="ndarray")
-        links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(some), len(some)))
-        _, piece = connected_components(links, directed=False)
+        piece = _pieces(surface, some)
         moves[some[np.bincount(piece)[piece] < CRUMB]] = not label
     return moves
