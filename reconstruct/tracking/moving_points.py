@@ -30,7 +30,7 @@ ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
 # Votes that neighbours of one plane and colour are worth; of that, across a crease; spacings off each other's plane.
-TOGETHER, CREASE, FLAT = 8.0, 0.003, 0.35
+TOGETHER, CREASE, FLAT = 8.0, 0.003, 0.5
 # Fewer points than these, nearer than so many spacings, follow their surroundings.
 CRUMB, CRUMB_REACH = 60, 2.5
 BY_TWO = 0.1  # share of a piece's seen points: fog has 0 to 0.03, what moves 0.22 and more (five captures)
@@ -99,8 +99,10 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     level = (surface.normals[rows] * surface.normals[columns]).sum(1).clip(0, 1) ** 4
     alike = np.linalg.norm(surface.rgb[rows] - surface.rgb[columns], axis=1) / COLOUR_REACH
     weight = np.exp(-((distance[:, 1:].ravel() / (REACH * surface.spacing)) ** 2) - alike**2)
-    way = xyz[columns] - xyz[rows]
-    off = np.maximum(*(np.abs((way * surface.normals[side]).sum(1)) for side in (rows, columns)))
+    # Along a ball the way between neighbours is level with the mean of their normals; up a step it is not.
+    middle = surface.normals[rows] + surface.normals[columns]
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-6)
+    off = ((xyz[columns] - xyz[rows]) * middle).sum(1)
     weight *= TOGETHER * np.maximum(CREASE, level) * np.exp(-((off / (FLAT * surface.spacing)) ** 2))
     links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
     links = links.maximum(links.T).tocoo()

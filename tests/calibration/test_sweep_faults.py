@@ -492,8 +492,16 @@ def test_results_that_disagree_are_named_by_picture(corner):  # B24
     apart = disagreement_deg(poses, other)
     assert apart["static/000004.png"] == pytest.approx(0.8, abs=1e-3)
     compared = [{"name": "global", "against": "incremental", "apart_deg": apart}]
-    row = fired(changed(corner.model, compared=compared))["largest turn between two mappers"]
+    attempts = [dict(attempt) for attempt in corner.model.report["attempts"]]
+    assert [(attempt["name"], attempt["torn"]) for attempt in attempts] == [("incremental", 0), ("global", 0)]
+    row = fired(changed(corner.model, compared=compared, attempts=attempts))[
+        "largest turn between two mappers"
+    ]
     assert "static/000004.png" in row.remedy
+    attempts[0]["torn"] = 3  # the model that was not kept is why they differ
+    assert "largest turn between two mappers" not in fired(
+        changed(corner.model, compared=compared, attempts=attempts)
+    )
 
 
 def test_small_and_many_models_are_named(corner):
