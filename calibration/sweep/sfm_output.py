@@ -3,13 +3,14 @@
 Part of the worker's process; databases, models and cameras are pycolmap's, which only `sfm_worker` imports.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from devrf.capture.camera import Camera
+from devrf.capture.camera import Camera, LensModel
 from devrf.capture.formats.colmap import intrinsics
 from devrf.capture.formats.colmap_model import ModelCamera
 
@@ -114,19 +115,16 @@ def write_model(model: Any, db: Database, out: Path) -> dict[str, Any]:
 
 def cameras_of(model: Any) -> dict[str, Camera]:
     """The cameras of registered pictures, by name."""
-    lens = {k: _camera(c) for k, c in model.cameras.items()}
-    return {
-        i.name: Camera(
-            (c := lens[i.camera_id])["width"],
-            c["height"],
-            np.array(c["K"]),
-            i.cam_from_world().matrix(),
-            np.array(c["distortion"]),
-            "OPENCV_FISHEYE" if c["model"] == "OPENCV_FISHEYE" else "OPENCV",
-        )
-        for i in model.images.values()
-        if i.has_pose
-    }
+    lenses = {k: _camera(c) for k, c in model.cameras.items()}
+    seen = (i for i in model.images.values() if i.has_pose)
+    return {i.name: camera_at(lenses[i.camera_id], i.cam_from_world().matrix()) for i in seen}
+
+
+def camera_at(lens: Mapping[str, Any], cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
+    """A camera of a lens as `cameras` in static_poses.json has it."""
+    model: LensModel = "OPENCV_FISHEYE" if lens["model"] == "OPENCV_FISHEYE" else "OPENCV"
+    K, distortion = np.array(lens["K"]), np.array(lens["distortion"])
+    return Camera(lens["width"], lens["height"], K, cam_from_world, distortion, model)
 
 
 def _camera(camera: Any) -> dict[str, Any]:

@@ -20,10 +20,11 @@ from jaxtyping import Float, Int, UInt8
 from devrf.calibration.sweep.devices import PRINCIPAL_POINT_FROM, DeviceGroup
 from devrf.calibration.sweep.gps import UP_STD, align, local_metres, why_not
 from devrf.calibration.sweep.pairs import plan_pairs
+from devrf.calibration.sweep.sfm_output import camera_at
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.two_views import against_model, kinds_report, read_two_views, torn_apart
 from devrf.capture.arrays import read_npz
-from devrf.capture.camera import Camera, LensModel
+from devrf.capture.camera import Camera
 from devrf.capture.errors import CalibrationError, HealthError
 from devrf.capture.exif import Place
 from devrf.capture.progress import Progress, no_progress
@@ -198,12 +199,8 @@ def read_static_poses(folder: Path) -> SweepModel:
     cameras = []
     for name in names:
         frame = report["frames"][name]
-        c = report["cameras"][str(frame["camera_id"])]
         pose = np.array(frame["camera_from_world"], dtype=np.float64)
-        lens: LensModel = "OPENCV_FISHEYE" if c["model"] == "OPENCV_FISHEYE" else "OPENCV"
-        cameras.append(
-            Camera(c["width"], c["height"], np.array(c["K"]), pose, np.array(c["distortion"]), lens)
-        )
+        cameras.append(camera_at(report["cameras"][str(frame["camera_id"])], pose))
     return SweepModel(names, tuple(cameras), report=report, **read_npz(folder / "points.npz"))
 
 
