@@ -36,8 +36,8 @@ class Mapping:
         """`attempt` maps once, into a folder below `work`; `pictures` are all there are."""
         self.attempt, self.torn, self.work, self.pictures, self.clock = attempt, torn, work, pictures, clock
         self.progress = progress
-        self.worth: tuple[int, int, float] | None = None  # of the best
         self.best: Reconstruction | None = None
+        self.best_torn = 0
         self.models: list[Reconstruction] = []  # of the best attempt, largest first
         self.name: str | None = None
         self.attempts: list[dict[str, Any]] = []
@@ -70,9 +70,8 @@ class Mapping:
             ladder: All rungs.
         """
         tried = {attempt["mapper"] for attempt in self.attempts}
-        weak = self.registered < self.pictures or (self.worth is not None and self.worth[1] < 0)
-        wanted = rule == "always" or weak
-        if not wanted or GLOBAL_COST * self.seconds >= self.clock.left_s():
+        weak = self.registered < self.pictures or self.best_torn > 0
+        if not (weak or rule == "always") or GLOBAL_COST * self.seconds >= self.clock.left_s():
             return None
         return next((rung for rung in ladder if rung["mapper"] not in tried), None)
 
@@ -92,7 +91,7 @@ class Mapping:
         folder.mkdir()
         models = self.attempt(folder, rung, left)
         models = [m for m in models if m.num_points3D() >= MIN_POINTS]
-        models.sort(key=_size_and_error, reverse=True)
+        models.sort(key=_worth, reverse=True)
         torn = self.torn(models[0]) if models else None
         self.attempts.append(
             {
@@ -109,11 +108,12 @@ class Mapping:
             return
         if against and self.best is not None:
             apart = disagreement_deg(_poses(self.best), _poses(models[0]))
-            self.compared.append({"name": name, "against": self.name, "apart_deg": apart})
-        # A small model can look perfect: pictures count first, the error only among equals.
-        pictures, error = _size_and_error(models[0])
-        if self.worth is None or (pictures, -torn, error) > self.worth:
-            self.best, self.models, self.name, self.worth = models[0], models, name, (pictures, -torn, error)
+            torn_by_both = [torn, self.best_torn]
+            self.compared.append(
+                {"name": name, "against": self.name, "torn": torn_by_both, "apart_deg": apart}
+            )
+        if self.best is None or _worth(models[0], torn) > _worth(self.best, self.best_torn):
+            self.best, self.best_torn, self.models, self.name = models[0], torn, models, name
 
 
 def disagreement_deg(
@@ -133,8 +133,9 @@ def disagreement_deg(
     return {n: rotation_angle_deg(b, turn) for n, b in zip(names, between, strict=True)}
 
 
-def _size_and_error(model: Reconstruction) -> tuple[int, float]:
-    return model.num_reg_images(), -model.compute_mean_reprojection_error()
+def _worth(model: Reconstruction, torn: int = 0) -> tuple[int, int, float]:
+    """A small model can look perfect: pictures count first, the error only among equals."""
+    return model.num_reg_images(), -torn, -model.compute_mean_reprojection_error()
 
 
 def _poses(model: Reconstruction) -> dict[str, np.ndarray]:

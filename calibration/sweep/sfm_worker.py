@@ -32,7 +32,7 @@ from devrf.calibration.sweep.sfm_output import (
     write_model,
     write_two_views,
 )
-from devrf.calibration.sweep.two_views import read_two_views, torn_apart
+from devrf.calibration.sweep.two_views import against_model, read_two_views, torn_apart
 from devrf.capture.cores import usable_cores
 from devrf.capture.processes import die_with_parent
 
@@ -87,7 +87,8 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
             return 0
         with pycolmap.Database.open(str(database)) as db:
             write_two_views(db, _images_of, _kind, work)
-        return len(torn_apart(read_two_views(work / "two_views.npz"), cameras_of(model)))
+        found = against_model(read_two_views(work / "two_views.npz"), cameras_of(model))
+        return len(torn_apart(sorted(names), found["contradicting"]))
 
     mapping = Mapping(attempt, torn, work, len(names), clock, _say)
     mapping.climb(job["ladder"])

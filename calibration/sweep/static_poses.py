@@ -179,7 +179,7 @@ def recover_static_poses(
     model = read_static_poses(out)
     registered = dict(zip(model.names, model.cameras, strict=True))
     report["verified_pairs"] = kinds_report(views) | against_model(views, registered)
-    report["torn"] = torn_apart(views, registered) if ordered else []
+    report["torn"] = torn_apart(names, report["verified_pairs"]["contradicting"]) if ordered else []
     report["gps"] = _gps(model, metres, std_m, no_gps) if places else None
     report["median_triangulation_angle_deg"] = median_triangulation_angle_deg(model)
     report["points_per_image"] = {

@@ -5,7 +5,7 @@ matches as an essential or fundamental matrix, and WATERMARK where matches at th
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,11 +102,16 @@ def against_model(views: TwoViews, cameras: Mapping[str, Camera]) -> dict[str, A
     }
 
 
-def torn_apart(views: TwoViews, cameras: Mapping[str, Camera]) -> list[list[str]]:
-    """Neighbours of a film whose strong pairs the model contradicts: there it follows a repeated texture instead."""
-    row = {name: n for n, name in enumerate(views.names)}
-    found = [pair["names"] for pair in against_model(views, cameras)["contradicting"]]
-    return sorted(names for names in found if abs(row[names[0]] - row[names[1]]) <= NEIGHBOURS)
+def torn_apart(names: Sequence[str], contradicting: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Neighbours of a film among the pairs that contradict the model: there it follows a repeated texture instead.
+
+    Args:
+        names: Pictures of the film, in order.
+        contradicting: As `against_model` has them.
+    """
+    row = {name: n for n, name in enumerate(names)}
+    found = (pair["names"] for pair in contradicting)
+    return sorted(pair for pair in found if abs(row[pair[0]] - row[pair[1]]) <= NEIGHBOURS)
 
 
 def epipolar_px(views: TwoViews, cameras: Mapping[str, Camera]) -> Float[np.ndarray, " matches"]:

@@ -320,9 +320,8 @@ def loop_rows(model: SweepModel) -> list[HealthRow]:
 
 
 def _agreement(r: dict[str, Any]) -> Iterator[HealthRow]:
-    torn = {attempt["name"]: attempt["torn"] for attempt in r["attempts"]}
     for compared in r["compared"]:
-        if not r["torn"] and torn[compared["name"]] != torn[compared["against"]]:
+        if not r["torn"] and any(compared["torn"]):
             continue  # one was torn, and that is why: the other was kept
         apart: dict[str, float] = compared["apart_deg"]
         beyond = [n for n, deg in apart.items() if deg > APART_DEG]

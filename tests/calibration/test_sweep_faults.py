@@ -6,7 +6,6 @@ worker; faults of lens or motion are made by projecting the recovered points wit
 
 import re
 from dataclasses import replace
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -15,8 +14,7 @@ from tests.refused import refused
 
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.checks import picture_fits, two_zooms
-from devrf.calibration.sweep.sfm_budget import Clock
-from devrf.calibration.sweep.sfm_mapping import Mapping, disagreement_deg
+from devrf.calibration.sweep.sfm_mapping import disagreement_deg
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apart
 from devrf.capture.camera import Camera
@@ -426,62 +424,19 @@ def test_a_film_whose_neighbours_lie_apart_in_the_model_is_torn(corner):
         model.names, pairs, ("CALIBRATED",) * 2, np.repeat([0, 1], 150), xy, np.ones(300, dtype=bool)
     )
     cameras = dict(zip(model.names, model.cameras, strict=True))
-    assert torn_apart(views, cameras) == []
-    turned = rotation_about_y(25.0)
-    far = replace(model.cameras[5], cam_from_world=turned @ model.cameras[5].cam_from_world)
-    assert torn_apart(views, cameras | {model.names[5]: far}) == []  # another place, which may look the same
-    near = replace(model.cameras[1], cam_from_world=turned @ model.cameras[1].cam_from_world)
-    torn = torn_apart(views, cameras | {model.names[1]: near})
-    assert torn == [list(model.names[:2])]
-    row = fired(changed(model, torn=torn))["neighbouring pictures that contradict the model"]
+
+    def torn(turned: int | None) -> list[list[str]]:
+        where = dict(cameras)
+        if turned is not None:
+            camera = model.cameras[turned]
+            turn = rotation_about_y(25.0) @ camera.cam_from_world
+            where[model.names[turned]] = replace(camera, cam_from_world=turn)
+        return torn_apart(model.names, against_model(views, where)["contradicting"])
+
+    assert torn(None) == [] and torn(5) == []  # far pictures may show two places that look the same
+    assert torn(1) == [list(model.names[:2])]
+    row = fired(changed(model, torn=torn(1)))["neighbouring pictures that contradict the model"]
     assert row.value == 1 and "static/000000.png - static/000001.png" in row.remedy
-
-
-class Mapped:
-    """A model, as far as the choice between mappers looks at it."""
-
-    def __init__(self, pictures, error, torn):
-        self.pictures, self.error, self.torn = pictures, error, torn
-
-    def num_reg_images(self):
-        return self.pictures
-
-    def num_points3D(self):
-        return 1000
-
-    def compute_mean_reprojection_error(self):
-        return self.error
-
-    images: ClassVar[dict] = {}
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "tried", "kept"),
-    [
-        (Mapped(80, 0.5, 3), Mapped(80, 0.6, 0), True, "global"),  # torn: the other is tried, and kept
-        (Mapped(80, 0.5, 3), Mapped(80, 0.4, 5), True, "incremental"),
-        (Mapped(80, 0.5, 0), Mapped(80, 0.4, 0), False, "incremental"),  # whole: no other is tried
-        (Mapped(80, 0.5, 1), Mapped(60, 0.4, 0), True, "incremental"),  # pictures count first
-    ],
-)
-def test_a_torn_model_is_compared_with_another_mapper(tmp_path, first, second, tried, kept):
-    models = {"incremental": first, "global": second}
-    mapping = Mapping(
-        lambda folder, rung, left: [models[rung["mapper"]]],
-        lambda model: model.torn,
-        tmp_path,
-        80,
-        Clock(None),
-        lambda share, text: None,
-    )
-    ladder = [{"name": name, "mapper": name, "accept": 0.8} for name in models]
-    mapping.climb(ladder)
-    other = mapping.other_mapper("weak", ladder)
-    assert (other is not None) == tried
-    if other is not None:
-        mapping.compare(other)
-    assert mapping.name == kept and mapping.best is models[kept]
-    assert [attempt["torn"] for attempt in mapping.attempts] == [m.torn for m in (first, second)][: 1 + tried]
 
 
 def test_results_that_disagree_are_named_by_picture(corner):  # B24
@@ -491,17 +446,13 @@ def test_results_that_disagree_are_named_by_picture(corner):  # B24
     other["static/000004.png"] = rotation_about_y(0.8) @ other["static/000004.png"]
     apart = disagreement_deg(poses, other)
     assert apart["static/000004.png"] == pytest.approx(0.8, abs=1e-3)
-    compared = [{"name": "global", "against": "incremental", "apart_deg": apart}]
-    attempts = [dict(attempt) for attempt in corner.model.report["attempts"]]
-    assert [(attempt["name"], attempt["torn"]) for attempt in attempts] == [("incremental", 0), ("global", 0)]
-    row = fired(changed(corner.model, compared=compared, attempts=attempts))[
-        "largest turn between two mappers"
-    ]
+    compared = {"name": "global", "against": "incremental", "torn": [0, 0], "apart_deg": apart}
+    row = fired(changed(corner.model, compared=[compared]))["largest turn between two mappers"]
     assert "static/000004.png" in row.remedy
-    attempts[0]["torn"] = 3  # the model that was not kept is why they differ
-    assert "largest turn between two mappers" not in fired(
-        changed(corner.model, compared=compared, attempts=attempts)
-    )
+    torn = changed(
+        corner.model, compared=[compared | {"torn": [0, 3]}]
+    )  # the model that was not kept is why they differ
+    assert "largest turn between two mappers" not in fired(torn)  # the model that was not kept is why
 
 
 def test_small_and_many_models_are_named(corner):

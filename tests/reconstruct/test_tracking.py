@@ -20,7 +20,7 @@ from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.moving_points import _cut, moving_points
+from devrf.reconstruct.tracking.moving_points import _cut, _seen_by_two, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
@@ -281,6 +281,19 @@ def test_a_shoe_does_not_belong_to_the_floor_of_its_colour() -> None:
         votes = np.repeat([-0.6, 0.9], [len(floor), len(shoe)])
         found = _cut(Surface(xyz, normals, rgb, SPACING), votes)
         assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
+
+
+def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_by_two() -> None:
+    along = np.arange(10) * SPACING
+    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
+    xyz = np.concatenate([patch, patch + [0, 0, 1]])  # two pieces: of fog, and of something solid
+    surface = Surface(xyz, np.tile([0.0, 0.0, 1.0], (200, 1)), np.full((200, 3), 0.5), SPACING)
+    moves, cameras = np.ones(200, dtype=bool), np.repeat([1, 1], 100)
+    assert _seen_by_two(surface, moves, cameras).all()
+    cameras[100:120] = 2
+    found = _seen_by_two(surface, moves, cameras)
+    assert not found[:100].any() and found[100:].all()
+    assert not _seen_by_two(surface, ~moves, cameras).any()
 
 
 def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
