@@ -244,9 +244,9 @@ class Golden:
 
     def spread(self, case: Case, values: Values) -> dict[str, float]:
         """Standard deviation of the quality over three seeds; runs what is not there yet."""
-        if case.again is None:
-            return {}
         folder, of_seeds = self.work / case.name, [values]
+        if case.again is None or ("*" not in case.runs and not (folder / case.runs).exists()):
+            return {}
         for seed in SEEDS:
             runs = case.again_runs.format(seed=seed)
             if "*" not in runs and not (folder / runs).exists():

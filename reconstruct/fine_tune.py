@@ -29,7 +29,7 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
+from devrf.reconstruct.sizing import Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
@@ -44,6 +44,7 @@ PICTURES = 32  # of which an iteration's rays are
 MOST_MOVED = 1 << 28  # bytes of both fields that are brought to a GPU at once, where they are not kept there
 WINDOW_EVERY = 10  # iterations with the same key times: to bring others costs as much as a few of them
 LOG_EVERY = 50
+PAYS_DB = 0.1  # on pixels held back; where it gains less, there is none
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,8 @@ def fine_tune(
     model = recipe.model()
     before, after = recipe.held_before, recipe.held_error()
     gain, decision = 10 * math.log10(before / after) if before and after else None, None
-    if options.adapt and not options.fine_tuning_given and gain is not None and gain < LEVEL_PAYS_DB:
-        reason = f"it gained {gain:+.2f} dB on pixels held back, less than {LEVEL_PAYS_DB}"
+    if options.adapt and not options.fine_tuning_given and gain is not None and gain < PAYS_DB:
+        reason = f"it gained {gain:+.2f} dB on pixels held back, less than {PAYS_DB}"
         model, decision = None, Decision("fine-tuning", "none", f"{iterations} iterations", reason)
     return FineTuned(model, gain, decision, log.summary() | recipe.guard.summary())
 

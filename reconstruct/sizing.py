@@ -15,7 +15,6 @@ from devrf.reconstruct.options import CanonicalOptions, MotionOptions, resized, 
 
 FINEST_VOXEL = 1.0  # pixels, where the scene is: finer voxels hold nothing that the pictures show
 FEWEST = 16  # voxels
-LEVEL_PAYS_DB = 0.1  # of held-back rays, by a level of motion; where it gains less, finer ones are skipped
 NEARLY_ALL = 0.95  # of the resolution that was offered: motion levels stay as they are above
 
 

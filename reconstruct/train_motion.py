@@ -28,7 +28,6 @@ from devrf.reconstruct.checked_flow import CheckedFlow, checked_flow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.grids import BETAS, EPS
 from devrf.reconstruct.guard import LOOK_EVERY, Guard, diverged
-from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.key_pictures import KeyPictures
@@ -50,7 +49,7 @@ from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.sizing import LEVEL_PAYS_DB, Decision, levels_for
+from devrf.reconstruct.sizing import Decision, levels_for
 from devrf.reconstruct.still_keys import still_beyond_rest, still_keys
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
@@ -104,9 +103,6 @@ def train_motion(
     total = sum(options.iterations) * (len(recipe.order) - len(recipe.still))
     for n, (level, key) in enumerate(visits[begin:], begin):
         if level != recipe.level:
-            recipe.leave_level()
-            if not recipe.worth_refining():
-                break
             recipe.enter_level(level)
         if key in recipe.still:
             recipe.follow(key)
@@ -121,7 +117,6 @@ def train_motion(
         checkpoint.keep(n + 1, len(visits), log, recipe.state)
         if watch is not None:
             watch(log, lambda: recipe.motion)
-    recipe.leave_level()
     log.close_row()
     left_box, seen = recipe.looked_up.tolist()
     metrics = log.summary() | {
@@ -132,7 +127,6 @@ def train_motion(
         "largest_motion": max(float(key.norm(dim=-1).max()) for key in recipe.motion.forward),
         "flow_pictures": recipe.flow.pictures,
         "flow_contradicted": recipe.flow_contradicted,
-        "level_gains_db": [round(gain, 3) for gain in recipe.gains],
         "decisions": [str(decision) for decision in recipe.decisions],
         "keys_left": recipe.keys_left,
         **recipe.guard.summary(),
@@ -206,9 +200,6 @@ class _Recipe:
         self.level, self.key, self.step_of_key = 0, 0, 0
         self.direction = 1  # from the key before to the present one
         self.device = device
-        self.held_back = HeldBack(rays, self.changing) if options.adapt else None
-        self.errors = [0.0, 0.0]  # of held-back rays before and after this level
-        self.gains: list[float] = []  # of the levels so far, dB
         self.still = still_beyond_rest(rays, self.tau_of_frame, keys, self.motion.rest_key)
         if options.adapt:
             still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
@@ -235,8 +226,7 @@ class _Recipe:
             "generator": self.generator.get_state(),
             "looked_up": self.looked_up,
         }
-        names = ("level", "errors", "gains", "keys_left")
-        numbers: dict[str, Any] = {name: getattr(self, name) for name in names}
+        numbers: dict[str, Any] = {name: getattr(self, name) for name in ("level", "keys_left")}
         numbers["guard"] = self.guard.state()
         numbers["motion"] = self.motion.numbers() | {"aabb": self.motion.aabb.tolist()}  # to look at it
         return tensors, numbers
@@ -253,22 +243,6 @@ class _Recipe:
         self.generator.set_state(tensors["generator"])
         self.looked_up.copy_(tensors["looked_up"])
         return done
-
-    def leave_level(self) -> None:
-        """Note what it gained on rays held back; of the first nothing can be said."""
-        before, after = self.errors
-        if before > 0 and after > 0:
-            self.gains.append(10 * math.log10(before / after))
-        self.errors = [0.0, 0.0]
-
-    def worth_refining(self) -> bool:
-        """Whether the level that has been finished gained enough for a finer one to be worth its time."""
-        if not self.gains or self.gains[-1] >= LEVEL_PAYS_DB:
-            return True
-        levels = self.options.levels
-        reason = f"it gained {self.gains[-1]:+.2f} dB on pixels held back, less than {LEVEL_PAYS_DB}"
-        self._note(Decision("finest level of the motion", f"{levels[self.level]}", f"{levels[-1]}", reason))
-        return False
 
     def enter_level(self, level: int) -> None:
         """Refine the field; the rate follows the level."""
@@ -298,10 +272,6 @@ class _Recipe:
         self.guard.look_every = cameras * -(-LOOK_EVERY // cameras)  # whole rounds of them
         self.guard.other_part()
         self._begin()
-        self.asked = (
-            self.held_back.rays_of(self.pictures) if self.level and self.held_back is not None else None
-        )
-        self.errors[0] += self._held_error()
 
     def _begin(self) -> None:
         """No step yet: a fresh Adam."""
@@ -356,8 +326,7 @@ class _Recipe:
         return 1 if rest_key is None or key >= rest_key else -1
 
     def leave_key(self) -> None:
-        """Look at what it gained, and keep what has been learned, where the window is a copy."""
-        self.errors[1] += self._held_error()
+        """Keep what has been learned, where the window is a copy."""
         for whole, part in (
             (self.motion.backward, self.window.backward),
             (self.motion.forward, self.window.forward),
@@ -421,17 +390,12 @@ class _Recipe:
         n = self.options.rays
         if self.options.one_camera:
             return self.rays.draw(n, self.generator, self.views[self.step_of_key % len(self.views)])
-        batch = self._drawn(n, self.generator)
-        return batch if self.held_back is None else self.held_back.without(batch)
+        return self._drawn(n, self.generator)
 
     def _drawn(self, n: int, generator: torch.Generator) -> RayBatch:
         """Rays of all pictures of the present key."""
         share = self.options.importance
         return draw_with_importance(self.rays, self.changing, n, share, self.pictures, generator)
-
-    def _held_error(self) -> float:
-        """Sum of squared errors of the rays of this key that are held back; the first level asks none."""
-        return 0.0 if self.asked is None else float(self._errors(self.asked).sum())
 
     @torch.no_grad()
     def _errors(self, batch: RayBatch) -> Float[Tensor, "n 3"]:
