@@ -135,8 +135,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             before = recorded.get(case.name, {"values": {}, "spread": {}})
             found += differences(before["values"], values, before["spread"], listed, case.name)
         if case in chosen and asked.what == "record":
-            spread = golden.spread(case, values) if asked.seeds else {}
-            about = {**golden.about(), "seconds": seconds, "seeds": 3 if spread else 1}
+            spread = golden.spread(case, values) if asked.seeds else before["spread"]
+            about = {**golden.about(), "seconds": seconds, "seeds": 3 if spread and asked.seeds else 1}
             recorded[case.name] = {**about, "spread": spread, "values": values}
             RECORDED.write_text(json.dumps(recorded, indent=1, ensure_ascii=False) + "\n")
     if asked.beside:

@@ -23,10 +23,11 @@ from devrf.reconstruct.still_picture import plate, standing_clips
 from devrf.reconstruct.tracking.film import Film, films
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
+from devrf.reconstruct.tracking.hidden import closed, hidden_at_rest, labels_of_hidden
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
-from devrf.reconstruct.tracking.surface import Surface, surface_at_rest
+from devrf.reconstruct.tracking.surface import Surface, surface_at_rest, views_at_rest
 from devrf.reconstruct.training_log import TrainingLog
 
 FEWEST_POINTS = 60  # that move
@@ -116,7 +117,8 @@ def find_movers(
     """
     assert scene.rest_time is not None
     clips = films(scene, estimator)
-    surface = surface_at_rest(scene, rest)
+    views = views_at_rest(scene, rest)
+    surface = surface_at_rest(views, rest)
     progress(0.1, f"{len(surface)} points at rest")
     moves = moving_points(surface, clips, scene.rest_time)
     if moves.sum() < FEWEST_POINTS:
@@ -136,7 +138,8 @@ def find_movers(
         checkpoint,
         log,
     )
-    found = [parts_of(scene, rest, surface, moves, graph, tracks) for tracks in every]
+    hidden = hidden_at_rest(views, rest.canonical)
+    found = [parts_of(scene, rest, surface, hidden, moves, graph, tracks) for tracks in every]
     return [one for one in found if one is not None]
 
 
@@ -144,11 +147,15 @@ def parts_of(
     scene: Scene,
     rest: RestModel,
     surface: Surface,
+    hidden: Bool[Tensor, "X Y Z"],
     moves: Bool[np.ndarray, " n"],
     graph: Graph,
     tracks: Tracks,
 ) -> Found | None:
-    """Rigid parts that explain tracks of the points that move; None where too few of these go anywhere."""
+    """Rigid parts that explain tracks of the points that move; None where too few of these go anywhere.
+
+    `hidden` is what no view at rest looks through.
+    """
     moving, voxel = surface.only(moves), rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
@@ -159,13 +166,14 @@ def parts_of(
     region = _region(rest.canonical, surface, going)
     moving, tracks = moving.only(kept), tracks.only(kept)
     span_s = scene.t1_s - scene.t0_s
+    movers = movers_of(rest.canonical, region, hidden, moving, tracks, labels)
     offsets = zip(standing_clips(scene), tracks.offsets.tolist(), strict=True)
     return Found(
         moving,
         tracks,
         labels,
-        rest.canonical.only(~region),
-        movers_of(rest.canonical, region, moving, tracks, labels),
+        rest.canonical.only(movers.labels == 0),
+        movers,
         {name: offset * span_s for name, offset in offsets if offset},
     )
 
@@ -173,6 +181,7 @@ def parts_of(
 def movers_of(
     canonical: Canonical,
     region: Bool[Tensor, "X Y Z"],
+    hidden: Bool[Tensor, "X Y Z"],
     surface: Surface,
     tracks: Tracks,
     labels: Int[np.ndarray, " p"],
@@ -187,8 +196,11 @@ def movers_of(
     places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()
     nearest = KDTree(surface.xyz).query(places)[1]
     of_vertex[region] = torch.from_numpy(labels[nearest] + 1).to(of_vertex)
+    behind = labels_of_hidden(canonical, hidden & ~region, surface.xyz, labels).to(of_vertex)
+    of_vertex = torch.where(region, of_vertex, behind)
+    own = closed(canonical.only(of_vertex > 0), region, behind > 0)
     times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
-    return Movers(canonical.only(region), of_vertex, times, R, t)
+    return Movers(own, of_vertex, times, R, t)
 
 
 def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:

@@ -1,5 +1,6 @@
 """Points on the surfaces of the scene at rest, which are followed through time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Bool
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.geometry.cloud import Cloud, point_cloud
-from devrf.reconstruct.geometry.seen import look, poses
+from devrf.reconstruct.geometry.seen import SeenView, look, poses
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.rest_model import RestModel
 
@@ -33,7 +34,7 @@ class Surface(Cloud):
         return Surface(self.xyz[kept], self.normals[kept], self.rgb[kept], self.spacing)
 
 
-def surface_at_rest(scene: Scene, rest: RestModel) -> Surface:
+def views_at_rest(scene: Scene, rest: RestModel) -> list[SeenView]:
     """What training cameras see of the scene at rest inside its box.
 
     Args:
@@ -41,7 +42,11 @@ def surface_at_rest(scene: Scene, rest: RestModel) -> Surface:
         rest: Its model.
     """
     model = DynamicModel(rest).alone("black")
-    views = [look(model, camera, None) for camera in poses(scene)]
+    return [look(model, camera, None) for camera in poses(scene)]
+
+
+def surface_at_rest(views: Sequence[SeenView], rest: RestModel) -> Surface:
+    """The surfaces that these views show."""
     spacing = SPACING * rest.canonical.voxel
     cloud = point_cloud(views, spacing)
     return Surface(cloud.xyz, cloud.normals, cloud.rgb, spacing)

@@ -1,0 +1,80 @@
+"""Faces that nothing shows at rest: where a part stands on something, and what is behind its own surface.
+
+When it turns they come into view. A part is taken to be closed: what no view looks through belongs to it inside the
+convex hull of its surface. It gets opaque there, in the colours of the surface next to it, which training replaces.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import Delaunay, KDTree, QhullError
+from torch import Tensor
+
+from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.geometry.seen import SeenView
+from devrf.reconstruct.grids import vertices
+
+FREE = 1.5  # voxels before the surface that a view shows, up to which it looks through
+OPAQUE = 0.5  # opacity of a step that is given to what is hidden
+
+
+def hidden_at_rest(views: Sequence[SeenView], canonical: Canonical) -> Bool[Tensor, "X Y Z"]:
+    """Vertices that no view at rest looks through."""
+    places = vertices(canonical.aabb, canonical.shape).reshape(-1, 3).numpy().astype(np.float64)
+    hidden = np.ones(len(places), dtype=bool)
+    for view in views:
+        left = np.flatnonzero(hidden)
+        at = view.camera.project(places[left])
+        size = [view.camera.width, view.camera.height]
+        inside = np.isfinite(at).all(1) & (at >= 0).all(1) & (at < size).all(1)
+        left, (x, y) = left[inside], at[inside].astype(int).T
+        away = np.linalg.norm(view.points[y, x] - view.camera.centre, axis=1)
+        ends = np.linalg.norm(places[left] - view.camera.centre, axis=1) + FREE * canonical.voxel
+        hidden[left] = away < ends  # nothing solid is not a number: looked through
+    return torch.from_numpy(hidden.reshape(canonical.shape)).to(canonical.density.device)
+
+
+def labels_of_hidden(
+    canonical: Canonical,
+    hidden: Bool[Tensor, "X Y Z"],
+    xyz: Float[np.ndarray, "p 3"],
+    labels: Int[np.ndarray, " p"],
+) -> Int[Tensor, "X Y Z"]:
+    """The part that hidden vertices belong to, counted from 1; 0: none.
+
+    Args:
+        canonical: The scene at rest.
+        hidden: Of its vertices.
+        xyz: Surface points of the parts.
+        labels: Part of each, counted from 0.
+    """
+    out = torch.zeros(canonical.shape, dtype=torch.int64)
+    at = hidden.cpu().nonzero()
+    places = vertices(canonical.aabb, canonical.shape)[tuple(at.T)].numpy()
+    for part in range(labels.max() + 1):
+        mine = xyz[labels == part]
+        near = np.flatnonzero(((places >= mine.min(0)) & (places <= mine.max(0))).all(1))
+        try:
+            inside = near[Delaunay(mine).find_simplex(places[near]) >= 0]
+        except (QhullError, ValueError):  # few points, or in a plane
+            continue
+        out[tuple(at[inside].T)] = part + 1
+    return out
+
+
+def closed(canonical: Canonical, shown: Bool[Tensor, "X Y Z"], filled: Bool[Tensor, "X Y Z"]) -> Canonical:
+    """A scene of parts that is opaque where it is filled, in the colours of what is shown next to it."""
+    if not bool(filled.any()):
+        return canonical
+    places = vertices(canonical.aabb, canonical.shape)
+    source = shown.cpu().nonzero()
+    nearest = KDTree(places[tuple(source.T)].numpy()).query(places[filled.cpu()].numpy())[1]
+    least = math.log(math.expm1(-math.log(1 - OPAQUE) / canonical.interval)) - canonical.shift
+    canonical.density[filled] = canonical.density[filled].clamp_min(least)
+    canonical.features = canonical.features.clone()
+    canonical.features[filled] = canonical.features[tuple(source[nearest].T)]
+    canonical.rebuild_occupancy()
+    return canonical
