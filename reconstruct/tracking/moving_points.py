@@ -3,7 +3,7 @@
 A point moves if every camera that saw it sees something else there for much of the time in which things move: what
 covers it hides it from some cameras only, so what one camera alone saw says little. A shadow changes brightness and
 not colour. Labels are a minimum cut (Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one
-plane and colour that change alike belong together.
+plane and colour belong together.
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,7 @@ ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
 # Votes that neighbours of one plane and colour are worth; of that, across a crease; spacings off each other's plane.
-# With 8 votes, 39 % of what stands around a waving sheet moved, with 4 6 %; shoes moved less often.
-TOGETHER, CREASE, FLAT = 4.0, 0.003, 0.5
-CHANGE_REACH = 0.5  # of the busy pictures: what changes much more often is hardly the same thing
+TOGETHER, CREASE, FLAT = 8.0, 0.003, 0.5
 # Fewer points than these, nearer than so many spacings, follow their surroundings.
 CRUMB, CRUMB_REACH = 60, 2.5
 BY_TWO = 0.1  # share of a piece's seen points: fog has 0 to 0.03, what moves 0.22 and more (five captures)
@@ -48,8 +46,7 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
         rest_time: Of the scene, in [0, 1].
     """
     even, raw = np.stack([_changes(surface, film, rest_time) for film in films], axis=1)
-    moves = _cut(surface, _votes(even, raw), np.where(np.isfinite(even), even, np.inf).min(0))
-    return _seen_by_two(surface, moves, np.isfinite(even).sum(0))
+    return _seen_by_two(surface, _cut(surface, _votes(even, raw)), np.isfinite(even).sum(0))
 
 
 def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray, "2 n"]:
@@ -93,10 +90,7 @@ def _votes(even: Float[np.ndarray, "c n"], raw: Float[np.ndarray, "c n"]) -> Flo
     return votes * np.select([seen == 0, seen == 1], [0.0, ONE_CAMERA], 1.0)
 
 
-def _cut(
-    surface: Surface, votes: Float[np.ndarray, " n"], change: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Labels by votes and by how often each point changes, infinite where that is not known."""
+def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     xyz, n = surface.xyz, len(surface)
     if n <= NEIGHBOURS or not (votes > 0).any():
         return np.zeros(n, dtype=bool)
@@ -110,9 +104,6 @@ def _cut(
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-6)
     off = ((xyz[columns] - xyz[rows]) * middle).sum(1)
     weight *= TOGETHER * np.maximum(CREASE, level) * np.exp(-((off / (FLAT * surface.spacing)) ** 2))
-    both = np.isfinite(change[rows]) & np.isfinite(change[columns])
-    more = np.where(both, change[rows], 0) - np.where(both, change[columns], 0)
-    weight *= np.exp(-((more / CHANGE_REACH) ** 2))
     links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
     links = links.maximum(links.T).tocoo()
     source, sink = n, n + 1
