@@ -6,7 +6,7 @@ points among what moves is asked whether its picture stands still instead: what 
 moves is not at rest.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,8 +19,7 @@ from devrf.capture.camera import Camera
 
 Moment = Literal["start", "middle", "end", "none"]
 
-# That are looked at: the start, the end, and five between; also when each camera begins and ends to film.
-MOMENTS = 7
+MOMENTS = 7  # that are looked at: the start, the end, and five between; also the first and last that all cameras film
 FEWEST = 20  # points to be recognised among what moves, before they tell anything
 # Of the points that would be recognised if nothing had moved. In five captures 0.47 and more are at rest, and in motion
 # mostly less than 0.3; before a small robot, whose points are few, up to 0.6.
@@ -103,21 +102,9 @@ def rest_votes(cameras: Sequence[RestSeen]) -> Float[np.ndarray, " moments"]:
     return np.where(filmed > 0, np.nansum(votes, axis=0) / np.maximum(filmed, 1), np.nan)
 
 
-def moments_of(
-    shared: tuple[float, float], ends: Iterable[float] = (), gap: float = 0.0
-) -> Float[np.ndarray, " moments"]:
-    """Times in [0, 1] to look at.
-
-    Args:
-        shared: From when to when all cameras film.
-        ends: When single cameras begin and end: a rest may last until some of them film, and not until all do.
-        gap: Time between pictures; ends nearer than half of it to another moment are no moments of their own.
-    """
-    times = np.unique(np.concatenate([np.linspace(0, 1, MOMENTS), np.clip(shared, 0, 1)]))
-    for end in ends:
-        if not shared[0] < end < shared[1] and np.abs(times - end).min() > gap / 2:
-            times = np.sort(np.append(times, end))
-    return times
+def moments_of(shared: tuple[float, float]) -> Float[np.ndarray, " moments"]:
+    """Times in [0, 1] to look at, where all cameras film from `shared[0]` to `shared[1]`."""
+    return np.unique(np.concatenate([np.linspace(0, 1, MOMENTS), np.clip(shared, 0, 1)]))
 
 
 def rest_moment(

@@ -53,8 +53,7 @@ def rest_time(
     said = {"end": end, "middle": 0.5, "none": None}.get(asked, begin)
     if model is None or not clips:
         return said, note(CHECK, "not measured")
-    ends = [frame.time or 0.0 for clip in clips.values() for frame in (clip[0], clip[-1])]
-    times = moments_of(shared, ends, min(_gap(clip) for clip in clips.values()))
+    times = moments_of(shared)
     seen = {name: _seen(clip, times, masks[name], model, factor, read) for name, clip in clips.items()}
     votes = rest_votes(list(seen.values()))
     times, votes = times[np.isfinite(votes)], votes[np.isfinite(votes)]
@@ -78,7 +77,7 @@ def _seen(
     read: Callable[[str], np.ndarray],
 ) -> RestSeen:
     times = np.array([frame.time for frame in clip], dtype=float)
-    longest = WITHIN_GAPS * _gap(clip)
+    longest = WITHIN_GAPS * float(np.median(np.diff(times)))
 
     def picture(time: float) -> np.ndarray | None:
         n = int(np.abs(times - time).argmin())
@@ -88,11 +87,6 @@ def _seen(
     still = (_still(clip[:SUCCESSIVE]), _still(clip[-SUCCESSIVE:]))
     moves = mask.mask if mask.much is None else mask.much
     return rest_seen(clip[0].camera, pictures, moves, still, model, factor, read)
-
-
-def _gap(clip: Sequence[PosedFrame]) -> float:
-    """Time between pictures."""
-    return float(np.median(np.diff([frame.time or 0.0 for frame in clip])))
 
 
 def _still(clip: Sequence[PosedFrame]) -> bool:
