@@ -117,8 +117,7 @@ def find_movers(
     """
     assert scene.rest_time is not None
     clips = films(scene, estimator)
-    views = views_at_rest(scene, rest)
-    surface = surface_at_rest(views, rest)
+    surface, hidden = _at_rest(scene, rest)
     progress(0.1, f"{len(surface)} points at rest")
     moves = moving_points(surface, clips, scene.rest_time)
     if moves.sum() < FEWEST_POINTS:
@@ -138,7 +137,6 @@ def find_movers(
         checkpoint,
         log,
     )
-    hidden = hidden_at_rest(views, rest.canonical)
     found = [parts_of(scene, rest, surface, hidden, moves, graph, tracks) for tracks in every]
     return [one for one in found if one is not None]
 
@@ -201,6 +199,12 @@ def movers_of(
     own = closed(canonical.only(of_vertex > 0), region, behind > 0)
     times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
     return Movers(own, of_vertex, times, R, t)
+
+
+def _at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:
+    """Surface points, and what no view looks through."""
+    views = views_at_rest(scene, rest)
+    return surface_at_rest(views, rest), hidden_at_rest(views, rest.canonical)
 
 
 def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:

@@ -66,7 +66,7 @@ def labels_of_hidden(
 
 
 def closed(canonical: Canonical, shown: Bool[Tensor, "X Y Z"], filled: Bool[Tensor, "X Y Z"]) -> Canonical:
-    """A scene of parts that is opaque where it is filled, in the colours of what is shown next to it."""
+    """A scene of parts that is made opaque where it is filled, in the colours of what is shown next to it."""
     if not bool(filled.any()):
         return canonical
     places = vertices(canonical.aabb, canonical.shape)
