@@ -32,12 +32,10 @@ from devrf.reconstruct.evaluate import LpipsNets, evaluate
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, load_rest
 from devrf.reconstruct.tracking.film import films
-from devrf.reconstruct.tracking.find import parts_of
+from devrf.reconstruct.tracking.find import at_rest, parts_of
 from devrf.reconstruct.tracking.follow import Tracks, moments
 from devrf.reconstruct.tracking.graph import Graph
-from devrf.reconstruct.tracking.hidden import hidden_at_rest
 from devrf.reconstruct.tracking.rigid import motion_of
-from devrf.reconstruct.tracking.surface import surface_at_rest, views_at_rest
 from devrf.reconstruct.train_movers import train_movers
 
 NEAR = 2.5  # spacings of the surface: points farther from every true one stand
@@ -57,8 +55,7 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     rest = load_rest(run / "canonical" / FILE, "cpu")
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None
-    views = views_at_rest(boxed, rest)
-    surface = surface_at_rest(views, rest)
+    surface, hidden = at_rest(boxed, rest)
     clips = films(boxed, DisFlow())
     times, _ = moments(clips, boxed.rest_time)
     late_s = late(run, scene, truth_file, told["deformation"].get("clock_offsets_s", {}))
@@ -67,7 +64,6 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     moving = surface.only(moves)
     never = np.zeros(xyz.shape[:2], dtype=bool)
     tracks = Tracks(times, xyz.astype(np.float32), never, np.zeros(len(clips)))
-    hidden = hidden_at_rest(views, rest.canonical)
     found = parts_of(boxed, rest, surface, hidden, moves, Graph(moving), tracks)
     assert found is not None
     options = training_options(config, scene).motion

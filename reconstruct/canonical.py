@@ -195,6 +195,10 @@ class Canonical:
         """The same in base voxels: the exponent of the opacity."""
         return self.step / self.base_voxel
 
+    def raw_density(self, optical: float) -> float:
+        """The raw density by which a step has an optical depth."""
+        return math.log(math.expm1(optical / self.interval)) - self.shift
+
     def volume(self) -> Volume:
         """What the march needs to know."""
         return Volume(

@@ -162,7 +162,7 @@ class _Recipe:
             zone = grown(zone)
         self.zone = zone
         empty = zone & (stands.distance > 0)
-        stands.density[empty] = math.log(math.expm1(FOG / stands.interval)) - stands.shift
+        stands.density[empty] = stands.raw_density(FOG)
         stands.features[empty] = 0
         self.grids = {
             "stands density": GridTrainer(stands.density),

@@ -23,7 +23,7 @@ from devrf.reconstruct.still_picture import plate, standing_clips
 from devrf.reconstruct.tracking.film import Film, films
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
-from devrf.reconstruct.tracking.hidden import closed, hidden_at_rest, labels_of_hidden
+from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hidden
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
@@ -117,7 +117,7 @@ def find_movers(
     """
     assert scene.rest_time is not None
     clips = films(scene, estimator)
-    surface, hidden = _at_rest(scene, rest)
+    surface, hidden = at_rest(scene, rest)
     progress(0.1, f"{len(surface)} points at rest")
     moves = moving_points(surface, clips, scene.rest_time)
     if moves.sum() < FEWEST_POINTS:
@@ -141,6 +141,12 @@ def find_movers(
     return [one for one in found if one is not None]
 
 
+def at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:
+    """Surface points of the scene in the box frame, and what is hidden behind surfaces in all views."""
+    views = views_at_rest(scene, rest)
+    return surface_at_rest(views, rest), hidden_at_rest(views, rest.canonical)
+
+
 def parts_of(
     scene: Scene,
     rest: RestModel,
@@ -152,7 +158,7 @@ def parts_of(
 ) -> Found | None:
     """Rigid parts that explain tracks of the points that move; None where too few of these go anywhere.
 
-    `hidden` is what no view at rest looks through.
+    `surface` and `hidden` as `at_rest` gives them.
     """
     moving, voxel = surface.only(moves), rest.canonical.voxel
     labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
@@ -184,7 +190,7 @@ def movers_of(
     tracks: Tracks,
     labels: Int[np.ndarray, " p"],
 ) -> Movers:
-    """Parts with the rigid motions that explain their points' tracks."""
+    """Parts with the rigid motions that explain their points' tracks: the region's vertices, and hidden ones."""
     motions = [
         motion_of(surface.xyz[mine], tracks.xyz[:, mine].astype(float), tracks.lost[:, mine])
         for mine in (labels == m for m in range(labels.max() + 1))
@@ -194,17 +200,11 @@ def movers_of(
     places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()
     nearest = KDTree(surface.xyz).query(places)[1]
     of_vertex[region] = torch.from_numpy(labels[nearest] + 1).to(of_vertex)
-    behind = labels_of_hidden(canonical, hidden & ~region, surface.xyz, labels).to(of_vertex)
-    of_vertex = torch.where(region, of_vertex, behind)
-    own = closed(canonical.only(of_vertex > 0), region, behind > 0)
+    of_vertex += labels_of_hidden(canonical, hidden & ~region, surface.xyz, labels)
+    own = canonical.only(of_vertex > 0)
+    fill(own, region, (of_vertex > 0) & ~region)
     times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
     return Movers(own, of_vertex, times, R, t)
-
-
-def _at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:
-    """Surface points, and what no view looks through."""
-    views = views_at_rest(scene, rest)
-    return surface_at_rest(views, rest), hidden_at_rest(views, rest.canonical)
 
 
 def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:

@@ -1,7 +1,7 @@
 """Faces that nothing shows at rest: where a part stands on something, and what is behind its own surface.
 
-When it turns they come into view. A part is taken to be closed: what no view looks through belongs to it inside the
-convex hull of its surface. It gets opaque there, in the colours of the surface next to it, which training replaces.
+When it turns they come into view. A part is taken to be closed: what is hidden belongs to it inside the convex hull
+of its surface. It gets opaque there, in the colours of the surface next to it, which training replaces.
 """
 
 import math
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import Delaunay, KDTree, QhullError
 from torch import Tensor
 
@@ -17,12 +17,11 @@ from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.geometry.seen import SeenView
 from devrf.reconstruct.grids import vertices
 
-FREE = 1.5  # voxels before the surface that a view shows, up to which it looks through
-OPAQUE = 0.5  # opacity of a step that is given to what is hidden
+OPTICAL = math.log(2)  # depth of a step that is given to what is hidden: half opaque
 
 
 def hidden_at_rest(views: Sequence[SeenView], canonical: Canonical) -> Bool[Tensor, "X Y Z"]:
-    """Vertices that no view at rest looks through."""
+    """Vertices that lie behind a surface in every view that has them in its picture."""
     places = vertices(canonical.aabb, canonical.shape).reshape(-1, 3).numpy().astype(np.float64)
     hidden = np.ones(len(places), dtype=bool)
     for view in views:
@@ -32,8 +31,8 @@ def hidden_at_rest(views: Sequence[SeenView], canonical: Canonical) -> Bool[Tens
         inside = np.isfinite(at).all(1) & (at >= 0).all(1) & (at < size).all(1)
         left, (x, y) = left[inside], at[inside].astype(int).T
         away = np.linalg.norm(view.points[y, x] - view.camera.centre, axis=1)
-        ends = np.linalg.norm(places[left] - view.camera.centre, axis=1) + FREE * canonical.voxel
-        hidden[left] = away < ends  # nothing solid is not a number: looked through
+        # Where nothing is solid it is not a number: looked through.
+        hidden[left] = away < np.linalg.norm(places[left] - view.camera.centre, axis=1)
     return torch.from_numpy(hidden.reshape(canonical.shape)).to(canonical.density.device)
 
 
@@ -42,7 +41,7 @@ def labels_of_hidden(
     hidden: Bool[Tensor, "X Y Z"],
     xyz: Float[np.ndarray, "p 3"],
     labels: Int[np.ndarray, " p"],
-) -> Int[Tensor, "X Y Z"]:
+) -> UInt8[Tensor, "X Y Z"]:
     """The part that hidden vertices belong to, counted from 1; 0: none.
 
     Args:
@@ -51,7 +50,7 @@ def labels_of_hidden(
         xyz: Surface points of the parts.
         labels: Part of each, counted from 0.
     """
-    out = torch.zeros(canonical.shape, dtype=torch.int64)
+    out = torch.zeros(canonical.shape, dtype=torch.uint8)
     at = hidden.cpu().nonzero()
     places = vertices(canonical.aabb, canonical.shape)[tuple(at.T)].numpy()
     for part in range(labels.max() + 1):
@@ -62,19 +61,17 @@ def labels_of_hidden(
         except (QhullError, ValueError):  # few points, or in a plane
             continue
         out[tuple(at[inside].T)] = part + 1
-    return out
+    return out.to(hidden.device)
 
 
-def closed(canonical: Canonical, shown: Bool[Tensor, "X Y Z"], filled: Bool[Tensor, "X Y Z"]) -> Canonical:
-    """A scene of parts that is made opaque where it is filled, in the colours of what is shown next to it."""
+def fill(canonical: Canonical, shown: Bool[Tensor, "X Y Z"], filled: Bool[Tensor, "X Y Z"]) -> None:
+    """Make a scene of parts opaque where it is filled, in the colours of what is shown next to it."""
     if not bool(filled.any()):
-        return canonical
+        return
     places = vertices(canonical.aabb, canonical.shape)
     source = shown.cpu().nonzero()
     nearest = KDTree(places[tuple(source.T)].numpy()).query(places[filled.cpu()].numpy())[1]
-    least = math.log(math.expm1(-math.log(1 - OPAQUE) / canonical.interval)) - canonical.shift
-    canonical.density[filled] = canonical.density[filled].clamp_min(least)
-    canonical.features = canonical.features.clone()
+    canonical.density[filled] = canonical.density[filled].clamp_min(canonical.raw_density(OPTICAL))
+    canonical.features = canonical.features.clone()  # those of the scene at rest stay
     canonical.features[filled] = canonical.features[tuple(source[nearest].T)]
     canonical.rebuild_occupancy()
-    return canonical

@@ -449,9 +449,7 @@ def test_results_that_disagree_are_named_by_picture(corner):  # B24
     compared = {"name": "global", "against": "incremental", "torn": [0, 0], "apart_deg": apart}
     row = fired(changed(corner.model, compared=[compared]))["largest turn between two mappers"]
     assert "static/000004.png" in row.remedy
-    torn = changed(
-        corner.model, compared=[compared | {"torn": [0, 3]}]
-    )  # the model that was not kept is why they differ
+    torn = changed(corner.model, compared=[compared | {"torn": [0, 3]}])
     assert "largest turn between two mappers" not in fired(torn)  # the model that was not kept is why
 
 

@@ -8,7 +8,7 @@ from tests.reconstruct.conftest import look_at
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.geometry.seen import SeenView
 from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.tracking.hidden import closed, hidden_at_rest, labels_of_hidden
+from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hidden
 
 HALF = 0.4  # of the block's side; it stands on the floor, whose z is 0
 BLOCK = np.array([[-HALF, -HALF, 0], [HALF, HALF, 2 * HALF]])
@@ -24,9 +24,8 @@ def view(eye: np.ndarray) -> SeenView:
         near, far = slabs.min(0).max(-1), slabs.max(0).min(-1)
         floor = -camera.centre[2] / d[..., 2]
     away = np.where((near < far) & (near > 0), near, np.where(floor > 0, floor, np.nan))
-    return SeenView(
-        camera, np.zeros_like(d, dtype=np.float32), camera.centre + away[..., None] * d, d, np.isfinite(away)
-    )
+    points, black = camera.centre + away[..., None] * d, np.zeros_like(d, dtype=np.float32)
+    return SeenView(camera, black, points, d, np.isfinite(away))
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +54,10 @@ def inside(canonical: Canonical, margin: float) -> torch.Tensor:
 def test_what_no_view_looks_through_is_hidden(views: list[SeenView], canonical: Canonical) -> None:
     hidden = hidden_at_rest(views, canonical)
     z = vertices(canonical.aabb, canonical.shape)[..., 2]
-    assert hidden[inside(canonical, 0.02)].all() and hidden[z < -0.02].all()
-    air = (z > 0.15) & ~inside(canonical, -0.15)
+    assert hidden[inside(canonical, 0.06)].all() and hidden[z < -0.06].all()
+    skin = inside(canonical, -0.07) & ~inside(canonical, 0) & (z > 0.1)  # before the block, nearer than a voxel and a half
+    assert skin.sum() > 500 and float(hidden[skin].float().mean()) < 0.05
+    air = (z > 0.05) & ~inside(canonical, -0.05)
     seen = np.concatenate([v.points[v.kept] for v in views])
     reach = torch.from_numpy(np.abs(seen).max(0)).float()  # what no picture shows is hidden, too
     air &= (vertices(canonical.aabb, canonical.shape).abs() < reach).all(-1)
@@ -66,11 +67,8 @@ def test_what_no_view_looks_through_is_hidden(views: list[SeenView], canonical: 
 def test_hidden_inside_a_part_is_its_own(canonical: Canonical) -> None:
     rng = np.random.default_rng(0)
     faces = rng.uniform(BLOCK[0], BLOCK[1], (600, 3))
-    faces[:150, 2], faces[150:300, 0], faces[300:450, 0] = (
-        2 * HALF,
-        -HALF,
-        HALF,
-    )  # no point lies on the lower face
+    # No point lies on the lower face.
+    faces[:150, 2], faces[150:300, 0], faces[300:450, 0] = 2 * HALF, -HALF, HALF
     faces[450:, 1] = np.where(np.arange(150) % 2, -HALF, HALF)
     flat = rng.uniform(-0.9, -0.6, (50, 3)) * [1, 1, 0]
     xyz, labels = np.concatenate([faces, flat]), np.repeat([1, 0], [600, 50])
@@ -87,9 +85,11 @@ def test_what_is_filled_is_opaque_in_the_colours_next_to_it(canonical: Canonical
     filled = block & ~shown
     canonical.features[shown & left, 0], canonical.features[shown & ~left, 1] = 1.0, 1.0
     before = canonical.features.clone()
-    own = closed(canonical.only(shown), shown, filled)
+    own = canonical.only(shown)
+    fill(own, shown, torch.zeros_like(filled))
+    assert own.features is canonical.features and not own.occupied()[inside(canonical, 0.1) & filled].any()
+    fill(own, shown, filled)
     middle = inside(canonical, 0.06) & filled
     assert float(own.alpha(places[middle]).min()) > 0.45
     assert (own.features[filled & left, 0] == 1).all() and (own.features[filled & ~left, 1] == 1).all()
     assert torch.equal(canonical.features, before) and (canonical.density == EMPTY).all()
-    assert closed(own, shown, torch.zeros_like(filled)) is own
