@@ -55,7 +55,8 @@ def test_what_no_view_looks_through_is_hidden(views: list[SeenView], canonical: 
     hidden = hidden_at_rest(views, canonical)
     z = vertices(canonical.aabb, canonical.shape)[..., 2]
     assert hidden[inside(canonical, 0.06)].all() and hidden[z < -0.06].all()
-    skin = inside(canonical, -0.07) & ~inside(canonical, 0) & (z > 0.1)  # before the block, nearer than a voxel and a half
+    # Before the block, nearer than a voxel and a half.
+    skin = inside(canonical, -0.07) & ~inside(canonical, 0) & (z > 0.1)
     assert skin.sum() > 500 and float(hidden[skin].float().mean()) < 0.05
     air = (z > 0.05) & ~inside(canonical, -0.05)
     seen = np.concatenate([v.points[v.kept] for v in views])
