@@ -99,7 +99,7 @@ def test_what_cannot_be_a_number_is_null(tmp_path: Path) -> None:
 def test_progress_comes_every_few_seconds(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def busy(context: StageContext) -> None:
         for n in range(200):
-            context.progress(n / 200, f"step {n}")
+            context.progress((n + 1) / 201, f"step {n}")
             time.sleep(0.001)
         write("x")(context)
 
