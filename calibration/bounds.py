@@ -2,16 +2,17 @@
 
 The box stands upright (its z axis is the mean up direction of the sweep) and is centred at the origin of the
 box frame with a longest half side of 1. Where cameras film motion, it must hold everything that moves: pixels
-that change over time give a visual hull (Laurentini, PAMI 1994) on a coarse grid. Where nothing moves, it
-holds the points around the focus, the point closest to all view axes.
+that change over time say where that is (`mask_box`). Where nothing moves, it holds the points around the
+focus, the point closest to all view axes.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from devrf.calibration.mask_box import box_of_masks
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
@@ -19,14 +20,8 @@ from devrf.capture.view_axes import closest_point
 
 LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
-GRID = 64  # cells per axis of the visual hull
-HULL_REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
 VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
-# Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
-# of what changes in so many cameras: those are small movers.
-COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
-MOST_PIECES = 20  # that are asked, the largest first
 # points farther from the focus than this share of the median camera distance are surroundings
 POINT_REACH = 0.9
 POINT_PERCENTILES = (1.0, 99.0)
@@ -34,7 +29,6 @@ POINT_MARGIN = 1.1
 MAX_ERROR_PX, MIN_TRACK = 2.0, 3
 NEAR_SHARE, FAR_SHARE = 0.8, 1.2  # of the 1st and 99th percentile of the points' distances
 SMALLEST_NEAR = 0.02  # of the longest half side
-MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 
 
 @dataclass(frozen=True)
@@ -72,6 +66,7 @@ def scene_bounds(
     distances: Float[np.ndarray, " m"],
     masks: Sequence[MotionMask] = (),
     shown: str = "what moves",
+    stretches: Sequence[Sequence[MotionMask | None]] = (),
 ) -> Bounds:
     """Find the box.
 
@@ -82,6 +77,7 @@ def scene_bounds(
         distances: Distance of every sighting of a point from its camera [m].
         masks: Motion masks of the fixed cameras, or mattes.
         shown: What they show, in words.
+        stretches: The same of shorter times, as `box_of_masks` takes them.
     Raises:
         ValueError: There is no camera at all.
     """
@@ -90,10 +86,10 @@ def scene_bounds(
         raise ValueError("bounds of a scene without cameras")
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
-    hull = visual_hull(masks, focus, box_from_up) if len(masks) > 1 else None
-    if hull is not None:
-        lo, hi = hull
-        basis = f"visual hull of {shown} in {len(masks)} cameras"
+    smallest = box_of_masks(masks, stretches, focus, box_from_up)
+    if smallest is not None:
+        lo, hi = smallest
+        basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
         lo, hi, basis = _point_box(points, focus_point(cameras), cameras, box_from_up)
@@ -140,73 +136,6 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
             centres + axes * float(np.linalg.norm(centres - centres.mean(0), axis=1).mean() + 1e-9)
         ).mean(0)
     return focus
-
-
-def visual_hull(
-    masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
-    """Corners (low, high) of what projects into every mask that sees it, in upright world axes; or None."""
-    from scipy import ndimage
-
-    masks = [m for m in masks if 0 < m.mask.mean() < MAX_MOVING_SHARE]
-    if len(masks) < 2:
-        return None
-    reach = HULL_REACH * min(float(np.linalg.norm(m.camera.centre - focus)) for m in masks)
-    axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
-    cells = grid + box_from_up @ focus
-    cell = 2 * reach / GRID
-    world = cells @ box_from_up
-    seen, inside = np.zeros(len(world), dtype=int), np.zeros(len(world), dtype=int)
-    for m in masks:
-        height, width = m.mask.shape
-        pixel = np.nan_to_num(m.camera.project(world), nan=-1.0)
-        visible = (pixel >= 0).all(1) & (pixel[:, 0] < width) & (pixel[:, 1] < height)
-        u, v = pixel[visible].astype(int).T
-        seen[visible] += 1
-        inside[np.flatnonzero(visible)[m.mask[v, u]]] += 1
-    keep = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
-    if not keep.any():
-        return None
-    labels = np.empty((GRID, GRID, GRID), dtype=np.int32)
-    ndimage.label(keep.reshape(GRID, GRID, GRID), structure=np.ones((3, 3, 3)), output=labels)
-    sizes = np.bincount(labels.reshape(-1))
-    sizes[0] = 0
-    pieces = [labels.reshape(-1) == n for n in np.argsort(-sizes)[:MOST_PIECES] if sizes[n]]
-    kept = cells[np.any(_movers(masks, pieces, world, cell), axis=0)]
-    return kept.min(0) - cell / 2, kept.max(0) + cell / 2
-
-
-def _movers(
-    masks: Sequence[MotionMask],
-    pieces: Sequence[Bool[np.ndarray, " cells"]],
-    world: Float[np.ndarray, "cells 3"],
-    cell: float,
-) -> list[Bool[np.ndarray, " cells"]]:
-    """The pieces of a hull, the largest first, that are large or that alone explain what moves in some cameras."""
-    explained = [np.zeros_like(m.mask) for m in masks]
-    kept = []
-    for piece in pieces:
-        shown = [_shown(m.camera, world[piece], cell) for m in masks]
-        alone = [
-            float((seen & m.moved & ~before).sum()) >= MOVER_SHARE * float(m.mask.sum())
-            for m, seen, before in zip(masks, shown, explained, strict=True)
-        ]
-        if piece.sum() >= COMPONENT_SHARE * pieces[0].sum() or sum(alone) >= MOVER_CAMERAS:
-            kept.append(piece)
-            explained = [before | seen for before, seen in zip(explained, shown, strict=True)]
-    return kept
-
-
-def _shown(camera: Camera, cells: Float[np.ndarray, "n 3"], cell: float) -> Bool[np.ndarray, "h w"]:
-    """Where a camera sees cells of this side."""
-    shown = np.zeros((camera.height, camera.width), dtype=bool)
-    depth = (cells - camera.centre) @ camera.cam_from_world[2, :3]
-    pixel = np.nan_to_num(camera.project(cells), nan=-1.0)
-    visible = (pixel >= 0).all(1) & (pixel < [camera.width, camera.height]).all(1)
-    for (u, v), reach in zip(pixel[visible], 0.5 * cell * camera.K[0, 0] / depth[visible], strict=True):
-        shown[max(0, int(v - reach)) : int(v + reach) + 1, max(0, int(u - reach)) : int(u + reach) + 1] = True
-    return shown
 
 
 def upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:

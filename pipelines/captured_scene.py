@@ -6,23 +6,18 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from devrf.calibration.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, scene_bounds
 from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.colour.result import read_colours
-from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
-from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.frames import FrameSet
 from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
-from devrf.capture.pictures import read_grey
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import read_sync
@@ -32,6 +27,7 @@ from devrf.pipelines.health.rows import HealthRow, note
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.what_moves import what_moves
 
 PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
 TIME_SLACK_S = 1e-6
@@ -56,13 +52,12 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     mattes = scene_mattes(
         context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
     )
-    moves = {
-        n: m for n, c in frames.moving.items() if (m := _mask(ingest, c, rig.cameras[n].camera)) is not None
-    }
+    moves, stretches = what_moves(ingest, frames, rig, clocks, (t0_s, t1_s))
     if mattes is None:
         masks = list(moves.values())
     else:
         assert config.capture.mattes is not None
+        stretches = []
         context.health.extend(matte_health(mattes, config.capture.mattes.method))
         static, dynamic, masks = mattes.static, mattes.dynamic, mattes.hull_masks
         if points is not None and mattes.everywhere:
@@ -80,6 +75,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         distances,
         masks,
         "what moves" if mattes is None else "the subject's mattes",
+        stretches,
     )
     context.health.extend(box_health(bounds, moves, mattes, dynamic, static))
     rest = None
@@ -223,19 +219,6 @@ def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:
     for frame in dynamic:
         times.setdefault(frame.camera_name, []).append(frame.time or 0.0)
     return max(min(t) for t in times.values()), min(max(t) for t in times.values())
-
-
-def _mask(ingest: Path, camera: CameraFrames, calibrated: Camera) -> MotionMask | None:
-    files = [ingest / f.file for f in camera.used if f.file is not None]
-    if len(files) < 3:
-        return None
-    chosen = np.unique(np.linspace(0, len(files) - 1, MASK_FRAMES).round().astype(int))
-    small = calibrated.scaled(min(1.0, MASK_SIDE_PX / max(calibrated.width, calibrated.height)))
-    pictures: list[UInt8[np.ndarray, "h w"]] = []
-    for n in chosen:
-        grey = cv2.resize(read_grey(files[n]), (small.width, small.height), interpolation=cv2.INTER_AREA)
-        pictures.append(np.asarray(grey, dtype=np.uint8))
-    return motion_mask(small, pictures)
 
 
 def _points(model: SweepModel, factor: float) -> SparsePoints:

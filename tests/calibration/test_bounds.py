@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds, visual_hull
+from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds
 from devrf.calibration.box_checks import cut_off, not_swept
 from devrf.calibration.intrinsics import guess
+from devrf.calibration.mask_box import box_of_masks
 from devrf.calibration.motion_masks import MotionMask, motion_mask
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
@@ -122,8 +123,8 @@ def test_focus_ignores_a_camera_that_looks_away():
 def test_masks_that_contradict_give_no_hull():
     fixed = ring(2, 1.0)
     masks = [ball_mask(fixed[0]), ball_mask(fixed[1], BALL + [0.0, 0.0, 0.9], 0.1)]
-    assert visual_hull(masks, np.zeros(3), np.eye(3)) is None
-    assert visual_hull(masks[:1], np.zeros(3), np.eye(3)) is None
+    assert box_of_masks(masks, [], np.zeros(3), np.eye(3)) is None
+    assert box_of_masks(masks[:1], [], np.zeros(3), np.eye(3)) is None
 
 
 def test_motion_mask_sees_motion_but_neither_noise_nor_exposure():
@@ -216,6 +217,39 @@ def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
     bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), two_movers(fixed, second, radius))
     ends = second + radius * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert (np.abs(in_box(bounds, ends)) <= bounds.aabb[1]).all()
+
+
+def test_the_box_is_no_larger_than_explains_what_moves() -> None:
+    """Two balls pass each other before cameras on one side: masks of all time are wide bands, and agree far behind."""
+    fixed, radius, count = ring(4, 1.2), 0.12, 13
+    there, back = np.linspace(-0.7, 0.7, count), np.linspace(0.7, -0.7, count)
+    still = np.ones(count)
+    ways = np.stack([[there, -0.25 * still, 0.1 * still], [back, 0.3 * still, -0.1 * still]]).transpose(
+        2, 0, 1
+    )
+
+    def masks(times: range) -> list[MotionMask]:
+        balls = ways[times.start : times.stop].reshape(-1, 3)
+        return [MotionMask(c, np.any([ball_mask(c, b, radius).mask for b in balls], axis=0)) for c in fixed]
+
+    stretches = [masks(range(n, n + 3)) for n in range(0, count - 1, 2)]
+    smallest = box_of_masks(masks(range(count)), stretches, focus_point(fixed), np.eye(3))
+    assert smallest is not None
+    balls = ways.reshape(-1, 3)
+    sides = np.ptp(smallest, axis=0)
+    assert (smallest[0] < balls.min(0)).all() and (smallest[1] > balls.max(0)).all()
+    assert (sides < np.ptp(balls, axis=0) + 5 * radius).all()
+
+
+def test_a_camera_that_does_not_film_in_a_stretch_says_nothing_of_it() -> None:
+    fixed = ring(4, 2.2)
+    masks = [ball_mask(c) for c in fixed]
+    whole = box_of_masks(masks, [], focus_point(fixed), np.eye(3))
+    alone = box_of_masks(masks, [[masks[0], None, None, None]], focus_point(fixed), np.eye(3))
+    some = box_of_masks(masks, [[masks[0], None, *masks[2:]]], focus_point(fixed), np.eye(3))
+    assert whole is not None and alone is not None and some is not None
+    np.testing.assert_array_equal(alone, whole)
+    assert (some[0] <= whole[0] + 1e-9).all() and (some[1] >= whole[1] - 1e-9).all()
 
 
 def test_a_shadow_as_small_is_no_mover() -> None:

@@ -1,0 +1,200 @@
+"""The box of what masks of cameras show: the smallest one that still explains them.
+
+On a coarse grid, what projects into every mask is a visual hull (Laurentini, PAMI 1994): one of all time, and within it
+one of each stretch of time. A few cameras on one side leave far more in it than is there: what lies behind, and where
+ways past one thing meet ways past another. So the sides of the box come in while nearly every pixel of each mask still
+looks at some of its hull.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from devrf.calibration.motion_masks import MotionMask
+
+GRID = 64  # cells per axis
+REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
+MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
+# Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
+# of what changes in so many cameras: those are small movers.
+COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
+MOST_PIECES = 20  # that are asked, the largest first
+# Of a camera's mask of all time, so much may look past the box in each stretch of time; in one camera alone, more.
+SPARE, ALONE = 0.0025, 0.01
+OVERLAP = 1.5  # cells, from the middle of the last one: in pictures they are squares that overlap
+MOST_REACH_PX = 12  # half the side of a cell in a picture
+
+
+class _Shown(NamedTuple):
+    """A camera's mask, and the pixels of the mask that it has of all time."""
+
+    mask: MotionMask
+    pixels: float
+
+
+def box_of_masks(
+    masks: Sequence[MotionMask],
+    stretches: Sequence[Sequence[MotionMask | None]],
+    focus: Float[np.ndarray, "3"],
+    box_from_up: Float[np.ndarray, "3 3"],
+) -> Float[np.ndarray, "2 3"] | None:
+    """Corners of the smallest box that explains what masks show, in upright world axes; None where they contradict.
+
+    Args:
+        masks: Of all time, a camera each.
+        stretches: Of shorter times: of the same cameras, None where one does not film then.
+        focus: Middle of the cube that is searched.
+        box_from_up: Rotation to upright axes.
+    """
+    fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
+    if len(fine) < 2:
+        return None
+    pixels = [float(mask.mask.sum()) for mask in masks]
+    reach = REACH * min(float(np.linalg.norm(masks[n].camera.centre - focus)) for n in fine)
+    axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
+    grid, cell = grid + box_from_up @ focus, 2 * reach / GRID
+
+    def hull(stretch: Sequence[MotionMask | None], within: Int[np.ndarray, " n"]) -> _Hull | None:
+        some = [_Shown(m, pixels[n]) for n in fine if (m := stretch[n]) is not None and m.mask.any()]
+        found = _Hull(some, grid[within], box_from_up, cell) if len(some) > 1 else None
+        return found if found is not None and found.kept.any() else None
+
+    whole = hull(masks, np.arange(len(grid)))
+    if whole is None:
+        return None
+    movers = np.flatnonzero(whole.kept)[whole.movers()]
+    hulls = [found for stretch in (masks, *stretches) if (found := hull(stretch, movers)) is not None]
+    return _drawn_in(grid[movers].min(0) - cell / 2, grid[movers].max(0) + cell / 2, hulls, cell)
+
+
+def _drawn_in(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], hulls: "Sequence[_Hull]", cell: float
+) -> Float[np.ndarray, "2 3"]:
+    """The box with each side as far in as the hulls let it, that which gains most first."""
+    ends = np.concatenate([-low, high])  # of each side, outwards
+    left = list(range(6))
+    while left:
+        low, high = -ends[:3], ends[3:]
+        inward = {
+            side: min(ends[side], OVERLAP * cell + max(hull.needs(side, low, high) for hull in hulls))
+            for side in left
+        }
+        best = max(left, key=lambda side: (ends[side] - inward[side]) / (high - low)[side % 3])
+        ends[best] = inward[best]
+        left.remove(best)
+    return np.stack([-ends[:3], ends[3:]])
+
+
+class _Seen(NamedTuple):
+    """Cells of a hull in one camera's picture.
+
+    Attributes:
+        cells: Their numbers.
+        pixel, reach: Where each is, and half the side of its square.
+        moved: Pixels that move.
+        pixels: Of the camera's mask of all time.
+    """
+
+    cells: Int[np.ndarray, " k"]
+    pixel: Int[np.ndarray, " k"]
+    reach: Int[np.ndarray, " k"]
+    moved: Bool[np.ndarray, "h w"]
+    pixels: float
+
+    def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+        """Of the hull's cells the lowest value that each pixel that moves looks at; infinite where there is none."""
+        out = np.full(self.moved.shape, np.inf)
+        for reach in np.unique(self.reach).tolist():
+            mine, middle = self.reach == reach, np.full(self.moved.size, np.inf)
+            np.minimum.at(middle, self.pixel[mine], values[self.cells[mine]])
+            middle = middle.reshape(self.moved.shape)
+            around = ndimage.minimum_filter(middle, size=2 * reach + 1, mode="constant", cval=np.inf)
+            out = np.minimum(out, around)
+        return out[self.moved]
+
+    def explained(self, cells: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " m"]:
+        """Whether each pixel that moves looks at some of the cells."""
+        return np.isfinite(self.lowest(np.where(cells, 0.0, np.inf)))
+
+
+class _Hull:
+    """What projects into all masks that see it, of at least half of the cameras.
+
+    Attributes:
+        kept: Which of the cells that was.
+    """
+
+    def __init__(
+        self, masks: Sequence[_Shown], cells: Float[np.ndarray, "n 3"], box_from_up: np.ndarray, cell: float
+    ) -> None:
+        """Ask masks of cells, in upright axes."""
+        world = cells @ box_from_up
+        shown = [_pixels(mask, world) for mask, _ in masks]
+        seen = np.sum([pixel >= 0 for pixel in shown], axis=0)
+        inside = np.sum(
+            [(p >= 0) & m.mask.ravel()[p] for (m, _), p in zip(masks, shown, strict=True)], axis=0
+        )
+        self.kept = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
+        self._cells, self._cell = cells[self.kept], cell
+        self._seen: list[_Seen] = []
+        for (mask, pixels), pixel in zip(masks, shown, strict=True):
+            mine = np.flatnonzero(pixel[self.kept] >= 0)
+            camera = mask.camera
+            depth = (world[self.kept][mine] - camera.centre) @ camera.cam_from_world[2, :3]
+            reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
+            self._seen.append(_Seen(mine, pixel[self.kept][mine], reach, mask.moved, pixels))
+        every = np.ones(len(self._cells), dtype=bool)
+        self._known = [int(seen.explained(every).sum()) for seen in self._seen]
+
+    def movers(self) -> Bool[np.ndarray, " k"]:
+        """Cells of the pieces that are large, or alone explain what moves in some cameras; the largest go first."""
+        place = np.round((self._cells - self._cells.min(0)) / self._cell).astype(int)
+        volume = np.zeros(place.max(0) + 1, dtype=bool)
+        volume[tuple(place.T)] = True
+        labels = np.empty(volume.shape, dtype=np.int32)
+        ndimage.label(volume, structure=np.ones((3, 3, 3)), output=labels)
+        piece = labels[tuple(place.T)]
+        sizes = np.bincount(piece)
+        kept = np.zeros(len(piece), dtype=bool)
+        for number in np.argsort(-sizes)[:MOST_PIECES]:
+            mine = piece == number
+            new = [
+                int((seen.explained(mine) & ~seen.explained(kept)).sum()) >= MOVER_SHARE * seen.pixels
+                for seen in self._seen
+            ]
+            if mine.any() and (sizes[number] >= COMPONENT_SHARE * sizes.max() or sum(new) >= MOVER_CAMERAS):
+                kept |= mine
+        return kept
+
+    def needs(self, side: int, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
+        """How far out a side of the box (three low ones, three high ones) has to be at least.
+
+        Each camera's pixels, but for those that may be spared, still look at some of the hull then.
+        """
+        outward = self._cells[:, side % 3] * (1 if side >= 3 else -1)
+        inside = ((self._cells >= low) & (self._cells <= high)).all(1)
+        outward, needed = np.where(inside, outward, np.inf), []
+        for seen, known in zip(self._seen, self._known, strict=True):
+            ends = np.sort(seen.lowest(outward))
+            ends = ends[np.isfinite(ends)]
+            gone = known - len(ends)
+            needed.append([_end(ends, int(share * seen.pixels) - gone) for share in (SPARE, ALONE)])
+        common, alone = np.sort(needed, axis=0).T
+        return float(max(common[-2], alone[-1]))
+
+
+def _end(ends: Float[np.ndarray, " n"], may_go: int) -> float:
+    """The end of what is left of rising ends if so many may go."""
+    return np.inf if may_go < 0 else -np.inf if may_go >= len(ends) else float(ends[-1 - may_go])
+
+
+def _pixels(mask: MotionMask, world: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
+    """The pixel of a mask at which each point is, -1 where it is in no picture."""
+    height, width = mask.mask.shape
+    at = np.nan_to_num(mask.camera.project(world), nan=-1.0)
+    inside = (at >= 0).all(1) & (at < [width, height]).all(1)
+    return np.where(inside, at.clip(0, [width, height]).astype(int) @ [1, width], -1)

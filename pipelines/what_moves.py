@@ -1,0 +1,70 @@
+"""Where the fixed cameras of a run see something move: over all of their clips, and in each stretch of time."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask
+from devrf.calibration.rigs.rig import Rig
+from devrf.capture.camera import Camera
+from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.pictures import read_grey
+from devrf.reconstruct.pictures import spread
+
+FEWEST_PICTURES = 3  # of which a mask is made
+STRETCHES = 6  # of the modelled time: of eight pictures each in long clips
+
+
+class FilmedClip(NamedTuple):
+    """Small grey pictures of a clip and their times on the session's clock, which are so sure; seconds."""
+
+    camera: Camera
+    pictures: list[UInt8[np.ndarray, "h w"]]
+    time_s: Float[np.ndarray, " n"]
+    std_s: float
+
+    def mask(self, from_s: float = -np.inf, to_s: float = np.inf) -> MotionMask | None:
+        """What moves from one time to another, a picture and what the clock is unsure of around these."""
+        if len(self.pictures) < FEWEST_PICTURES:
+            return None
+        around_s = float(np.median(np.diff(self.time_s))) + self.std_s
+        inside = (self.time_s >= from_s - around_s) & (self.time_s <= to_s + around_s)
+        some = [self.pictures[n] for n in np.flatnonzero(inside)]
+        return motion_mask(self.camera, some) if len(some) >= FEWEST_PICTURES else None
+
+
+def what_moves(
+    ingest: Path, frames: FrameSet, rig: Rig, clocks: Mapping[str, Clock], span_s: tuple[float, float]
+) -> tuple[dict[str, MotionMask], list[list[MotionMask | None]]]:
+    """Masks of the cameras that have pictures enough, and theirs in each stretch of the modelled time.
+
+    Args:
+        ingest: Folder of that stage.
+        frames: What is in it.
+        rig, clocks: Of the fixed cameras.
+        span_s: From when to when is modelled.
+    """
+    clips = {n: _filmed(ingest, c, rig.cameras[n].camera, clocks[n]) for n, c in frames.moving.items()}
+    moves = {name: mask for name, clip in clips.items() if (mask := clip.mask()) is not None}
+    ends_s = np.linspace(*span_s, STRETCHES + 1)
+    stretches = [
+        [clips[name].mask(from_s, to_s) for name in moves]
+        for from_s, to_s in zip(ends_s[:-1], ends_s[1:], strict=True)
+    ]
+    return moves, stretches
+
+
+def _filmed(ingest: Path, camera: CameraFrames, calibrated: Camera, clock: Clock) -> FilmedClip:
+    """Pictures that are spread over all of a camera's clip."""
+    used = [(ingest / f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
+    chosen = spread(used, MASK_FRAMES)
+    small = calibrated.scaled(min(1.0, MASK_SIDE_PX / max(calibrated.width, calibrated.height)))
+    size = (small.width, small.height)
+    grey = [cv2.resize(read_grey(file), size, interpolation=cv2.INTER_AREA) for file, _ in chosen]
+    times_s = clock.true_time(np.array([time_s for _, time_s in chosen], dtype=float))
+    return FilmedClip(small, [np.asarray(g, dtype=np.uint8) for g in grey], times_s, clock.std_s)
