@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from devrf.calibration.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, scene_bounds
 from devrf.calibration.box_checks import points_of_subject
 from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.colour.result import read_colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
@@ -200,17 +200,6 @@ def left_out(cameras: Sequence[str], dynamic: Sequence[PosedFrame]) -> list[Heal
         "after it, or check capture.range_s and the clocks."
     )
     return [note("cameras that film at no modelled time", names, remedy=remedy)]
-
-
-def span_of(filmed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
-    """From the first to the last moment at which two cameras film at once, or one where there is only one; seconds.
-
-    Args:
-        filmed: From when to when each camera films.
-    """
-    shared = [(max(a[0], b[0]), min(a[1], b[1])) for a, b in combinations(filmed, 2)]
-    shared = [(begin, end) for begin, end in shared if begin < end] if len(filmed) > 1 else list(filmed)
-    return (min(begin for begin, _ in shared), max(end for _, end in shared)) if shared else None
 
 
 def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:

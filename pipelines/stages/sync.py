@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from devrf.calibration.clocks.evidence import Curve, Extras
 from devrf.calibration.clocks.flash import Brightness
+from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
@@ -212,18 +213,37 @@ def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[Hea
 
 
 def _overlap(cameras: dict[str, CameraFrames], result: SyncResult) -> HealthRow:
+    """What all cameras show; refused only where that leaves no time to model."""
     from_s, to_s = shared_span(cameras, result)
+    times = {name: result.cameras[name].true_time(used_times(c)) for name, c in cameras.items()}
+    spans = ", ".join(f"{name}: {t[0]:.2f} to {t[-1]:.2f} s" for name, t in times.items())
+    together = "start all cameras before the action, stop them after it"
+    remedy = f"The clips share hardly any time ({spans}): {together}."
+    modelled = _modelled(cameras, times)
+    if modelled is not None:
+        begin, end = modelled
+        apart = [name for name, t in times.items() if not ((t >= begin) & (t <= end)).any()]
+        if apart:
+            remedy = (
+                f"Nothing of {', '.join(apart)} is used: the training cameras film together from {begin:.2f} to "
+                f"{end:.2f} s, and only that is modelled ({spans}): {together}, or check the clocks."
+            )
     slowest = min((c.fps_mean or USUAL_FPS) for c in cameras.values())
-    spans = []
-    for name, camera in cameras.items():
-        t = result.cameras[name].true_time(used_times(camera))
-        spans.append(f"{name}: {t[0]:.2f} to {t[-1]:.2f} s")
     return row(
         "time that all cameras show",
         to_s - from_s,
         "s",
         warn=(FEW_SHARED_FRAMES - 1) / slowest,
-        fail=(MIN_SHARED_FRAMES - 1) / slowest,
-        remedy=f"The clips share hardly any time ({', '.join(spans)}): start all cameras before the action, "
-        "stop them after it.",
+        fail=(MIN_SHARED_FRAMES - 1) / slowest if modelled is None else None,
+        remedy=remedy,
     )
+
+
+def _modelled(
+    cameras: dict[str, CameraFrames], times: Mapping[str, Float[np.ndarray, " _"]]
+) -> tuple[float, float] | None:
+    """What will be modelled, seconds; None where it is too short for two frames of any training camera."""
+    taught = [name for name, camera in cameras.items() if camera.role != "test"]
+    span = span_of([(float(times[name][0]), float(times[name][-1])) for name in taught])
+    fastest = max((cameras[name].fps_mean or USUAL_FPS for name in taught), default=USUAL_FPS)
+    return span if span is not None and span[1] - span[0] >= (MIN_SHARED_FRAMES - 1) / fastest else None

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.calibration import coloured_room as room
 
+from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.rest_moment import (
     FEWEST,
     MOMENTS,
@@ -15,7 +16,6 @@ from devrf.calibration.rest_moment import (
     rest_votes,
 )
 from devrf.calibration.rigs.clean_picture import REST_FRAMES, rest_frames
-from devrf.pipelines.captured_scene import span_of
 
 TIMES = np.linspace(0, 1, MOMENTS)
 ALWAYS = (0.0, 1.0)  # all cameras film

@@ -239,12 +239,38 @@ def test_d21_a_loop_that_does_not_close():
 
 
 def test_d24_clips_that_do_not_overlap():
-    clocks = {n: Clock(3.8 * i, 0.0, 1e-3, "audio", 0.8, "") for i, n in enumerate(NAMES)}
+    clocks = {n: Clock(5.8 * i, 0.0, 1e-3, "audio", 0.8, "") for i, n in enumerate(NAMES)}
     row = rows_of(SyncResult(clocks))["time that all cameras show"]
-    assert row.verdict == "fail" and "cam2: 7.60 to 12.57 s" in row.remedy
+    assert row.verdict == "fail" and "cam2: 11.60 to 16.57 s" in row.remedy
     apart = {n: Recorded(1.7e9 + 60 * i) for i, n in enumerate(NAMES)}
     result = synchronise(SPANS, {}, {}, extras=Extras(recorded=apart))
     assert any("cam1" in note and "+60.0 s after cam0" in note for note in result.notes)
+
+
+def test_d24_clips_of_which_each_overlaps_only_the_next_are_modelled():
+    """From 3.8 to 8.8 s two training cameras or one film: no time that all show, but nothing to refuse."""
+    clocks = {n: Clock(3.8 * i, 0.0, 1e-3, "audio", 0.8, "") for i, n in enumerate(NAMES)}
+    row = rows_of(SyncResult(clocks))["time that all cameras show"]
+    assert row.verdict == "warn" and "cam2: 7.60 to 12.57 s" in row.remedy
+
+
+@pytest.mark.parametrize("role", ["camera", "test"])
+def test_d24_a_camera_that_films_when_the_others_do_not_is_named(role: str):
+    """Stage `scene` leaves it out; what the others film together is modelled."""
+    cameras = {n: camera(2.0) for n in NAMES} | {"late": camera(2.0, role=role)}
+    clocks = {n: Clock(2.5 if n == "late" else 0.0, 0.0, 1e-3, "audio", 0.8, "") for n in cameras}
+    row = rows_of(SyncResult(clocks), cameras)["time that all cameras show"]
+    named = row.remedy.split("(")[0]
+    assert row.verdict == "warn" and "late" in named and not any(name in named for name in NAMES)
+    assert row.fail is None and isinstance(row.value, float) and row.value < 0
+
+
+def test_d24_the_only_training_camera_needs_no_other():
+    """A test camera that shows nothing of its time is a warning; training cameras without each other are a refusal."""
+    for role, verdict in (("test", "warn"), ("camera", "fail")):
+        cameras = {"cam0": camera(2.0), "late": camera(2.0, role=role)}
+        clocks = {"cam0": HEARD["cam0"], "late": Clock(2.5, 0.0, 1e-3, "audio", 0.8, "")}
+        assert rows_of(SyncResult(clocks), cameras)["time that all cameras show"].verdict == verdict
 
 
 @pytest.mark.parametrize("hours", [1, -7, 24])

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from devrf.calibration.bounds import scene_bounds
+from devrf.calibration.clocks.spans import span_of
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_dataset
 from devrf.capture.formats.colmap_model import ModelImage, read_model, write_model
 from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.captured_scene import left_out, span_of
+from devrf.pipelines.captured_scene import left_out
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import StageContext
