@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.clocks.geometry import SHIFT_FRAMES, SHIFT_SIGMAS, GeometryCheck, check_clocks, refined
+from devrf.calibration.clocks.spans import most_together
 from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
@@ -38,7 +39,7 @@ def timed_pictures(
 ) -> dict[str, TimedPictures]:
     """Pictures of the cameras with their times by the clocks, from the span in which most moves.
 
-    Cameras with too few pictures in that span are left out.
+    Cameras with too few pictures in that span are left out, and those that film when the others do not.
     """
     shown = {
         n: [f for f in c.used if f.file is not None and f.time_s is not None]
@@ -46,7 +47,8 @@ def timed_pictures(
         if len(c.used) >= MIN_FRAMES
     }
     times = {n: clocks[n].true_time(np.array([f.time_s for f in of])) for n, of in shown.items()}
-    if len(times) < 2:
+    times = {n: times[n] for n in most_together(times, MIN_FRAMES)}
+    if not times:
         return {}
     moved = {n: (clocks[n].true_time(motion[n][:, 0]), motion[n][:, 1]) for n in times if n in motion}
     from_s, to_s = _busiest(times, {n: np.column_stack(course) for n, course in moved.items()})
@@ -72,7 +74,7 @@ def clock_check(
     """The clocks to be used, rows about them, and the content of `clock_check.json`."""
     views = timed_pictures(folder, frames, cameras, clocks, motion)
     if len(views) < 2:
-        few = f"fewer than {MIN_FRAMES} pictures of two cameras in the time that all share"
+        few = f"fewer than {MIN_FRAMES} pictures of two cameras in a time that they share"
         rows = [note("clocks that geometry cannot check", few)]
         return dict(clocks), rows + unknown_rows(clocks, "too few pictures for geometry"), {}
     check = check_clocks(views, clocks, progress)
@@ -191,7 +193,7 @@ def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
 def _busiest(
     times: Mapping[str, Float[np.ndarray, " _"]], motion: Mapping[str, Float[np.ndarray, "_ 2"]]
 ) -> tuple[float, float]:
-    """The span, within what all cameras show and no more than `MOST_FRAMES` long, in which most moves."""
+    """The span, within what these cameras all show and no more than `MOST_FRAMES` long, in which most moves."""
     from_s, to_s = max(t[0] for t in times.values()), min(t[-1] for t in times.values())
     length_s = MOST_FRAMES * min(float(np.median(np.diff(t))) for t in times.values())
     if to_s - from_s <= length_s:

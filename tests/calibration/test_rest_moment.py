@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from tests.calibration import coloured_room as room
 
-from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.rest_moment import (
     FEWEST,
     MOMENTS,
@@ -124,22 +123,6 @@ def test_of_a_rest_that_lasts_the_moment_that_all_cameras_film(shared, until, mo
     times = moments_of(shared)
     votes = ((times <= until) if until > 0 else (times >= 1 + until)).astype(float)
     assert rest_moment(times, votes, shared) == (moment, pytest.approx(time))
-
-
-@pytest.mark.parametrize(
-    ("filmed", "expected"),
-    [
-        # the first alone films from 0 to 1, the last from 6 to 7
-        ([(0.0, 5.0), (1.0, 6.0), (2.0, 7.0)], (1.0, 6.0)),
-        ([(0.0, 5.0), (6.0, 9.0)], None),
-        ([(0.0, 5.0), (5.0, 9.0)], None),
-        ([(3.0, 5.0)], (3.0, 5.0)),
-        ([(0.0, 1.0), (0.5, 2.0), (5.0, 7.0), (6.0, 8.0)], (0.5, 7.0)),
-        ([], None),
-    ],
-)
-def test_time_that_is_modelled(filmed, expected) -> None:
-    assert span_of(filmed) == expected
 
 
 def test_pictures_of_the_rest() -> None:

@@ -17,10 +17,18 @@ from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord
+from devrf.capture.picture_files import write_png
 from devrf.capture.progress import no_progress
 from devrf.capture.recorded import Recorded, timecode_s
 from devrf.capture.simulate.flash import RollingShutter, exposed
-from devrf.pipelines.clock_check import check_rows, clock_check, sound_travel, unknown_rows
+from devrf.pipelines.clock_check import (
+    MIN_FRAMES,
+    check_rows,
+    clock_check,
+    sound_travel,
+    timed_pictures,
+    unknown_rows,
+)
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stages.sync import health
 
@@ -321,6 +329,18 @@ def test_clips_too_short_for_geometry_are_named(tmp_path: Path):
     used, (row,), content = clock_check(tmp_path, short, {}, HEARD, {}, False, no_progress)
     assert used == HEARD and content == {}
     assert row.check == "clocks that geometry cannot check" and "12" in str(row.value)
+
+
+def test_a_camera_that_films_when_the_others_do_not_is_left_out_of_geometry(tmp_path: Path):
+    """The others are compared with each other."""
+    for n in range(60):
+        write_png(tmp_path / f"{n}.png", np.zeros((48, 64), np.uint8))
+    clips = {name: camera(2.0) for name in ("cam0", "cam1", "late")}
+    clocks = {n: Clock(2.5 if n == "late" else 0.0, 0.0, 1e-3, "audio", 0.8, "") for n in clips}
+    lens = Camera(64, 48, np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1.0]]), np.eye(3, 4))
+    views = timed_pictures(tmp_path, clips, dict.fromkeys(clips, lens), clocks, {})
+    assert list(views) == ["cam0", "cam1"]
+    assert all(len(view.time_s) == len(view.grey) >= MIN_FRAMES for view in views.values())
 
 
 def test_clocks_by_geometry_say_how_unsure_they_are():
