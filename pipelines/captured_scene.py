@@ -1,6 +1,7 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from devrf.pipelines.what_moves import what_moves
 
 PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
 TIME_SLACK_S = 1e-6
+FEWEST_PICTURES = 2  # of a training camera, which is asked what moves from one to the next
 
 
 def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
@@ -187,19 +189,31 @@ def _moving_frames(
                 time = float(np.clip((time_s - t0_s) / (t1_s - t0_s), 0.0, 1.0))
                 split = "test" if frames.moving[name].role == "test" else "train"
                 out.append(PosedFrame(path, rig.cameras[name].camera, name, index, time_s, time, split))
-    return tuple(out), t0_s, t1_s
+    return without_single_pictures(out), t0_s, t1_s
+
+
+def without_single_pictures(dynamic: Sequence[PosedFrame]) -> tuple[PosedFrame, ...]:
+    """Without training cameras that show no motion: they took one picture in the modelled time.
+
+    All of them stay where fewer than two others are left (one, where there is only one): such a scene is refused.
+    """
+    counts = Counter(frame.camera_name for frame in dynamic if frame.split == "train")
+    single = {name for name, count in counts.items() if count < FEWEST_PICTURES}
+    if len(counts) - len(single) < min(2, len(counts)):
+        return tuple(dynamic)
+    return tuple(frame for frame in dynamic if frame.camera_name not in single)
 
 
 def left_out(cameras: Sequence[str], dynamic: Sequence[PosedFrame]) -> list[HealthRow]:
-    """A row on cameras none of whose pictures lies in the modelled time, if there are any."""
+    """A row on cameras none of whose pictures is used, if there are any."""
     names = ", ".join(name for name in cameras if all(frame.camera_name != name for frame in dynamic))
     if not names:
         return []
     remedy = (
-        f"Nothing of {names} is used: it films when no two cameras do. Start all clips before the action and stop them "
-        "after it, or check capture.range_s and the clocks."
+        f"Nothing of {names} is used: while two training cameras film it takes no picture, or a single one. "
+        "Start all clips before the action and stop them after it, or check capture.range_s and the clocks."
     )
-    return [note("cameras that film at no modelled time", names, remedy=remedy)]
+    return [note("cameras of which nothing is used", names, remedy=remedy)]
 
 
 def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:

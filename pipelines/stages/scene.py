@@ -22,6 +22,7 @@ MAX_PIXELS = {"tiny": 64_000, "fast": 400_000, "reference": 10**9}
 SURROUND = 0.5  # length of the mean view direction; below, cameras stand around the subject
 MOST_BEHIND = 0.01  # of the sightings of points; structure from motion leaves fewer wrong ones
 MOST_AWAY = 0.5  # of the cameras; turned axes turn them all
+FEW_FRAMES = 5.0  # of a training camera, for a motion that is more than a guess
 
 
 def run(context: StageContext) -> None:
@@ -119,12 +120,14 @@ def health(bounds: "Bounds", scene: Scene) -> Iterator[HealthRow]:
         moving = {f.camera_name for f in scene.dynamic if f.split == "train"}
         counts = {name: sum(f.camera_name == name for f in scene.dynamic) for name in sorted(moving)}
         yield note("modelled time", f"{scene.t1_s - scene.t0_s:.3f} s, frames {counts}")
+        few = ", ".join(f"{name} {count}" for name, count in counts.items() if count < FEW_FRAMES)
         yield row(
             "frames of the shortest training camera",
             float(min(counts.values(), default=0)),
-            warn=5.0,
+            warn=FEW_FRAMES,
             fail=2.0,
-            remedy="The clips hardly overlap: film longer, or widen capture.range_s.",
+            remedy=f"Hardly any frames lie in the modelled time ({few}): start these cameras before the action and "
+            "stop them after it, or widen capture.range_s.",
         )
         if "hull" not in bounds.basis:
             yield note(

@@ -14,7 +14,7 @@ from devrf.capture.formats.colmap_model import ModelImage, read_model, write_mod
 from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.captured_scene import left_out
+from devrf.pipelines.captured_scene import left_out, without_single_pictures
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.stage import StageContext
@@ -106,3 +106,37 @@ def test_clips_of_other_lengths_are_named() -> None:
     (row,) = left_out(list(filmed), used)
     assert (row.value, row.verdict) == ("late", "warn") and "late" in row.remedy
     assert left_out(["cam0", "cam1", "short"], used) == []
+
+
+def moving(**counts: int) -> tuple[PosedFrame, ...]:
+    """So many pictures of each camera; those of `test` are not trained on."""
+    camera = Camera(64, 48, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(3, 4))
+    return tuple(
+        PosedFrame(Path("p.png"), camera, name, n, n / 10, n / 10, "test" if name == "test" else "train")
+        for name, count in counts.items()
+        for n in range(count)
+    )
+
+
+@pytest.mark.parametrize(
+    ("filmed", "left", "verdict", "named"),
+    [
+        ({"cam0": 9, "cam1": 9}, {"cam0", "cam1"}, "ok", ""),
+        ({"cam0": 9, "cam1": 9, "short": 1, "test": 1}, {"cam0", "cam1", "test"}, "ok", ""),
+        ({"cam0": 9, "cam1": 9, "short": 3}, {"cam0", "cam1", "short"}, "warn", "short 3"),
+        ({"cam0": 9, "short": 1}, {"cam0", "short"}, "fail", "short 1"),
+        ({"only": 9, "test": 1}, {"only", "test"}, "ok", ""),
+        ({"only": 1}, {"only"}, "fail", "only 1"),
+    ],
+)
+def test_a_camera_of_one_picture_ends_the_run_only_where_too_few_are_left(
+    odd_scene: Scene, filmed: dict[str, int], left: set[str], verdict: str, named: str
+) -> None:
+    used = without_single_pictures(moving(**filmed))
+    assert {frame.camera_name for frame in used} == left
+    gone = [name for name in filmed if name not in left]
+    assert [row.value for row in left_out(list(filmed), used)] == gone
+    bounds = scene_bounds([frame.camera for frame in odd_scene.static], [], np.zeros((0, 3)), np.zeros(0))
+    rows = {row.check: row for row in stage.health(bounds, replace(odd_scene, dynamic=used))}
+    row = rows["frames of the shortest training camera"]
+    assert row.verdict == verdict and named in row.remedy and "cam0" not in row.remedy
