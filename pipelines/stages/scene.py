@@ -72,7 +72,7 @@ def _from_dataset(context: StageContext) -> Scene:
         [f.camera for f in scene.static], [], scene.points.xyz, np.linalg.norm(end - start, axis=1)
     )
     context.health.extend(health(bounds, scene))
-    context.health.extend(box_health(bounds, {}, None, scene.dynamic))
+    context.health.extend(box_health(bounds, {}, None, scene.dynamic, scene.static))
     return replace(
         scene,
         box_from_world=bounds.box_from_world,

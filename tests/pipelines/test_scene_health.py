@@ -72,6 +72,22 @@ def test_turned_poses_and_stray_points_of_a_sparse_model_are_seen(odd_scene: Sce
     assert (row.verdict, row.value) == ("warn", 100) and row.remedy
 
 
+def test_a_data_set_with_fixed_cameras_is_asked_whether_its_sweep_came_near(
+    odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pictures at rest as they are, from 4 m, and from 34 m; the fixed cameras stand 4 m away."""
+    assert odd_scene.dynamic and odd_scene.points is not None
+    away = tuple(
+        replace(f, camera=replace(f.camera, cam_from_world=f.camera.cam_from_world + 30 * np.eye(3, 4, 3)))
+        for f in odd_scene.static
+    )
+    for static, verdict in ((odd_scene.static, "ok"), (away, "warn")):
+        scene = replace(odd_scene, static=static)
+        monkeypatch.setattr(stage, "configured_dataset", lambda *args, scene=scene: scene)
+        row = rows_of("colmap", tmp_path)["share of the box that the sweep did not come near"]
+        assert row.verdict == verdict and bool(row.remedy) == (verdict == "warn")
+
+
 def turned(image: ModelImage) -> ModelImage:
     """Half a turn about the camera's x axis."""
     w, x, y, z = image.quat_wxyz

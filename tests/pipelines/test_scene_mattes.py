@@ -35,6 +35,7 @@ WIDTH, HEIGHT, FOCAL = 64, 48, 70.0
 BALL = np.array([0.1, 0.0, 0.05])
 RADIUS = 0.3
 GREEN = np.array([40, 170, 80], np.uint8)
+NOT_SWEPT = "share of the box that the sweep did not come near"
 
 
 def look_at(angle: float, height: float = 0.5, distance: float = 2.5) -> Camera:
@@ -308,6 +309,17 @@ def test_changes_outside_the_box_stray_points_and_blind_corners() -> None:
     away = [fixed[0], *(turned_away(c) for c in fixed[1:])]
     blind = box_health(bounds, moves, None, session_frames(away))[-1]
     assert blind.check.startswith("share of the box that fewer than two") and blind.verdict == "warn"
+
+
+@pytest.mark.parametrize(("distance", "verdict"), [(2.5, "ok"), (12.0, "warn")])
+def test_a_sweep_that_did_not_come_near_the_box_is_said(distance: float, verdict: str) -> None:
+    """Fixed cameras stand 2.5 m away; from 12 m a pixel of the sweep covers several of theirs."""
+    fixed = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
+    masks = [MotionMask(c, ball(c, BALL)) for c in fixed]
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    ring = session_frames([look_at(a, distance=distance) for a in np.linspace(0, 6, 10)])
+    row = box_health(bounds, {}, None, session_frames(fixed), ring)[-1]
+    assert row.check == NOT_SWEPT and row.verdict == verdict and bool(row.remedy) == (verdict == "warn")
 
 
 def turned_away(camera: Camera) -> Camera:
