@@ -32,9 +32,16 @@ def swept():
     return model, pictures, room.show(room.camera(0.7, -1.2), seed=99)
 
 
-def seen_at(swept, moved_px: list[int | None], still: tuple[bool, bool] = (False, False)) -> RestSeen:
-    """What a camera tells in whose pictures the middle has moved by so many pixels; None: no picture."""
+def seen_at(
+    swept, moved_px: list[int | None], still: tuple[bool, bool] = (False, False), gain: float = 1.0
+) -> RestSeen:
+    """What a camera tells in whose pictures the middle has moved by so many pixels; None: no picture.
+
+    Its linear light is `gain` times the room's.
+    """
     model, pictures, view = swept
+    if gain != 1:
+        view = room.show(view.camera, gain * room.EQUAL, seed=99)
     moves = np.zeros(view.rgb.shape[:2], bool)
     moves[:, COLUMNS] = True
 
@@ -65,6 +72,12 @@ def test_points_tell_when_the_scene_is_at_rest(swept, moved_px, moment, time) ->
     assert seen.told_by_points and len(seen.seen) == MOMENTS
     found, at = rest_moment(TIMES, rest_votes([seen]), ALWAYS)
     assert found == moment and at == (None if time is None else pytest.approx(time))
+
+
+def test_a_darker_camera_sees_the_start_too(swept) -> None:
+    seen = seen_at(swept, [0, 20, 40, 50, 60, 70, 80], gain=0.6)
+    assert seen.told_by_points
+    assert rest_moment(TIMES, rest_votes([seen]), ALWAYS) == ("start", 0.0)
 
 
 def test_what_stands_still_need_not_be_the_rest(swept) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, HealthError
+from devrf.capture.scene import Rest
 from devrf.capture.view_axes import look_at
 from devrf.pipelines.joint_clips import JointViews
 from devrf.pipelines.stages import rig as rig_stage
@@ -176,6 +178,32 @@ def test_clean_pictures_drop_what_moves(tmp_path):
     assert (cv2.imread(str(rest)) != scene).any()
     with refused("pictures-none", "'cam0'", kind=CaptureError):
         clean_pictures("cam0", [], "start", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("rest", "written"),
+    [
+        ("auto", {"start": 0, "end": 6, "clip": None}),
+        ("start", {"start": 0, "clip": None}),
+        ("middle", {"middle": 3, "clip": None}),
+        ("end", {"end": 6, "clip": None}),
+        ("none", {"clip": None}),
+    ],
+)
+def test_clean_pictures_are_those_of_which_one_may_show_the_rest(
+    tmp_path: Path, rest: Rest, written: dict[str, int | None]
+) -> None:
+    """Each picture is brighter than the one before; the median of the three at the rest is that of their middle."""
+    files = [tmp_path / f"{n}.png" for n in range(9)]
+    for n, file in enumerate(files):
+        cv2.imwrite(str(file), np.full((4, 6, 3), 20 * n, np.uint8))
+    out = tmp_path / "clean"
+    out.mkdir()
+    found = clean_pictures("cam0", files, rest, out)
+    assert [path.name for path in found] == [f"cam0_{label}.png" for label in written]
+    assert sorted(out.iterdir()) == sorted(found)
+    for path, first in zip(found, written.values(), strict=True):
+        assert (cv2.imread(str(path)) == 20 * (4 if first is None else first + 1)).all()
 
 
 def board_session(

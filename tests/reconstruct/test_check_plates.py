@@ -73,12 +73,18 @@ def filmed(folder: Path, change: Change, stands: np.ndarray = ROOM) -> Scene:
 
 
 def told(scene: Scene, stands: np.ndarray = ROOM) -> tuple[PlateFit, dict[str, HealthRow]]:
+    """What is measured of the one camera, and the rows by their first words."""
+    plates, rows = checked(scene, stands)
+    return plates["cam0"], {row.check.split(" ")[0]: row for row in rows}
+
+
+def checked(scene: Scene, stands: np.ndarray = ROOM) -> tuple[dict[str, PlateFit], list[HealthRow]]:
     """What is measured against a model that shows what stands and the square at rest, blurred a little; the rows."""
     shown = stands.copy()
     shown[40:60, 10:30] = [0.9, 0.2, 0.1]
     rendered = gaussian_filter(shown, (0.7, 0.7, 0)).astype(np.float32)
     plates, held_out = check_plates(scene, moving_ball("shell").rest, lambda camera: rendered)
-    return plates["cam0"], {row.check.split(" ")[0]: row for row in plate_rows(plates, held_out, SWEEP)}
+    return plates, plate_rows(plates, held_out, SWEEP)
 
 
 def as_it_is(picture: np.ndarray, n: int) -> np.ndarray:
@@ -133,6 +139,19 @@ def test_other_light_is_told_as_such(tmp_path: Path, gains: tuple[float, float, 
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: p * gains))
     assert rows["clean"].verdict == "warn" and "calibration.colour.chart" in rows["clean"].remedy
     assert fit.by_light > MOSTLY and fit.by_place < MOST_OF_PLATE
+
+
+def test_two_cameras_in_other_light_are_both_named(tmp_path: Path) -> None:
+    """What most cameras show does not excuse them: each is held against the sweep."""
+    gains = {"cam0": 0.7, "cam1": 0.7, "cam2": 1.0}
+    clips = {name: filmed(tmp_path / name, lambda p, n, g=g: g * p) for name, g in gains.items()}
+    dynamic = [replace(f, camera_name=name) for name, clip in clips.items() for f in clip.dynamic]
+    plates, rows = checked(replace(clips["cam0"], dynamic=tuple(dynamic)))
+    of_camera = {name: next(row for row in rows if row.check.endswith(f"rest ({name})")) for name in gains}
+    assert [row.verdict for row in of_camera.values()] == ["warn", "warn", "ok"]
+    for name in ("cam0", "cam1"):
+        assert name in of_camera[name].remedy and "calibration.colour.chart" in of_camera[name].remedy
+    assert min(plates["cam0"].by_light, plates["cam1"].by_light) > MOSTLY > plates["cam2"].by_light
 
 
 def test_somebody_who_stands_there_nearly_always_is_named_with_a_place(tmp_path: Path) -> None:

@@ -65,6 +65,22 @@ def test_plates_are_drawn_beside_the_sweep(tmp_path: Path) -> None:
     assert torch.equal(alone.pixel, sweep.draw(1000, torch.Generator().manual_seed(0)).pixel)
 
 
+def test_a_camera_that_is_never_at_rest_teaches_nothing(tmp_path: Path) -> None:
+    """Every picture of it shows something else; beside a good camera all rays are that one's."""
+    good = _scene(tmp_path)
+    rng = np.random.default_rng(1)
+    restless = []
+    for n, frame in enumerate(good.dynamic):
+        path = tmp_path / f"restless{n}.png"
+        cv2.imwrite(str(path), rng.integers(0, 255, (*SIZE[::-1], 3)).astype(np.uint8))
+        restless.append(replace(frame, path=path, camera_name="cam1"))
+    rays, shares = plates(replace(good, dynamic=(*restless, *good.dynamic)), "cpu")
+    assert rays is not None and shares["cam1"] == 0 and shares["cam0"] > 0.5
+    drawn = rays.draw(2000, torch.Generator().manual_seed(0))
+    assert {rays.frames[n].camera_name for n in drawn.frame.tolist()} == {"cam0"}
+    assert plates(replace(good, dynamic=tuple(restless)), "cpu") == (None, {"cam1": 0.0})
+
+
 def test_test_cameras_and_those_that_move_have_none(tmp_path: Path) -> None:
     scene = _scene(tmp_path)
     for changed in (
