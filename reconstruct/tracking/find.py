@@ -119,6 +119,8 @@ def find_movers(
     clips = films(scene, estimator)
     surface, hidden = at_rest(scene, rest)
     progress(0.1, f"{len(surface)} points at rest")
+    if len(surface) < FEWEST_POINTS:
+        return []
     moves = moving_points(surface, clips, scene.rest_time)
     if moves.sum() < FEWEST_POINTS:
         return []

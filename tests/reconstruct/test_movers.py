@@ -29,7 +29,7 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
-from devrf.reconstruct.tracking.find import Found
+from devrf.reconstruct.tracking.find import Found, find_movers
 from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import train_deformation
@@ -345,6 +345,12 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: every)
 
     return decide
+
+
+def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestModel) -> None:
+    nothing = torch.zeros(rest.canonical.shape, dtype=torch.bool)
+    empty = replace(rest, canonical=rest.canonical.only(nothing))
+    assert find_movers(session.in_box_frame(), empty, DisFlow()) == []
 
 
 def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: RestModel, tracked) -> None:
