@@ -74,7 +74,7 @@ def true_masks(truth_file: Path, scene: Scene) -> dict[str, np.ndarray]:
 
 
 def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
-    """The `truth` block: recovered cameras and clocks against the true ones."""
+    """The `truth` block: recovered cameras and clocks, as training moved them, against the true ones."""
     centre = np.linalg.inv(scene.box_from_world)[:3, 3]
     cameras = compare_cameras(
         truth,
@@ -83,15 +83,24 @@ def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
         centre,
     )
     ingest = _read(run_dir / "ingest" / "ingest.json").get("cameras", {})
-    clocks = {
-        name: Clock(float(c["offset_s"]), float(c["drift_ppm"])) for name, c in clocks_in_use(run_dir).items()
-    }
+    clocks = _clocks_trained_with(run_dir)
     times = {name: [f["time_s"] for f in c["frames"]] for name, c in ingest.items() if name in clocks}
     errors = compare_clocks(truth, clocks, {name: (t[0], t[-1]) for name, t in times.items() if t})
     return {
         **cameras,
         "sync_ms": max(errors.values()) if errors else None,
         "sync_ms_median": float(np.median(list(errors.values()))) if errors else None,
+    }
+
+
+def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
+    """The clocks that gave the scene its times, with what training moved; on the first camera's, as that was moved."""
+    clocks = clocks_in_use(run_dir)
+    moved_s = _read(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
+    zero_s = moved_s.get(next(iter(clocks), ""), 0.0)
+    return {
+        name: Clock(float(c["offset_s"]) + moved_s.get(name, 0.0) - zero_s, float(c["drift_ppm"]))
+        for name, c in clocks.items()
     }
 
 

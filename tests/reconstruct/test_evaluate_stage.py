@@ -12,8 +12,9 @@ import pytest
 from tests.reconstruct.conftest import look_at
 from tests.scenes import scene_of
 
+from devrf.calibration.truth import read_truth
 from devrf.capture.camera import Camera
-from devrf.capture.formats import write_scene
+from devrf.capture.formats import read_scene, write_scene
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.scene import SceneConfig
@@ -190,6 +191,27 @@ def test_confidence_takes_the_times_that_were_trained_with(context: StageContext
     _run(context, monkeypatch, known=known)
     assert seen["cam1"] == [0.25, 0.75]  # the last one is beyond the motion
     assert seen["cam0"] == seen["witness"] == list(TIMES)
+
+
+@pytest.mark.parametrize(
+    ("moved_s", "off_ms"),
+    [
+        # cam1's clock is ahead of the truth by 0.4 ms; the others are right.
+        ({"cam1": -0.0004}, 0.0),
+        ({"cam1": 0.002}, 2.4),
+        # All times are those of the first camera's clock.
+        ({"cam0": 0.003}, 3.0),
+        ({"cam0": 0.0004, "cam1": 0.0}, 0.4),
+    ],
+)
+def test_clocks_that_training_moved_are_held_against_the_truth(
+    context: StageContext, moved_s: dict[str, float], off_ms: float
+):
+    path = context.run_dir / "deformation/metrics.json"
+    _json(path, {**json.loads(path.read_text()), "clock_offsets_s": moved_s})
+    truth = read_truth(context.scene_dir / "ground_truth.json")
+    found = evaluate.compare(truth, read_scene(context.run_dir / "scene"), context.run_dir)
+    assert found["sync_ms"] == pytest.approx(off_ms, abs=1e-6)
 
 
 def test_a_box_without_anything_solid_is_told():
