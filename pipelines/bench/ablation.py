@@ -65,8 +65,9 @@ def train_variants(
         if until is not None and time.monotonic() >= until:
             break
         options = bench.options(seed=seed)
+        published = bench.options("reference", seed=seed).motion
         rest = bench.rest(options.canonical)
-        for name, variant in ablated(options.motion).items():
+        for name, variant in ablated(options.motion, published).items():
             if name in only and (until is None or time.monotonic() < until):
                 results.setdefault(name, []).append(bench.motion(name, rest, variant))
     return results

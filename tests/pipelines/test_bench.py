@@ -357,7 +357,7 @@ def test_a_scene_at_rest_is_refused(devrf: Any, tmp_path: Path, data_dir: Path) 
 
 def test_ablation_takes_parts_away_and_nothing_else() -> None:
     full = PRESETS["reference"].motion
-    variants = ablated(full)
+    variants = ablated(full, full)
     assert tuple(variants) == VARIANTS == tuple(PAPER_INWARD) == tuple(PAPER_FORWARD)
     assert variants["flow"] == full
     assert sum(variants["base"].iterations) == sum(full.iterations) and len(variants["base"].levels) == 1
@@ -365,6 +365,27 @@ def test_ablation_takes_parts_away_and_nothing_else() -> None:
     weights = {name: (o.variation > 0, o.cycle > 0, o.flow > 0) for name, o in variants.items()}
     assert weights["c2f"] == (False, False, False) and weights["tv"] == (True, False, False)
     assert weights["cycle"] == (True, True, False)
+
+
+@pytest.mark.parametrize(
+    ("name", "levels"),
+    [
+        ("tiny", (7, 14, 28, 56, 112)),
+        ("fast", (10, 20, 40, 80, 160)),
+        ("reference", (10, 20, 40, 80, 160)),
+    ],
+)
+def test_ablation_is_of_fields_with_the_published_pyramid(name: str, levels: tuple[int, ...]) -> None:
+    options, published = PRESETS[name].motion, PRESETS["reference"].motion
+    for variant in ablated(options, published).values():
+        assert variant.together == 0 and variant.fine_tuning == 0
+        assert sum(variant.iterations) == sum(published.iterations) and variant.levels[-1] == levels[-1]
+        assert (variant.lr, variant.importance, variant.rays) == (
+            options.lr,
+            options.importance,
+            options.rays,
+        )
+    assert ablated(options, published)["flow"].levels == levels
 
 
 def test_rows_are_judged_against_goals() -> None:
