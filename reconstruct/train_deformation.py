@@ -23,7 +23,7 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
-from devrf.reconstruct.tracking.find import Found, find_movers, trackable
+from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.train_movers import Trained, train_movers
 from devrf.reconstruct.training_log import TrainingLog
@@ -52,8 +52,8 @@ def train_deformation(
     without it nothing is.
     """
     reason = None
-    if options.together and estimator is not None and trackable(scene, rest):
-        found = _movers(scene, rest, options, device, progress, checkpoint, estimator())
+    if options.together and estimator is not None:
+        found = _movers(scene, rest, options, device, progress, checkpoint, estimator)
         if not isinstance(found, Decision):
             return found
         reason = found
@@ -70,14 +70,17 @@ def _movers(
     device: str,
     progress: Progress,
     checkpoint: Checkpoint,
-    estimator: FlowEstimator,
+    estimator: Callable[[], FlowEstimator],
 ) -> tuple[DynamicModel, dict[str, Any]] | Decision:
-    """The model with movers and what was measured, or why there is none: they explain too little."""
+    """The model with movers and what was measured, or why there is none: tracking cannot be, or explains too little."""
+    why = why_not_tracked(scene, rest)
+    if why is not None:
+        return Decision("movers", "none", "tracked", why)
     log = TrainingLog("cpu", 1)
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # trackable
     every = find_movers(
-        boxed, rest, estimator, lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
+        boxed, rest, estimator(), lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
     )
     if not every:
         return Decision("movers", "none", "tracked", "too few points of the surface move")

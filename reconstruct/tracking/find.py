@@ -19,7 +19,7 @@ from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.still_picture import plate, standing_clips
+from devrf.reconstruct.still_picture import FEWEST_PICTURES, plate, standing_clips
 from devrf.reconstruct.tracking.film import Film, films
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph
@@ -86,11 +86,21 @@ class Found:
         return out
 
 
-def trackable(scene: Scene, rest: RestModel) -> bool:
-    """Whether movers can be tracked: a rest that clips show, seen by fixed cameras before real surroundings."""
-    if scene.rest_time is None or rest.canonical.ndc is not None or scene.background != "shell":
-        return False
-    return len(standing_clips(scene)) >= FEWEST_CAMERAS
+def why_not_tracked(scene: Scene, rest: RestModel) -> str | None:
+    """Why movers cannot be tracked; None where they can: a rest that clips show, seen by cameras that stand."""
+    if rest.canonical.ndc is not None:
+        return "the scene is forward-facing"
+    if scene.background != "shell":
+        return "the background is plain, or cut off by mattes"
+    if scene.rest_time is None:
+        return "no clip shows the scene at rest"
+    standing = len(standing_clips(scene))
+    if standing < FEWEST_CAMERAS:
+        return (
+            f"training cameras that stand, with {FEWEST_PICTURES} pictures or more: {standing}, at least "
+            f"{FEWEST_CAMERAS} are needed"
+        )
+    return None
 
 
 def find_movers(
@@ -106,7 +116,7 @@ def find_movers(
     Where a camera's clock seems to be wrong, both: with all clocks as they are, and with other ones.
 
     Args:
-        scene: In the box frame; `trackable`.
+        scene: In the box frame; `why_not_tracked` has nothing against it.
         rest: The scene at rest; stays as it is.
         estimator: Of optical flow.
         progress: Told how far it is.

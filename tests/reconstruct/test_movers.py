@@ -1,6 +1,7 @@
 """What stands and what moves: rendered, trained, saved, and asked where points are."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,12 @@ from devrf.reconstruct.guard import diverged
 from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
 from devrf.reconstruct.movers import Movers, render_layered
-from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.ndc import Ndc
+from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
-from devrf.reconstruct.tracking.find import Found, find_movers
+from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
 from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import train_deformation
@@ -341,10 +343,46 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
     def decide(travel: np.ndarray, at_other_times: np.ndarray | None = None) -> None:
         every = [found(travel, {})]
         every += [] if at_other_times is None else [found(at_other_times, {"cam1": 0.02})]
-        monkeypatch.setattr("devrf.reconstruct.train_deformation.trackable", lambda scene, rest: True)
+        monkeypatch.setattr("devrf.reconstruct.train_deformation.why_not_tracked", lambda scene, rest: None)
         monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: every)
 
     return decide
+
+
+def alone(scene: Scene) -> Scene:
+    """With one training camera."""
+    return replace(scene, dynamic=tuple(f for f in scene.dynamic if f.camera_name == "cam0"))
+
+
+@pytest.mark.parametrize(
+    ("scene_is", "ndc", "word"),
+    [
+        (alone, None, "more: 1, at least 2"),
+        (lambda scene: replace(scene, rest_time=None), None, "at rest"),
+        (lambda scene: replace(scene, background="white"), None, "plain"),
+        (lambda scene: scene, Ndc(1.0, 1.0), "forward-facing"),
+    ],
+)
+def test_why_nothing_is_tracked_is_said(
+    session: Scene,
+    rest: RestModel,
+    monkeypatch: pytest.MonkeyPatch,
+    scene_is: Callable[[Scene], Scene],
+    ndc: Ndc | None,
+    word: str,
+) -> None:
+    scene = replace(session, background="shell")
+    assert why_not_tracked(scene, rest) is None
+    rest = replace(rest, canonical=copy.copy(rest.canonical))
+    rest.canonical.ndc = ndc
+    monkeypatch.setattr(
+        "devrf.reconstruct.train_deformation._field",
+        lambda *arguments: (DynamicModel(rest), {"decisions": []}),
+    )
+    (decision,) = train_deformation(scene_is(scene), rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
+    assert decision.startswith("movers: none instead of tracked") and word in decision
+    _, metrics = train_deformation(scene_is(scene), rest, {}, PRESETS["reference"].motion, estimator=DisFlow)
+    assert metrics["decisions"] == []
 
 
 def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestModel) -> None:
