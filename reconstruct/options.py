@@ -94,7 +94,8 @@ class MotionOptions:
         lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
         learning_rate: Factor on it and on fine-tuning's.
         one_camera: Each step draws from one camera, the cameras in turn, as published.
-        importance: Share of rays drawn where the pictures change over time (0: uniform, as published).
+        importance: Share of rays drawn where the pictures change over time (0: uniform, as published). Above 0 nothing
+            is trained where they never do.
         cycle, flow, variation, entropy, per_point: Weights of the losses beside the re-rendering loss.
         flow_confidence: A vector of flow counts by its confidence and by how far the pictures agree with it
             (`checked_flow.py`; False: all valid ones alike, as published).

@@ -33,9 +33,9 @@ def still_keys(
             before = now
     if not still:
         return still, None
-    trained = f"{len(order) - len(still)}"
-    reason = "at the others no camera sees a change"
-    return still, Decision("key times to train", trained, f"{len(order)}", reason)
+    trained = len(order) - len(still)
+    reason = "at the others no camera sees a change" if trained else "nothing moves: no camera sees a change"
+    return still, Decision("key times to train", f"{trained or 'none'}", f"{len(order)}", reason)
 
 
 def still_beyond_rest(rays: RaySet, tau: Float[Tensor, " F"], keys: int, rest_key: int | None) -> set[int]:

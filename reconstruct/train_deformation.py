@@ -15,8 +15,8 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
+from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
-from devrf.reconstruct.clocks import retimed
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.options import MotionOptions
@@ -78,7 +78,7 @@ def _movers(
         return Decision("movers", "none", "tracked", why)
     log = TrainingLog("cpu", 1)
     boxed = scene.in_box_frame()
-    assert boxed.rest_time is not None  # trackable
+    assert boxed.rest_time is not None  # it can be tracked
     every = find_movers(
         boxed, rest, estimator(), lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
     )
@@ -171,7 +171,7 @@ def _field(
     checkpoint: Checkpoint,
     watch: Watch | None,
 ) -> tuple[DynamicModel, dict[str, Any]]:
-    """Motion as a field, then the scene at rest as it looks in motion."""
+    """Motion as a field, then the scene at rest as it looks in motion, if anything moves."""
     share = MOTION if options.fine_tuning else 1.0
     motion, metrics = train_motion(
         scene,
@@ -183,7 +183,7 @@ def _field(
         checkpoint,
         watch,
     )
-    if not options.fine_tuning:
+    if not options.fine_tuning or not (metrics["iterations"] or options.fine_tuning_given):
         return DynamicModel(rest, motion), metrics
     tuned = fine_tune(
         scene,

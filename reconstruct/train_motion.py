@@ -201,10 +201,11 @@ class _Recipe:
         self.direction = 1  # from the key before to the present one
         self.device = device
         self.still = still_beyond_rest(rays, self.tau_of_frame, keys, self.motion.rest_key)
-        if options.adapt:
+        if options.adapt or options.importance > 0:
             still, decision = still_keys(rays, self.tau_of_frame, self.order, self.motion.rest_key)
-            self.still |= still
-            self._note(decision)
+            if options.adapt or len(still) == len(self.order):
+                self.still |= still
+                self._note(decision)
 
     def _note(self, decision: Decision | None) -> None:
         """Keep a decision, where what the preset offers was not taken."""

@@ -424,6 +424,24 @@ def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: R
     assert list(mover_rows(metrics)) == []
 
 
+@pytest.mark.parametrize("preset", ["tiny", "fast", "reference"])
+def test_a_scene_in_which_nothing_moves_costs_nothing(
+    ball: Ball, rest: RestModel, tmp_path: Path, preset: str
+) -> None:
+    scene = ball_clips(ball, tmp_path, 5, 0 * TRAVEL)
+    small = {"levels": (4,), "iterations": (2,), "rays": 64, "keys": 3}
+    options = replace(PRESETS[preset].motion, **small)
+    model, metrics = train_deformation(scene, rest, {}, options)
+    said = [line for line in metrics["decisions"] if line.startswith("key times to train: none instead of 2")]
+    if preset == "reference":
+        assert metrics["iterations"] == 4 and not metrics["decisions"]
+        return
+    assert metrics["iterations"] == 0 and metrics["decisions"] == said and len(said) == 1
+    assert model.in_motion is None and "fine_tuning_s" not in metrics
+    assert model.motion is not None and metrics["largest_motion"] == 0
+    assert float(model.motion.backward.abs().max()) == 0
+
+
 def test_moved_clocks_are_said() -> None:
     assert moved_clock_rows({}) == []
     (row,) = moved_clock_rows({"cam1": 0.004, "cam2": -0.057})
