@@ -1,11 +1,10 @@
-"""Pictures at other times than their clocks say, and how well the motion explains them there.
+"""How well the motion explains pictures at other times than their clocks say.
 
 Rays carry exact times and the motion interpolates between key times, so the error of a picture is a function of its
 camera's offset (Sync-NeRF, Kim et al., AAAI 2024, descends it beside the field).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
@@ -13,31 +12,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.moving_pixels import ChangingPixels, draw_with_importance
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 
-BEYOND = 1e-3  # of all modelled time, that a picture may lie outside of it
 RAYS = 96  # of each picture, where pictures change
-
-
-def retimed(scene: Scene, offsets_s: Mapping[str, float]) -> Scene:
-    """The scene with training pictures of some cameras taken so much later, less those beyond what is modelled."""
-    span_s = scene.t1_s - scene.t0_s
-
-    def moved(frame: PosedFrame) -> PosedFrame | None:
-        offset_s = offsets_s.get(frame.camera_name, 0.0) if frame.split == "train" else 0.0
-        if offset_s == 0 or frame.time_s is None:
-            return frame
-        time_s = frame.time_s + offset_s
-        time = (time_s - scene.t0_s) / span_s
-        if not -BEYOND <= time <= 1 + BEYOND:
-            return None
-        return replace(frame, time_s=time_s, time=min(1.0, max(0.0, time)))
-
-    return replace(scene, dynamic=tuple(f for f in map(moved, scene.dynamic) if f is not None))
 
 
 @torch.no_grad()

@@ -1,6 +1,5 @@
 """`devrf-pipeline render` with options: check everything, make the film, say where it is and what to expect of it."""
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +10,6 @@ import numpy as np
 from devrf.capture.amounts import size_text
 from devrf.capture.durable import write_json
 from devrf.capture.errors import CaptureError, DevrfError, InputError
-from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.capture.writable import check_folder
 from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
@@ -31,6 +29,7 @@ from devrf.pipelines.runner.signals import stopped_by_signals
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.stamps.stamp import STAMP
+from devrf.pipelines.trained_scene import trained_scene
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.model import DynamicModel
@@ -62,7 +61,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     asked.check()
     folder = _folder(job, asked)
     _check_made(job)
-    world = read_scene(job.run_dir / "scene")
+    world = trained_scene(job.run_dir)
     moves = (job.run_dir / "deformation" / STAMP).is_file()
     plan = planned(asked, world, moves, SIZES[job.config.preset][2])
     _check_memory(job, plan)
@@ -103,7 +102,7 @@ def _make(
         there = kept.count(plan.layers[0])
         if there:
             talk.say(f"  going on: {there} of {plan.count} pictures are there")
-        confidence = _confidence(talk, job, world, model) if "confidence" in plan.layers else None
+        confidence = _confidence(talk, world, model) if "confidence" in plan.layers else None
         drawer = Drawer(plan, model, confidence, depth)
         try:
             with talk.progress(f"film {folder.name}") as progress:
@@ -222,13 +221,11 @@ def _leaving(plan: Film, model: "DynamicModel") -> list[str]:
     return notes
 
 
-def _confidence(talk: Talk, job: Run, world: Scene, model: "DynamicModel") -> Any:
-    from devrf.reconstruct.as_trained import as_trained
+def _confidence(talk: Talk, world: Scene, model: "DynamicModel") -> Any:
     from devrf.reconstruct.confidence import Confidence
 
     talk.say("  looking at training pictures, to know how sure a picture is")
-    metrics = job.run_dir / "deformation" / "metrics.json"
-    return Confidence(as_trained(world, json.loads(metrics.read_text()) if metrics.is_file() else {}), model)
+    return Confidence(world, model)
 
 
 @contextmanager

@@ -92,7 +92,7 @@ def moved_clock_rows(offsets_s: Mapping[str, float]) -> list[HealthRow]:
     every = ", ".join(f"{camera} {1e3 * offset_s:+.0f} ms" for camera, offset_s in offsets_s.items())
     return [
         row(
-            MOVED,
+            f"{MOVED} ({name})",
             1e3 * abs(offsets_s[name]),
             "ms",
             warn_above=MOVED_MS,

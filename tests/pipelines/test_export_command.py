@@ -14,7 +14,7 @@ from tests.refused import refused
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.rig import Rig, read_rig
-from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
+from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset, write_scene
 from devrf.capture.formats.export import MARKER, README
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Scene
@@ -67,6 +67,24 @@ def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Sc
     rows = json.loads((folder / "again/scene/health.json").read_text())["rows"]
     assert any("dataset.frame_stride is 2" in str(row["value"]) for row in rows)
     assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "dis"
+
+
+def test_a_data_set_has_the_times_that_were_trained_with(odd_scene: Scene, tmp_path: Path) -> None:
+    for name in ("scene", "deformation"):
+        (tmp_path / "run" / name).mkdir(parents=True)
+    write_scene(tmp_path / "run" / "scene", odd_scene)
+    (tmp_path / "run" / "scene" / "stamp.json").touch()
+    (tmp_path / "run" / "deformation" / "metrics.json").write_text('{"clock_offsets_s": {"cam0": -0.3}}')
+    folder = export(Talk("normal"), tmp_path / "run", "nerfstudio", None)
+
+    def times_s(scene: Scene, name: str) -> list[float]:
+        return [f.time_s for f in scene.dynamic if f.camera_name == name and f.time_s is not None]
+
+    written = read_dataset("nerfstudio", folder)
+    # The first of its five pictures was taken before anything is modelled.
+    assert times_s(written, "cam0") == pytest.approx([t - 0.3 for t in times_s(odd_scene, "cam0")[1:]])
+    for name in ("cam1", "witness"):
+        assert times_s(written, name) == pytest.approx(times_s(odd_scene, name))
 
 
 def test_an_export_is_not_written_through_a_link(devrf: Callable, tmp_path: Path) -> None:

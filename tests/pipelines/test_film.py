@@ -123,6 +123,15 @@ def test_true_pictures_stand_beside_at_their_own_times(scene: Path) -> None:
     assert (picture[:, 48:52] == 255).all()
 
 
+def test_true_pictures_stand_beside_at_the_times_that_were_trained_with(scene: Path) -> None:
+    """Training moved a camera's clock by a quarter of the scene: its last picture is beyond the motion."""
+    metrics = scene.parent / "run" / "deformation" / "metrics.json"
+    metrics.write_text(json.dumps({"clock_offsets_s": {"cam1": 0.5}}))
+    found = about(film(scene, path="still:cam1", beside="cam1", format="png", size=None))
+    assert found["beside"] == [["cam1", n] for n in (0, 0, 2, 3)]
+    assert [entry["render_time"] for entry in found["camera_path"]] == [0.25, 0.25, 0.75, 1]
+
+
 def test_a_film_is_a_camera_path_that_is_filmed_again(scene: Path) -> None:
     """film.json leads to the same pictures, time standing still included."""
     first = film(scene, path="spiral", time="2.0s", format="png")

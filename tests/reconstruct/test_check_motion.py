@@ -13,6 +13,7 @@ from tests.reconstruct.conftest import true_motion
 
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.in_motion import in_motion_rows
+from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.check_motion import (
     FEWEST_PICTURES,
@@ -22,7 +23,7 @@ from devrf.reconstruct.check_motion import (
     better_shift,
     check_motion,
 )
-from devrf.reconstruct.clocks import error_curves, retimed
+from devrf.reconstruct.clocks import error_curves
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.ndc import CUBE, Ndc

@@ -448,7 +448,7 @@ def test_moved_clocks_are_said() -> None:
     assert row.verdict == "warn" and row.value == pytest.approx(57)
     assert "cam1 +4 ms, cam2 -57 ms" in row.remedy and "lag of cam2" in row.remedy
     (row,) = moved_clock_rows({"cam1": 0.004})
-    assert row.verdict == "ok"
+    assert row.verdict == "ok" and row.check.endswith(" (cam1)")
 
 
 def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
