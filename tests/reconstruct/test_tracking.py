@@ -1,5 +1,7 @@
 """Points on two textured cards, each with its own motion, are followed, and found to be two rigid parts."""
 
+from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +35,7 @@ CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
 PICTURES, REST = 9, 4  # of each camera; number of the one at rest
 GAP = 1 / (PICTURES - 1)
 WALL = -0.8  # y of the wall behind the cards
+EDGE_PX = 2.0  # of a shade
 
 
 def texture(seed: int) -> np.ndarray:
@@ -258,16 +261,20 @@ def test_two_motions_are_two_parts(tracks: Tracks) -> None:
     assert np.array_equal(labels == labels[0], card == card[0])
 
 
-def test_the_wall_stands_and_the_cards_move(films: list[Film]) -> None:
+def cards_and_wall() -> Surface:
+    """The points on the cards, then those on the wall."""
     cards, _ = on_cards()
     along = np.arange(-0.9, 0.9, SPACING)
     x, z = (grid.ravel() for grid in np.meshgrid(along, along))
     wall = np.stack([x, np.full_like(x, WALL), z], 1)
     xyz = np.concatenate([cards.xyz, wall])
     normals = np.tile([0.0, 1.0, 0.0], (len(xyz), 1))
-    rgb = np.concatenate([cards.rgb, np.zeros_like(wall)])
-    moves = moving_points(Surface(xyz, normals, rgb, SPACING), films, 0.5)
-    assert moves[: len(cards)].mean() > 0.95 and moves[len(cards) :].mean() < 0.05
+    return Surface(xyz, normals, np.concatenate([cards.rgb, np.zeros_like(wall)]), SPACING)
+
+
+def test_the_wall_stands_and_the_cards_move(films: list[Film]) -> None:
+    moves, cards = moving_points(cards_and_wall(), films, 0.5), len(on_cards()[0])
+    assert moves[:cards].mean() > 0.95 and moves[cards:].mean() < 0.05
 
 
 def test_a_shoe_does_not_belong_to_the_floor_of_its_colour() -> None:
@@ -396,3 +403,54 @@ def test_pictures_are_read_once_while_they_are_asked_for(films: list[Film], monk
     for n in (0, 1, 0, 2, 0, 3, 0, 4):
         film.picture(n)
     assert read == [PICTURES - 1 - n for n in range(5)]
+
+
+def otherwise(film: Film, change: Callable[[int, np.ndarray], np.ndarray]) -> Film:
+    """With what is made of its pictures, by their numbers."""
+    pictures = {n: change(n, film.picture(n)) for n in range(len(film.times))}
+    eight_bit = {n: (255 * picture).round().astype(np.uint8) for n, picture in pictures.items()}
+    return replace(film, _pictures=OrderedDict(eight_bit), _sharp=OrderedDict())
+
+
+@pytest.mark.parametrize("colour", ["grey", "red"])
+def test_a_shade_that_crosses_what_stands_moves_nothing(films: list[Film], colour: str) -> None:
+    """A band that takes half of the light of standing cards and wall; were it red, it would count."""
+    takes = np.array([0.5, 0.5, 0.5] if colour == "grey" else [0.0, 0.5, 0.5])
+
+    def shaded(film: Film, n: int) -> np.ndarray:
+        across = np.linspace(0, 1, film.camera.width)
+        band = (np.abs(across - n / (PICTURES - 1)) < 0.25) & (n != REST)
+        return film.picture(REST) * (1 - gaussian_filter(band.astype(float), EDGE_PX)[:, None] * takes)
+
+    crossed = [otherwise(film, lambda n, _, film=film: shaded(film, n)) for film in films]
+    moves = moving_points(cards_and_wall(), crossed, 0.5)
+    assert moves.any() == (colour == "red")
+
+
+def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[Film]) -> None:
+    surface, _ = on_cards()
+    K, turn = films[0].camera.K, Rotation.from_rotvec([0, np.radians(2), 0]).as_matrix()
+    seen = K @ turn @ np.linalg.inv(K)
+    bumped = otherwise(films[0], lambda n, x: cv2.warpPerspective(x, seen, (240, 180)) if n > REST + 1 else x)
+    found = follow_both_ways(surface, Graph(surface), [bumped, *films[1:]], 0.5)[0]
+    assert found.xyz.shape == (PICTURES, len(surface), 3) and np.isfinite(found.xyz).all()
+
+
+def test_a_film_at_half_the_rate_is_followed_as_well(films: list[Film]) -> None:
+    surface, card = on_cards()
+    slow = replace(films[0], frames=films[0].frames[::2], times=films[0].times[::2])
+    found = follow_both_ways(surface, Graph(surface), [slow, *films[1:]], 0.5)[0]
+    assert not found.offsets.any() and np.allclose(found.times, np.linspace(0, 1, PICTURES))
+    wrong = np.linalg.norm(found.xyz - true_tracks(surface, card, found.times), axis=-1)
+    assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02
+
+
+def test_a_graph_of_one_node_follows_it() -> None:
+    surface, _ = on_cards()
+    few = surface.only(np.linalg.norm(surface.xyz - CENTRES[0], axis=1) < 2 * SPACING)
+    graph, pose, goal = Graph(few), Pose.rest(1), few.xyz + [0.01, 0.02, -0.015]
+    assert len(graph.nodes) == 1 and len(few) > 4 and not len(graph.edges)
+    for _ in range(3):
+        pulls = Pulls(np.tile(1e4 * np.eye(3), (len(few), 1, 1)), 1e4 * (graph.points(pose) - goal))
+        pose = step(graph, pose, Pose.rest(1), pulls)
+    assert np.abs(graph.points(pose) - goal).max() < 1e-4
