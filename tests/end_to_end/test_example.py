@@ -121,6 +121,10 @@ def test_motion_beats_standing_still(metrics: dict[str, Any], bounds: Bounds) ->
     assert gain >= bounds.motion_gain_db
 
 
+def test_what_moves_is_tracked(whole_run: ExampleRun) -> None:
+    assert read(whole_run.run_dir / "deformation" / "metrics.json").get("parts", 0) >= 1
+
+
 @ONLY_WHOLE
 def test_it_fits_into_the_memory_of_a_laptop(whole_run: ExampleRun) -> None:
     peaks = {stage: read(whole_run.run_dir / stage / "stamp.json")["peak_rss_gb"] for stage in STAGES}
