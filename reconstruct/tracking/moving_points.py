@@ -28,9 +28,12 @@ BUSY = 0.5  # of the largest share of points that change: in pictures with as ma
 MOVES = 0.3  # share of the busy pictures from which a point moves
 ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
+SHADE = 0.1  # the same where only brightness changes: else the edge of a shade takes all that it crosses for moving
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
-# Votes that neighbours of one plane and colour are worth; of that, across a crease; spacings off each other's plane.
-TOGETHER, CREASE, FLAT = 8.0, 0.003, 0.5
+# Votes that neighbours of one plane and colour are worth: what moves by either. By the first alone, small things stay
+# where they stand on others, bricks and shoes; by the second alone, poles do beside a sheet, and its edge with them.
+TOGETHER = 8.0, 4.0
+CREASE, FLAT = 0.003, 0.5  # of that, across a crease; spacings off each other's plane
 # Fewer points than these, nearer than so many spacings, follow their surroundings.
 CRUMB, CRUMB_REACH = 60, 2.5
 BY_TWO = 0.1  # share of a piece's seen points: fog has 0 to 0.03, what moves 0.22 and more (five captures)
@@ -46,7 +49,8 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
         rest_time: Of the scene, in [0, 1].
     """
     even, raw = np.stack([_changes(surface, film, rest_time) for film in films], axis=1)
-    return _seen_by_two(surface, _cut(surface, _votes(even, raw)), np.isfinite(even).sum(0))
+    votes, cameras = _votes(even, raw), np.isfinite(even).sum(0)
+    return np.any([_seen_by_two(surface, _cut(surface, votes, t), cameras) for t in TOGETHER], axis=0)
 
 
 def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray, "2 n"]:
@@ -82,15 +86,15 @@ def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray
 
 
 def _votes(even: Float[np.ndarray, "c n"], raw: Float[np.ndarray, "c n"]) -> Float[np.ndarray, " n"]:
-    """For motion above 0, against it below; 0 where nothing is known, or only brightness speaks for it."""
+    """For motion above 0, against it below, a little where only brightness speaks for it; 0 where nothing is known."""
     seen = np.isfinite(even).sum(0)
     least, least_raw = (np.where(np.isfinite(x), x, 9.0).min(0) for x in (even, raw))
     votes = np.where(least > MOVES, np.clip(3 * least - 0.6, 0, 1), -STAYS * np.clip(1.2 - 3 * least, 0, 1))
-    votes[(least <= MOVES) & (least_raw > MOVES + 0.1)] = 0
+    votes[(least <= MOVES) & (least_raw > MOVES + 0.1)] = -SHADE
     return votes * np.select([seen == 0, seen == 1], [0.0, ONE_CAMERA], 1.0)
 
 
-def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _cut(surface: Surface, votes: Float[np.ndarray, " n"], together: float) -> Bool[np.ndarray, " n"]:
     xyz, n = surface.xyz, len(surface)
     if n <= NEIGHBOURS or not (votes > 0).any():
         return np.zeros(n, dtype=bool)
@@ -103,7 +107,7 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     middle = surface.normals[rows] + surface.normals[columns]
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-6)
     off = ((xyz[columns] - xyz[rows]) * middle).sum(1)
-    weight *= TOGETHER * np.maximum(CREASE, level) * np.exp(-((off / (FLAT * surface.spacing)) ** 2))
+    weight *= together * np.maximum(CREASE, level) * np.exp(-((off / (FLAT * surface.spacing)) ** 2))
     links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
     links = links.maximum(links.T).tocoo()
     source, sink = n, n + 1

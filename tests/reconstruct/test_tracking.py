@@ -22,7 +22,7 @@ from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.moving_points import _cut, _seen_by_two, moving_points
+from devrf.reconstruct.tracking.moving_points import TOGETHER, _cut, _seen_by_two, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
@@ -35,7 +35,6 @@ CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
 PICTURES, REST = 9, 4  # of each camera; number of the one at rest
 GAP = 1 / (PICTURES - 1)
 WALL = -0.8  # y of the wall behind the cards
-EDGE_PX = 2.0  # of a shade
 
 
 def texture(seed: int) -> np.ndarray:
@@ -286,8 +285,21 @@ def test_a_shoe_does_not_belong_to_the_floor_of_its_colour() -> None:
         xyz = np.concatenate([floor, shoe + [SPACING / 2, SPACING / 2, height]])
         normals, rgb = np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), np.full((len(xyz), 3), 0.4)
         votes = np.repeat([-0.6, 0.9], [len(floor), len(shoe)])
-        found = _cut(Surface(xyz, normals, rgb, SPACING), votes)
-        assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
+        for together in TOGETHER:
+            found = _cut(Surface(xyz, normals, rgb, SPACING), votes, together)
+            assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
+
+
+def test_a_brick_does_not_belong_to_the_brick_below() -> None:
+    """They have one side in common and unlike colours; the upper one is pushed off."""
+    along = np.arange(14) * SPACING
+    x, z = (grid.ravel() for grid in np.meshgrid(along, along))
+    xyz, upper = np.stack([x, np.zeros_like(x), z], 1), z > 6.5 * SPACING
+    rgb = np.where(upper[:, None], [0.7, 0.4, 0.2], [0.4, 0.4, 0.4])
+    surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
+    votes = np.where(upper, 0.6, -0.6)
+    found = np.any([_cut(surface, votes, together) for together in TOGETHER], axis=0)
+    assert np.array_equal(found, upper)
 
 
 def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_by_two() -> None:
@@ -412,15 +424,17 @@ def otherwise(film: Film, change: Callable[[int, np.ndarray], np.ndarray]) -> Fi
     return replace(film, _pictures=OrderedDict(eight_bit), _sharp=OrderedDict())
 
 
-@pytest.mark.parametrize("colour", ["grey", "red"])
-def test_a_shade_that_crosses_what_stands_moves_nothing(films: list[Film], colour: str) -> None:
+@pytest.mark.parametrize(("colour", "edge_px"), [("grey", 2.0), ("grey", 0.0), ("red", 2.0)])
+def test_a_shade_that_crosses_what_stands_moves_nothing(
+    films: list[Film], colour: str, edge_px: float
+) -> None:
     """A band that takes half of the light of standing cards and wall; were it red, it would count."""
     takes = np.array([0.5, 0.5, 0.5] if colour == "grey" else [0.0, 0.5, 0.5])
 
     def shaded(film: Film, n: int) -> np.ndarray:
         across = np.linspace(0, 1, film.camera.width)
         band = (np.abs(across - n / (PICTURES - 1)) < 0.25) & (n != REST)
-        return film.picture(REST) * (1 - gaussian_filter(band.astype(float), EDGE_PX)[:, None] * takes)
+        return film.picture(REST) * (1 - gaussian_filter(band.astype(float), edge_px)[:, None] * takes)
 
     crossed = [otherwise(film, lambda n, _, film=film: shaded(film, n)) for film in films]
     moves = moving_points(cards_and_wall(), crossed, 0.5)
