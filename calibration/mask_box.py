@@ -1,9 +1,9 @@
 """The box of what masks of cameras show: the smallest one that still explains them.
 
 On a coarse grid, what projects into every mask is a visual hull (Laurentini, PAMI 1994): one of all time, and within it
-one of each stretch of time. A few cameras on one side leave far more in it than is there: what lies behind, and where
-ways past one thing meet ways past another. So the sides of the box come in while nearly every pixel of each mask still
-looks at some of its hull.
+one of each stretch of time. Cameras on one side cannot tell a thing from the space behind it, nor from where lines of
+sight past different things cross, and leave far more in it than is there. So the sides of the box come in while nearly
+every pixel of each mask still looks at some of its hull.
 """
 
 from collections.abc import Sequence
@@ -80,7 +80,7 @@ def _drawn_in(
     while left:
         low, high = -ends[:3], ends[3:]
         inward = {
-            side: min(ends[side], OVERLAP * cell + max(hull.needs(side, low, high) for hull in hulls))
+            side: _inward(ends[side], OVERLAP * cell + max(hull.needs(side, low, high) for hull in hulls))
             for side in left
         }
         best = max(left, key=lambda side: (ends[side] - inward[side]) / (high - low)[side % 3])
@@ -190,6 +190,11 @@ class _Hull:
 def _end(ends: Float[np.ndarray, " n"], may_go: int) -> float:
     """The end of what is left of rising ends if so many may go."""
     return np.inf if may_go < 0 else -np.inf if may_go >= len(ends) else float(ends[-1 - may_go])
+
+
+def _inward(end: float, needed: float) -> float:
+    """Where a side goes; where nothing needs it, no pixel speaks for any place (light alone changes), and it stays."""
+    return min(end, needed) if np.isfinite(needed) else end
 
 
 def _pixels(mask: MotionMask, world: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:

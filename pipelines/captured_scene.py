@@ -54,7 +54,9 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
     mattes = scene_mattes(
         context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
     )
-    moves, stretches = what_moves(ingest, frames, rig, clocks, (t0_s, t1_s))
+    used = {frame.camera_name for frame in dynamic}
+    filming = {name: camera for name, camera in frames.moving.items() if name in used}
+    moves, stretches = what_moves(ingest, filming, rig, clocks, (t0_s, t1_s))
     if mattes is None:
         masks = list(moves.values())
     else:

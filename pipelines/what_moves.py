@@ -12,7 +12,7 @@ from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask
 from devrf.calibration.rigs.rig import Rig
 from devrf.capture.camera import Camera
-from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.frames import CameraFrames
 from devrf.capture.pictures import read_grey
 from devrf.reconstruct.pictures import spread
 
@@ -32,24 +32,28 @@ class FilmedClip(NamedTuple):
         """What moves from one time to another, a picture and what the clock is unsure of around these."""
         if len(self.pictures) < FEWEST_PICTURES:
             return None
-        around_s = float(np.median(np.diff(self.time_s))) + self.std_s
+        around_s = float(np.median(np.diff(self.time_s))) + np.nan_to_num(self.std_s, nan=np.inf)
         inside = (self.time_s >= from_s - around_s) & (self.time_s <= to_s + around_s)
         some = [self.pictures[n] for n in np.flatnonzero(inside)]
         return motion_mask(self.camera, some) if len(some) >= FEWEST_PICTURES else None
 
 
 def what_moves(
-    ingest: Path, frames: FrameSet, rig: Rig, clocks: Mapping[str, Clock], span_s: tuple[float, float]
+    ingest: Path,
+    cameras: Mapping[str, CameraFrames],
+    rig: Rig,
+    clocks: Mapping[str, Clock],
+    span_s: tuple[float, float],
 ) -> tuple[dict[str, MotionMask], list[list[MotionMask | None]]]:
     """Masks of the cameras that have pictures enough, and theirs in each stretch of the modelled time.
 
     Args:
         ingest: Folder of that stage.
-        frames: What is in it.
+        cameras: Fixed cameras that film in the modelled time.
         rig, clocks: Of the fixed cameras.
         span_s: From when to when is modelled.
     """
-    clips = {n: _filmed(ingest, c, rig.cameras[n].camera, clocks[n]) for n, c in frames.moving.items()}
+    clips = {n: _filmed(ingest, c, rig.cameras[n].camera, clocks[n]) for n, c in cameras.items()}
     moves = {name: mask for name, clip in clips.items() if (mask := clip.mask()) is not None}
     ends_s = np.linspace(*span_s, STRETCHES + 1)
     stretches = [

@@ -30,6 +30,7 @@ def most_together(times: Mapping[str, Float[np.ndarray, " _"]], least: int) -> l
         least: Pictures that each of them has to have in the span.
     """
     best, longest_s = list[str](), 0.0
+    times = {name: t for name, t in times.items() if len(t) >= least}
     for begin, end in product({float(t[0]) for t in times.values()}, {float(t[-1]) for t in times.values()}):
         covering = [name for name, t in times.items() if t[0] <= begin and end <= t[-1]]
         names = [n for n in covering if ((times[n] >= begin) & (times[n] <= end)).sum() >= least]

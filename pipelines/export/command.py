@@ -51,8 +51,8 @@ def export(
     folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
     _check(run_dir, name, chosen, options)
     check_target(folder, name)
-    # the model moves where that stage has run
-    last = "deformation" if chosen.stage == "canonical" else chosen.stage
+    # the model moves where that stage has run, and so do clocks
+    last = "deformation" if chosen.stage in ("canonical", "scene") else chosen.stage
     notes = [*_unhealthy(run_dir, last), *stale(last)]
     request = Request(talk, run_dir, name, folder, options, title or run_dir.name, notes)
     chosen.write(request)

@@ -19,7 +19,7 @@ from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.health.rows import HealthRow, listed, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
-from devrf.reconstruct.as_trained import as_trained
+from devrf.pipelines.trained_scene import trained_scene
 from devrf.reconstruct.confidence import Confidence
 from devrf.reconstruct.confidence_subject import subject_confidence
 from devrf.reconstruct.evaluate import LpipsNets, evaluate, motion_psnr
@@ -35,10 +35,9 @@ NEEDS_TEST_VIEWS = (TEST_VIEWS, GAIN, AGAINST_TRUTH)
 def run(context: StageContext) -> None:
     """Write `metrics.json` and `views/`."""
     config = context.config
-    scene = read_scene(context.run_dir / "scene")
+    scene, trained = read_scene(context.run_dir / "scene"), trained_scene(context.run_dir)
     lpips = lpips_nets(config, context.scene_dir, context.device)
     model = load_trained(context.run_dir, context.device)
-    trained = as_trained(scene, _read(context.run_dir / "deformation" / "metrics.json"))
     confidence = Confidence(trained, model)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)

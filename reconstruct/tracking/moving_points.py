@@ -30,8 +30,8 @@ ONE_CAMERA = 0.6  # weight of what one camera says alone
 STAYS = 0.6  # weight of the vote against motion
 SHADE = 0.1  # the same where only brightness changes: else the edge of a shade takes all that it crosses for moving
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
-# Votes that neighbours of one plane and colour are worth: what moves by either. By the first alone, small things stay
-# where they stand on others, bricks and shoes; by the second alone, poles do beside a sheet, and its edge with them.
+# Votes that neighbours of one plane and colour are worth: what moves by either. By the first alone, things stay
+# where they stand on others, as bricks do; by the second alone, poles do beside a sheet, and its edge with them.
 TOGETHER = 8.0, 4.0
 CREASE, FLAT = 0.003, 0.5  # of that, across a crease; spacings off each other's plane
 # Fewer points than these, nearer than so many spacings, follow their surroundings.

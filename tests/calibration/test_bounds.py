@@ -221,7 +221,7 @@ def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
 
 def test_the_box_is_no_larger_than_explains_what_moves() -> None:
     """Two balls pass each other before cameras on one side: masks of all time are wide bands, and agree far behind."""
-    fixed, radius, count = ring(4, 1.2), 0.12, 13
+    fixed, radius, count = ring(4, 1.2), 0.12, 7
     there, back = np.linspace(-0.7, 0.7, count), np.linspace(0.7, -0.7, count)
     still = np.ones(count)
     ways = np.stack([[there, -0.25 * still, 0.1 * still], [back, 0.3 * still, -0.1 * still]]).transpose(
@@ -239,6 +239,14 @@ def test_the_box_is_no_larger_than_explains_what_moves() -> None:
     sides = np.ptp(smallest, axis=0)
     assert (smallest[0] < balls.min(0)).all() and (smallest[1] > balls.max(0)).all()
     assert (sides < np.ptp(balls, axis=0) + 5 * radius).all()
+
+
+def test_where_light_alone_changes_the_box_is_what_masks_agree_on() -> None:
+    fixed = ring(4, 2.2)
+    masks = [MotionMask(c, ball_mask(c).mask, pattern=np.zeros((c.height, c.width), bool)) for c in fixed]
+    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    assert np.isfinite(bounds.aabb).all() and np.isfinite(bounds.box_from_world).all()
+    assert (np.abs(in_box(bounds, BALL[None])) <= bounds.aabb[1]).all() and (bounds.size < 8 * RADIUS).all()
 
 
 def test_a_camera_that_does_not_film_in_a_stretch_says_nothing_of_it() -> None:

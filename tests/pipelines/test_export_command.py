@@ -73,7 +73,8 @@ def test_a_data_set_has_the_times_that_were_trained_with(odd_scene: Scene, tmp_p
     for name in ("scene", "deformation"):
         (tmp_path / "run" / name).mkdir(parents=True)
     write_scene(tmp_path / "run" / "scene", odd_scene)
-    (tmp_path / "run" / "scene" / "stamp.json").touch()
+    for name in ("scene", "deformation"):
+        (tmp_path / "run" / name / "stamp.json").touch()
     (tmp_path / "run" / "deformation" / "metrics.json").write_text('{"clock_offsets_s": {"cam0": -0.3}}')
     folder = export(Talk("normal"), tmp_path / "run", "nerfstudio", None)
 

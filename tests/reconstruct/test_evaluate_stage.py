@@ -66,6 +66,7 @@ def context(tmp_path: Path) -> StageContext:
     cost = {"seconds": 10.0, "iterations": 100, "rays": 5000, "peak_rss_gb": 1.0, "peak_gpu_gb": None}
     _json(run / "canonical/metrics.json", {**cost, "device": "cpu"})
     _json(run / "deformation/metrics.json", {**cost, "seconds": 30.0, "peak_rss_gb": 2.0, "device": "cpu"})
+    (run / "deformation" / "stamp.json").touch()
     for name in ("canonical", "deformation"):
         (run / name / "model.safetensors").write_bytes(b"x" * 500_000)
     clock = {"std_s": 0.0, "method": "audio", "confidence": 1.0}

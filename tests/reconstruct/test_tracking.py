@@ -302,6 +302,16 @@ def test_a_brick_does_not_belong_to_the_brick_below() -> None:
     assert np.array_equal(found, upper)
 
 
+def test_a_strip_that_looks_as_at_rest_belongs_to_the_sheet_beside_it() -> None:
+    """Its colour is not quite the sheet's."""
+    x, z = (grid.ravel() for grid in np.meshgrid(np.arange(40) * SPACING, np.arange(14) * SPACING))
+    xyz, strip = np.stack([x, np.zeros_like(x), z], 1), x > 19.5 * SPACING
+    rgb = np.where(strip[:, None], [0.7, 0.5, 0.5], [0.5, 0.5, 0.5])
+    surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
+    votes = np.where(strip, -0.5, 0.9)
+    assert np.any([_cut(surface, votes, together) for together in TOGETHER], axis=0).all()
+
+
 def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_by_two() -> None:
     along = np.arange(10) * SPACING
     patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
