@@ -20,6 +20,7 @@ from devrf.capture.view_axes import closest_point
 
 LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
+STEPS = 21  # in which a box that is too large is drawn in
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
 VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
 # points farther from the focus than this share of the median camera distance are surroundings
@@ -67,6 +68,7 @@ def scene_bounds(
     masks: Sequence[MotionMask] = (),
     shown: str = "what moves",
     stretches: Sequence[Sequence[MotionMask | None]] = (),
+    across: float = 0.0,
 ) -> Bounds:
     """Find the box.
 
@@ -78,6 +80,8 @@ def scene_bounds(
         masks: Motion masks of the fixed cameras, or mattes.
         shown: What they show, in words.
         stretches: The same of shorter times, as `box_of_masks` takes them.
+        across: Widths of the masks' pictures that a mean side of the box may be long. A larger box is drawn in, at most
+            to the smallest that explains what masks show; a smaller one is not: what is outside is modelled coarser.
     Raises:
         ValueError: There is no camera at all.
     """
@@ -86,9 +90,9 @@ def scene_bounds(
         raise ValueError("bounds of a scene without cameras")
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
-    smallest = box_of_masks(masks, stretches, focus, box_from_up)
-    if smallest is not None:
-        lo, hi = smallest
+    boxes = box_of_masks(masks, stretches, focus, box_from_up)
+    if boxes is not None:
+        lo, hi = _no_larger(boxes, [mask.camera for mask in masks], box_from_up, across)
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
@@ -136,6 +140,24 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
             centres + axes * float(np.linalg.norm(centres - centres.mean(0), axis=1).mean() + 1e-9)
         ).mean(0)
     return focus
+
+
+def _no_larger(
+    boxes: Float[np.ndarray, "2 2 3"],
+    cameras: Sequence[Camera],
+    box_from_up: Float[np.ndarray, "3 3"],
+    across: float,
+) -> Float[np.ndarray, "2 3"]:
+    """The first box, drawn in towards the second until its mean side is so many widths long, margin included."""
+    whole, smallest = boxes
+    box = whole
+    for share in np.linspace(0, 1, STEPS):
+        box = whole + share * (smallest - whole)
+        middle = box.mean(0) @ box_from_up
+        width = np.median([np.linalg.norm(c.centre - middle) * c.width / c.K[0, 0] for c in cameras])
+        if HULL_MARGIN * np.prod(np.ptp(box, axis=0)) ** (1 / 3) <= across * width:
+            break
+    return box
 
 
 def upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:

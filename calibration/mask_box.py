@@ -1,4 +1,4 @@
-"""The box of what masks of cameras show: the smallest one that still explains them.
+"""The boxes of what masks of cameras show: of all in which they agree, and the smallest that still explains them.
 
 On a coarse grid, what projects into every mask is a visual hull (Laurentini, PAMI 1994): one of all time, and within it
 one of each stretch of time. Cameras on one side cannot tell a thing from the space behind it, nor from where lines of
@@ -40,8 +40,10 @@ def box_of_masks(
     stretches: Sequence[Sequence[MotionMask | None]],
     focus: Float[np.ndarray, "3"],
     box_from_up: Float[np.ndarray, "3 3"],
-) -> Float[np.ndarray, "2 3"] | None:
-    """Corners of the smallest box that explains what masks show, in upright world axes; None where they contradict.
+) -> Float[np.ndarray, "2 2 3"] | None:
+    """Corners of the box of all in which masks agree, and of the smallest one that explains what they show.
+
+    In upright world axes; None where masks contradict each other.
 
     Args:
         masks: Of all time, a camera each.
@@ -68,7 +70,8 @@ def box_of_masks(
         return None
     movers = np.flatnonzero(whole.kept)[whole.movers()]
     hulls = [found for stretch in (masks, *stretches) if (found := hull(stretch, movers)) is not None]
-    return _drawn_in(grid[movers].min(0) - cell / 2, grid[movers].max(0) + cell / 2, hulls, cell)
+    low, high = grid[movers].min(0) - cell / 2, grid[movers].max(0) + cell / 2
+    return np.stack([np.stack([low, high]), _drawn_in(low, high, hulls, cell)])
 
 
 def _drawn_in(

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,8 +35,15 @@ TIME_SLACK_S = 1e-6
 FEWEST_PICTURES = 2  # of a training camera, which is asked what moves from one to the next
 
 
-def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
-    """The scene of a run's finished stages, and how its box was found."""
+def scene_from_capture(
+    context: StageContext, across: Callable[[tuple[PosedFrame, ...]], float]
+) -> tuple[Scene, Bounds]:
+    """The scene of a run's finished stages, and how its box was found.
+
+    Args:
+        context: Of stage `scene`.
+        across: Of all pictures, how many of their widths a mean side of the box may be long.
+    """
     config, ingest = context.config, context.run_dir / "ingest"
     assert config.capture is not None
     frames = FrameSet.read(ingest)
@@ -80,6 +87,7 @@ def scene_from_capture(context: StageContext) -> tuple[Scene, Bounds]:
         masks,
         "what moves" if mattes is None else "the subject's mattes",
         stretches,
+        across(static + dynamic),
     )
     context.health.extend(box_health(bounds, moves, mattes, dynamic, static))
     rest = None

@@ -160,6 +160,7 @@ STAGES = (
             "capture.range_s",
             "capture.mattes",
             "reconstruct.image_scale",
+            "reconstruct.resolution",
             "evaluate.holdout_every",
         ),
         applies=_unless(),

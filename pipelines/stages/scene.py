@@ -22,6 +22,9 @@ MAX_PIXELS = {"tiny": 64_000, "fast": 400_000, "reference": 10**9}
 SURROUND = 0.5  # length of the mean view direction; below, cameras stand around the subject
 MOST_BEHIND = 0.01  # of the sightings of points; structure from motion leaves fewer wrong ones
 MOST_AWAY = 0.5  # of the cameras; turned axes turn them all
+# With larger voxels a smaller box is sharper (2.5 and 2.6 pixels: held-out sweep + 0.2 and + 1.2 dB), with smaller ones
+# what it leaves outside gets coarser (1.47 pixels: - 1.7 dB).
+PIXELS_A_VOXEL = 1.5
 FEW_FRAMES = 5.0  # of a training camera, for a motion that is more than a guess
 
 
@@ -33,7 +36,7 @@ def run(context: StageContext) -> None:
     else:
         from devrf.pipelines.captured_scene import scene_from_capture  # a data set needs no vision library
 
-        scene, bounds = scene_from_capture(context)
+        scene, bounds = scene_from_capture(context, lambda frames: widths_of_box(config, frames))
         context.health.extend(health(bounds, scene))
     scene = replace(scene, image_scale=auto_image_scale(config, scene.frames))
     context.health.append(
@@ -54,6 +57,15 @@ def auto_image_scale(config: SceneConfig, frames: tuple[PosedFrame, ...]) -> flo
         return config.reconstruct.image_scale
     largest = max((f.camera for f in frames), key=lambda c: c.width * c.height)
     return image_scale_for(largest.width, largest.height, MAX_PIXELS[config.preset])
+
+
+def widths_of_box(config: SceneConfig, frames: tuple[PosedFrame, ...]) -> float:
+    """Widths of a picture that a mean side of the box may be long for its voxels to be as fine as the pictures need."""
+    from devrf.reconstruct.options import PRESETS
+
+    resolution = config.reconstruct.resolution or PRESETS[config.preset].canonical.resolution
+    widest = max(f.camera.width for f in frames)
+    return PIXELS_A_VOXEL * resolution / (auto_image_scale(config, frames) * widest)
 
 
 def _from_dataset(context: StageContext) -> Scene:

@@ -233,12 +233,28 @@ def test_the_box_is_no_larger_than_explains_what_moves() -> None:
         return [MotionMask(c, np.any([ball_mask(c, b, radius).mask for b in balls], axis=0)) for c in fixed]
 
     stretches = [masks(range(n, n + 3)) for n in range(0, count - 1, 2)]
-    smallest = box_of_masks(masks(range(count)), stretches, focus_point(fixed), np.eye(3))
-    assert smallest is not None
+    boxes = box_of_masks(masks(range(count)), stretches, focus_point(fixed), np.eye(3))
+    assert boxes is not None
+    whole, smallest = boxes
+    assert (whole[0] <= smallest[0]).all() and (whole[1] >= smallest[1]).all()
     balls = ways.reshape(-1, 3)
     sides = np.ptp(smallest, axis=0)
     assert (smallest[0] < balls.min(0)).all() and (smallest[1] > balls.max(0)).all()
     assert (sides < np.ptp(balls, axis=0) + 5 * radius).all()
+
+
+def test_a_box_is_drawn_in_no_further_than_its_voxels_need() -> None:
+    fixed = ring(4, 1.2)
+    masks = [ball_mask(c, np.array([x, 0.0, 0.0]), 0.3) for c, x in zip(fixed, (0, 0.1, 0.1, 0), strict=True)]
+
+    def sides(across: float) -> np.ndarray:
+        none = np.zeros((0, 3)), np.zeros(0)
+        return scene_bounds(fixed, fixed, *none, masks, stretches=(), across=across).size
+
+    # A picture is 2.2 wide where the ball is: mean sides are 0.77, 0.80 and 0.83, of which a margin is a part.
+    smallest, between, whole = (sides(across) for across in (0.0, 0.37, 1.0))
+    assert (smallest <= between + 1e-9).all() and (between <= whole + 1e-9).all()
+    assert smallest.prod() < between.prod() < whole.prod()
 
 
 def test_where_light_alone_changes_the_box_is_what_masks_agree_on() -> None:
@@ -257,7 +273,7 @@ def test_a_camera_that_does_not_film_in_a_stretch_says_nothing_of_it() -> None:
     some = box_of_masks(masks, [[masks[0], None, *masks[2:]]], focus_point(fixed), np.eye(3))
     assert whole is not None and alone is not None and some is not None
     np.testing.assert_array_equal(alone, whole)
-    assert (some[0] <= whole[0] + 1e-9).all() and (some[1] >= whole[1] - 1e-9).all()
+    assert (some[1, 0] <= whole[1, 0] + 1e-9).all() and (some[1, 1] >= whole[1, 1] - 1e-9).all()
 
 
 def test_a_shadow_as_small_is_no_mover() -> None:
