@@ -6,13 +6,13 @@ that change over time say where that is (`mask_box`). Where nothing moves, it ho
 focus, the point closest to all view axes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.mask_box import box_of_masks
+from devrf.calibration.mask_box import MaskHull
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
@@ -67,7 +67,7 @@ def scene_bounds(
     distances: Float[np.ndarray, " m"],
     masks: Sequence[MotionMask] = (),
     shown: str = "what moves",
-    stretches: Sequence[Sequence[MotionMask | None]] = (),
+    stretches: Callable[[], Sequence[Sequence[MotionMask | None]]] = tuple,
     across: float = 0.0,
 ) -> Bounds:
     """Find the box.
@@ -79,7 +79,7 @@ def scene_bounds(
         distances: Distance of every sighting of a point from its camera [m].
         masks: Motion masks of the fixed cameras, or mattes.
         shown: What they show, in words.
-        stretches: The same of shorter times, as `box_of_masks` takes them.
+        stretches: Gives the same of shorter times, as `MaskHull` takes them, where the box has to be drawn in.
         across: Widths of the masks' pictures that a mean side of the box may be long. A larger box is drawn in, at most
             to the smallest that explains what masks show; a smaller one is not: what is outside is modelled coarser.
     Raises:
@@ -90,9 +90,9 @@ def scene_bounds(
         raise ValueError("bounds of a scene without cameras")
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
-    boxes = box_of_masks(masks, stretches, focus, box_from_up)
-    if boxes is not None:
-        lo, hi = _no_larger(boxes, [mask.camera for mask in masks], box_from_up, across)
+    hull = MaskHull.of(masks, focus, box_from_up)
+    if hull is not None:
+        lo, hi = _no_larger(hull, stretches, [mask.camera for mask in masks], box_from_up, across)
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
@@ -143,21 +143,24 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
 
 
 def _no_larger(
-    boxes: Float[np.ndarray, "2 2 3"],
+    hull: MaskHull,
+    stretches: Callable[[], Sequence[Sequence[MotionMask | None]]],
     cameras: Sequence[Camera],
     box_from_up: Float[np.ndarray, "3 3"],
     across: float,
 ) -> Float[np.ndarray, "2 3"]:
-    """The first box, drawn in towards the second until its mean side is so many widths long, margin included."""
-    whole, smallest = boxes
-    box = whole
-    for share in np.linspace(0, 1, STEPS):
-        box = whole + share * (smallest - whole)
+    """A hull's box, drawn in towards its smallest until the mean side is so many widths long, margin included."""
+
+    def small_enough(box: Float[np.ndarray, "2 3"]) -> bool:
         middle = box.mean(0) @ box_from_up
         width = np.median([np.linalg.norm(c.centre - middle) * c.width / c.K[0, 0] for c in cameras])
-        if HULL_MARGIN * np.prod(np.ptp(box, axis=0)) ** (1 / 3) <= across * width:
-            break
-    return box
+        return bool(HULL_MARGIN * np.prod(np.ptp(box, axis=0)) ** (1 / 3) <= across * width)
+
+    if small_enough(hull.box):
+        return hull.box
+    smallest = hull.smallest_box(stretches())
+    steps = (hull.box + share * (smallest - hull.box) for share in np.linspace(0, 1, STEPS))
+    return next((box for box in steps if small_enough(box)), smallest)
 
 
 def upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:

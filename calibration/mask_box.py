@@ -7,6 +7,7 @@ every pixel of each mask still looks at some of its hull.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -35,43 +36,73 @@ class _Shown(NamedTuple):
     pixels: float
 
 
-def box_of_masks(
-    masks: Sequence[MotionMask],
-    stretches: Sequence[Sequence[MotionMask | None]],
-    focus: Float[np.ndarray, "3"],
-    box_from_up: Float[np.ndarray, "3 3"],
-) -> Float[np.ndarray, "2 2 3"] | None:
-    """Corners of the box of all in which masks agree, and of the smallest one that explains what they show.
+class MaskHull:
+    """All in which masks of all time agree, without noise and shadows.
 
-    In upright world axes; None where masks contradict each other.
-
-    Args:
-        masks: Of all time, a camera each.
-        stretches: Of shorter times: of the same cameras, None where one does not film then.
-        focus: Middle of the cube that is searched.
-        box_from_up: Rotation to upright axes.
+    Attributes:
+        box: Its corners, in upright world axes [2, 3].
     """
-    fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
-    if len(fine) < 2:
-        return None
-    pixels = [float(mask.mask.sum()) for mask in masks]
-    reach = REACH * min(float(np.linalg.norm(masks[n].camera.centre - focus)) for n in fine)
-    axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
-    grid, cell = grid + box_from_up @ focus, 2 * reach / GRID
 
-    def hull(stretch: Sequence[MotionMask | None], within: Int[np.ndarray, " n"]) -> _Hull | None:
-        some = [_Shown(m, pixels[n]) for n in fine if (m := stretch[n]) is not None and m.mask.any()]
-        found = _Hull(some, grid[within], box_from_up, cell) if len(some) > 1 else None
-        return found if found is not None and found.kept.any() else None
+    @classmethod
+    def of(
+        cls, masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
+    ) -> "MaskHull | None":
+        """The hull of masks, a camera each; None where they contradict each other.
 
-    whole = hull(masks, np.arange(len(grid)))
-    if whole is None:
-        return None
-    movers = np.flatnonzero(whole.kept)[whole.movers()]
-    hulls = [found for stretch in (masks, *stretches) if (found := hull(stretch, movers)) is not None]
-    low, high = grid[movers].min(0) - cell / 2, grid[movers].max(0) + cell / 2
-    return np.stack([np.stack([low, high]), _drawn_in(low, high, hulls, cell)])
+        Args:
+            masks: Of all time.
+            focus: Middle of the cube that is searched.
+            box_from_up: Rotation to upright axes.
+        """
+        fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
+        if len(fine) < 2:
+            return None
+        reach = REACH * min(float(np.linalg.norm(masks[n].camera.centre - focus)) for n in fine)
+        axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
+        grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
+        found = cls(masks, fine, grid + box_from_up @ focus, 2 * reach / GRID, box_from_up)
+        whole = found._hull(masks)
+        if whole is None:
+            return None
+        found._cells = whole.cells[whole.movers()]
+        return found
+
+    def __init__(
+        self,
+        masks: Sequence[MotionMask],
+        fine: Sequence[int],
+        cells: Float[np.ndarray, "n 3"],
+        cell: float,
+        box_from_up: Float[np.ndarray, "3 3"],
+    ) -> None:
+        """Of cells with this side, by some of the masks."""
+        self._masks, self._fine, self._pixels = masks, fine, [float(mask.mask.sum()) for mask in masks]
+        self._cells, self._cell, self._box_from_up = cells, cell, box_from_up
+
+    @property
+    def box(self) -> Float[np.ndarray, "2 3"]:
+        """The box of all of it."""
+        return np.stack([self._cells.min(0) - self._cell / 2, self._cells.max(0) + self._cell / 2])
+
+    def smallest_box(self, stretches: Sequence[Sequence[MotionMask | None]]) -> Float[np.ndarray, "2 3"]:
+        """Corners of the smallest box that still explains what the masks show.
+
+        Args:
+            stretches: Masks of shorter times: of the same cameras, None where one does not film then.
+        """
+        every = [self._hull(stretch) for stretch in (self._masks, *stretches)]
+        low, high = self.box
+        return _drawn_in(low, high, [hull for hull in every if hull is not None], self._cell)
+
+    def _hull(self, stretch: Sequence[MotionMask | None]) -> "_Hull | None":
+        """What masks of some time agree on; None where that is nothing."""
+        some = [
+            _Shown(m, self._pixels[n]) for n in self._fine if (m := stretch[n]) is not None and m.mask.any()
+        ]
+        if len(some) < 2:
+            return None
+        found = _Hull(some, self._cells, self._box_from_up, self._cell)
+        return found if len(found.cells) else None
 
 
 def _drawn_in(
@@ -128,7 +159,7 @@ class _Hull:
     """What projects into all masks that see it, of at least half of the cameras.
 
     Attributes:
-        kept: Which of the cells that was.
+        cells: Its cells, in upright axes [n, 3].
     """
 
     def __init__(
@@ -141,21 +172,25 @@ class _Hull:
         inside = np.sum(
             [(p >= 0) & m.mask.ravel()[p] for (m, _), p in zip(masks, shown, strict=True)], axis=0
         )
-        self.kept = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
-        self._cells, self._cell = cells[self.kept], cell
+        kept = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
+        self.cells, self._cell = cells[kept], cell
         self._seen: list[_Seen] = []
         for (mask, pixels), pixel in zip(masks, shown, strict=True):
-            mine = np.flatnonzero(pixel[self.kept] >= 0)
+            mine = np.flatnonzero(pixel[kept] >= 0)
             camera = mask.camera
-            depth = (world[self.kept][mine] - camera.centre) @ camera.cam_from_world[2, :3]
+            depth = (world[kept][mine] - camera.centre) @ camera.cam_from_world[2, :3]
             reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
-            self._seen.append(_Seen(mine, pixel[self.kept][mine], reach, mask.moved, pixels))
-        every = np.ones(len(self._cells), dtype=bool)
-        self._known = [int(seen.explained(every).sum()) for seen in self._seen]
+            self._seen.append(_Seen(mine, pixel[kept][mine], reach, mask.moved, pixels))
+
+    @cached_property
+    def _known(self) -> list[int]:
+        """Pixels of each mask that look at some of the cells."""
+        every = np.ones(len(self.cells), dtype=bool)
+        return [int(seen.explained(every).sum()) for seen in self._seen]
 
     def movers(self) -> Bool[np.ndarray, " k"]:
         """Cells of the pieces that are large, or alone explain what moves in some cameras; the largest go first."""
-        place = np.round((self._cells - self._cells.min(0)) / self._cell).astype(int)
+        place = np.round((self.cells - self.cells.min(0)) / self._cell).astype(int)
         volume = np.zeros(place.max(0) + 1, dtype=bool)
         volume[tuple(place.T)] = True
         labels = np.empty(volume.shape, dtype=np.int32)
@@ -163,14 +198,17 @@ class _Hull:
         piece = labels[tuple(place.T)]
         sizes = np.bincount(piece)
         kept = np.zeros(len(piece), dtype=bool)
+        before = [np.zeros(int(seen.moved.sum()), dtype=bool) for seen in self._seen]
         for number in np.argsort(-sizes)[:MOST_PIECES]:
             mine = piece == number
-            new = [
-                int((seen.explained(mine) & ~seen.explained(kept)).sum()) >= MOVER_SHARE * seen.pixels
-                for seen in self._seen
-            ]
-            if mine.any() and (sizes[number] >= COMPONENT_SHARE * sizes.max() or sum(new) >= MOVER_CAMERAS):
+            shown = [seen.explained(mine) for seen in self._seen]
+            alone = sum(
+                (now & ~then).sum() >= MOVER_SHARE * seen.pixels
+                for seen, now, then in zip(self._seen, shown, before, strict=True)
+            )
+            if mine.any() and (sizes[number] >= COMPONENT_SHARE * sizes.max() or alone >= MOVER_CAMERAS):
                 kept |= mine
+                before = [now | then for now, then in zip(shown, before, strict=True)]
         return kept
 
     def needs(self, side: int, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
@@ -178,8 +216,8 @@ class _Hull:
 
         Each camera's pixels, but for those that may be spared, still look at some of the hull then.
         """
-        outward = self._cells[:, side % 3] * (1 if side >= 3 else -1)
-        inside = ((self._cells >= low) & (self._cells <= high)).all(1)
+        outward = self.cells[:, side % 3] * (1 if side >= 3 else -1)
+        inside = ((self.cells >= low) & (self.cells <= high)).all(1)
         outward, needed = np.where(inside, outward, np.inf), []
         for seen, known in zip(self._seen, self._known, strict=True):
             ends = np.sort(seen.lowest(outward))

@@ -28,7 +28,7 @@ from devrf.pipelines.health.rows import HealthRow, note
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.what_moves import what_moves
+from devrf.pipelines.what_moves import filmed_clip, stretches_of
 
 PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
 TIME_SLACK_S = 1e-6
@@ -62,13 +62,16 @@ def scene_from_capture(
         context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
     )
     used = {frame.camera_name for frame in dynamic}
-    filming = {name: camera for name, camera in frames.moving.items() if name in used}
-    moves, stretches = what_moves(ingest, filming, rig, clocks, (t0_s, t1_s))
+    clips = {
+        name: filmed_clip(ingest, camera, rig.cameras[name].camera, clocks[name])
+        for name, camera in frames.moving.items()
+        if name in used
+    }
+    moves = {name: mask for name, clip in clips.items() if (mask := clip.mask()) is not None}
     if mattes is None:
         masks = list(moves.values())
     else:
         assert config.capture.mattes is not None
-        stretches = []
         context.health.extend(matte_health(mattes, config.capture.mattes.method))
         static, dynamic, masks = mattes.static, mattes.dynamic, mattes.hull_masks
         if points is not None and mattes.everywhere:
@@ -86,7 +89,7 @@ def scene_from_capture(
         distances,
         masks,
         "what moves" if mattes is None else "the subject's mattes",
-        stretches,
+        lambda: stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
         across(static + dynamic),
     )
     context.health.extend(box_health(bounds, moves, mattes, dynamic, static))

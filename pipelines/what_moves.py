@@ -1,6 +1,6 @@
 """Where the fixed cameras of a run see something move: over all of their clips, and in each stretch of time."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +10,6 @@ from jaxtyping import Float, UInt8
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask, motion_mask
-from devrf.calibration.rigs.rig import Rig
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
 from devrf.capture.pictures import read_grey
@@ -38,33 +37,23 @@ class FilmedClip(NamedTuple):
         return motion_mask(self.camera, some) if len(some) >= FEWEST_PICTURES else None
 
 
-def what_moves(
-    ingest: Path,
-    cameras: Mapping[str, CameraFrames],
-    rig: Rig,
-    clocks: Mapping[str, Clock],
-    span_s: tuple[float, float],
-) -> tuple[dict[str, MotionMask], list[list[MotionMask | None]]]:
-    """Masks of the cameras that have pictures enough, and theirs in each stretch of the modelled time.
+def stretches_of(clips: Sequence[FilmedClip], span_s: tuple[float, float]) -> list[list[MotionMask | None]]:
+    """What moves in each stretch of the modelled time, which is `span_s`; None where a camera does not film then."""
+    ends_s = np.linspace(*span_s, STRETCHES + 1)
+    return [
+        [clip.mask(from_s, to_s) for clip in clips]
+        for from_s, to_s in zip(ends_s[:-1], ends_s[1:], strict=True)
+    ]
+
+
+def filmed_clip(ingest: Path, camera: CameraFrames, calibrated: Camera, clock: Clock) -> FilmedClip:
+    """Pictures that are spread over all of a camera's clip.
 
     Args:
         ingest: Folder of that stage.
-        cameras: Fixed cameras that film in the modelled time.
-        rig, clocks: Of the fixed cameras.
-        span_s: From when to when is modelled.
+        camera: Its pictures in there.
+        calibrated, clock: As stages `rig` and `sync` found them, or geometry.
     """
-    clips = {n: _filmed(ingest, c, rig.cameras[n].camera, clocks[n]) for n, c in cameras.items()}
-    moves = {name: mask for name, clip in clips.items() if (mask := clip.mask()) is not None}
-    ends_s = np.linspace(*span_s, STRETCHES + 1)
-    stretches = [
-        [clips[name].mask(from_s, to_s) for name in moves]
-        for from_s, to_s in zip(ends_s[:-1], ends_s[1:], strict=True)
-    ]
-    return moves, stretches
-
-
-def _filmed(ingest: Path, camera: CameraFrames, calibrated: Camera, clock: Clock) -> FilmedClip:
-    """Pictures that are spread over all of a camera's clip."""
     used = [(ingest / f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
     chosen = spread(used, MASK_FRAMES)
     small = calibrated.scaled(min(1.0, MASK_SIDE_PX / max(calibrated.width, calibrated.height)))

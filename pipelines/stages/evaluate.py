@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_masks, read_truth
-from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
@@ -35,14 +34,14 @@ NEEDS_TEST_VIEWS = (TEST_VIEWS, GAIN, AGAINST_TRUTH)
 def run(context: StageContext) -> None:
     """Write `metrics.json` and `views/`."""
     config = context.config
-    scene, trained = read_scene(context.run_dir / "scene"), trained_scene(context.run_dir)
+    scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were
     lpips = lpips_nets(config, context.scene_dir, context.device)
     model = load_trained(context.run_dir, context.device)
-    confidence = Confidence(trained, model)
+    confidence = Confidence(scene, model)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)
     metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence, masks)
-    metrics["confidence"] |= subject_confidence(trained, confidence)
+    metrics["confidence"] |= subject_confidence(scene, confidence)
     metrics |= {
         "train": training(context.run_dir),
         "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
