@@ -22,8 +22,8 @@ MAX_PIXELS = {"tiny": 64_000, "fast": 400_000, "reference": 10**9}
 SURROUND = 0.5  # length of the mean view direction; below, cameras stand around the subject
 MOST_BEHIND = 0.01  # of the sightings of points; structure from motion leaves fewer wrong ones
 MOST_AWAY = 0.5  # of the cameras; turned axes turn them all
-# Where voxels are larger a smaller box is sharper (2.5 and 2.6 pixels: held-out sweep + 0.2 and + 1.2 dB), where they are
-# smaller what it leaves outside gets coarser (1.47 pixels: - 1.7 dB).
+# Where voxels are larger a smaller box is sharper (2.5 and 2.6 pixels: held-out sweep + 0.2 and + 1.2 dB); where they
+# are smaller, what it leaves outside gets coarser (1.47 pixels: - 1.7 dB).
 PIXELS_A_VOXEL = 1.5
 FEW_FRAMES = 5.0  # of a training camera, for a motion that is more than a guess
 
