@@ -5,6 +5,7 @@
 the truth's masks, or where they differ from the same camera's own picture of what stands (`still_picture`), so that
 no model decides what counts. `test_rest`: the model at rest against that picture of what stands, where it is known.
 `static_baseline`: the same test pictures against the canonical model as if nothing moved: what motion must beat.
+`shading`: where it moves, in some of the test pictures, with the shading of movers and without it.
 PSNR is taken per picture and then averaged. No gain or offset is fitted.
 """
 
@@ -76,6 +77,7 @@ def evaluate(
     progress: Progress = no_progress,
     confidence: "Confidence | None" = None,
     masks: Mapping[str, Bool[np.ndarray, "frames h w"]] | None = None,
+    unshaded: Render | None = None,
 ) -> dict[str, Any]:
     """Render and score all test pictures; see the module's text for the blocks of the result.
 
@@ -87,8 +89,9 @@ def evaluate(
         progress: Told how far it is.
         confidence: Expected errors of the same model's pictures; None: nothing is said of them.
         masks: What moves in truth in a camera's pictures, by their numbers in its file, of any size.
+        unshaded: The model without its shading; None: it has none.
     Returns:
-        `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `per_view`, `still_pictures`,
+        `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `shading`, `per_view`, `still_pictures`,
         `render_fps`; with `confidence` also `confidence`: `test`, `test_static` and `test_moving`, expected errors
         against measured ones (`confidence_curve.curve`), of the pictures that confidence is kept of.
     """
@@ -97,7 +100,7 @@ def evaluate(
         (f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.camera_name, f.time or 0.0, f.index)
     )
     still = [f for f in scene.static if f.split == "test"]
-    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), confidence)
+    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), confidence, unshaded)
     names = sorted({f.camera_name for f in moving})
     standing = {name: still_picture(scene, [f for f in moving if f.camera_name == name]) for name in names}
     masks = masks or {}
@@ -139,6 +142,7 @@ def evaluate(
             "test": _block([v["rest_scores"] for v in views], lpips, absent),
             "test_moving": _block(parts["rest_moving"], lpips, no_pixels),
         },
+        "shading": _shading([v["shading"] for v in views if v["shading"] is not None]),
         "per_view": [_row(view) for view in views + still_views],
         "still_pictures": [
             {key: view[key] for key in ("camera", "source", "known")} | view["scores"] | view["files"]
@@ -161,10 +165,11 @@ class _Session:
         progress: Progress,
         count: int,
         confidence: "Confidence | None",
+        unshaded: Render | None,
     ) -> None:
         self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
         self.progress, self.count, self.done = progress, count, 0
-        self.confidence = confidence
+        self.confidence, self.unshaded = confidence, unshaded
         self.errors: dict[str, list[np.ndarray]] = {"test": [], "test_moving": [], "test_static": []}
         self.seconds: list[float] = []
         self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
@@ -185,12 +190,16 @@ class _Session:
             "moving": None,
             "rest_moving": None,
             "moving_share": None,
+            "shading": None,
         }
         where = _moving(true, still, None if masks is None else masks[frame.index])
         if where is not None and where.mean() >= LEAST_MOVING:
             view["moving"] = _scored(moved.part(where))
             view["rest_moving"] = _scored(stood.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
+            if extra and self.unshaded is not None:
+                plain = Comparison(self.unshaded(camera, frame.time), true).part(where)
+                view["shading"] = view["moving"]["psnr"], plain.psnr
             if expected is not None:
                 self.errors["test_moving"].append(errors(expected, rendered, true, where))
         pictures = {"true": true, "rendered": rendered}
@@ -328,6 +337,12 @@ def _block(scores: Sequence[Scored], lpips: LpipsNets, absent: str) -> dict[str,
             why[metric] = _why(metric, scores[0], lpips) if scores else absent
     block["views"] = len(scores)
     return {**block, "why": why} if why else block
+
+
+def _shading(scores: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """PSNR with and without shading, of the pictures that were rendered without, too."""
+    on, off = np.mean(scores, axis=0).tolist() if scores else (None, None)
+    return {"psnr": on, "unshaded_psnr": off, "views": len(scores)}
 
 
 def _why(metric: str, example: Scored, lpips: LpipsNets) -> str:

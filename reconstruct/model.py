@@ -125,6 +125,12 @@ class DynamicModel:
         assert rest is not None
         return DynamicModel(rest, self.motion, in_motion, self.movers, self.chunk)
 
+    def unshaded(self) -> "DynamicModel | None":
+        """The same in constant light; None where its light is constant."""
+        if self.movers is None or self.movers.shading is None:
+            return None
+        return replace(self, movers=self.movers.unshaded())
+
     def showing(self, stands: bool, parts: Collection[int]) -> "DynamicModel":
         """The same in motion with some of its layers alone.
 

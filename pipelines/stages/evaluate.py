@@ -40,7 +40,11 @@ def run(context: StageContext) -> None:
     confidence = Confidence(scene, model)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)
-    metrics = evaluate(scene, renderer(model), lpips, context.out, context.progress, confidence, masks)
+    plain = model.unshaded()
+    metrics = evaluate(
+        scene, renderer(model), lpips, context.out, context.progress, confidence, masks,
+        None if plain is None else renderer(plain),
+    )  # fmt: skip
     metrics["confidence"] |= subject_confidence(scene, confidence)
     metrics |= {
         "train": training(context.run_dir),

@@ -194,6 +194,7 @@ def _write_evaluate(run: Path, rng: np.random.Generator) -> None:
             "test": block,
             "test_static": {**block, "psnr": 27.375},
             "test_moving": {"psnr": 22.75, "ssim": 0.75},
+            "shading": {"psnr": 22.25, "unshaded_psnr": 21.25, "views": 2},
             "static_baseline": {"test": {"psnr": 21.0}, "test_moving": {"psnr": 17.5}},
             "per_view": views,
             "train": {"canonical_s": 100.5, "deformation_s": 200.25, "total_s": 300.75, "iterations": 1000,

@@ -125,6 +125,7 @@ def test_names_are_escaped(full_page):
 def test_numbers_are_those_of_the_files_and_traced_to_their_stages(full_run, full_page):
     html, page = full_page
     for key in ("test.psnr", "test_moving.psnr", "static_baseline.test_moving.psnr", "train.total_s", "model_mb",
+                "shading.unshaded_psnr",
                 "confidence.test_static.spearman", "confidence.seen_by.0.expected_rms"):  # fmt: skip
         assert ("evaluate/metrics.json", key) in page.numbers
     assert page.numbers["colour/colour.json", "cameras.cam0.stops"] == -0.375 and "−0.38" in page.text

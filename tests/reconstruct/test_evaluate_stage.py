@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -122,6 +123,7 @@ def _run(
     moves: bool = True,
     low_share: float = 0.1,
     known: Callable | None = None,
+    unshaded: Callable | None = None,
 ) -> dict:
     render = _known(moves)(context.run_dir, "cpu")
     shares = {
@@ -131,12 +133,21 @@ def _run(
         "unseen_share": 0.6 if low_share > 0.5 else 0.2,
         "seen_by": [{"cameras": 1, "share": 1.0, "expected_rms": 20.0}],
     }
-    monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device: None)
-    monkeypatch.setattr(evaluate, "renderer", lambda model: render)
+    model = SimpleNamespace(unshaded=lambda: unshaded and unshaded(render))
+    monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device: model)
+    monkeypatch.setattr(evaluate, "renderer", lambda asked: render if asked is model else asked)
     monkeypatch.setattr(evaluate, "Confidence", known or (lambda scene, model: _Unsure(render)))
     monkeypatch.setattr(evaluate, "subject_confidence", lambda scene, confidence: shares)
     evaluate.run(context)
     return json.loads((context.out / "metrics.json").read_text())
+
+
+def test_what_shading_has_to_do_with_it(context: StageContext, monkeypatch):
+    """The known model is 0.01 off where it moves; in constant light it is 0.05 darker."""
+    assert _run(context, monkeypatch)["shading"] == {"psnr": None, "unshaded_psnr": None, "views": 0}
+    shares = _run(context, monkeypatch, unshaded=lambda render: lambda *at: render(*at) - 0.05)["shading"]
+    assert shares["views"] > 0 and shares["psnr"] == pytest.approx(40, abs=1.5)
+    assert shares["unshaded_psnr"] == pytest.approx(-20 * np.log10(0.04), abs=2.5)
 
 
 def test_every_block_of_the_contract(context: StageContext, monkeypatch):

@@ -249,6 +249,10 @@ def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
     camera = look_at(np.array([1.5, 2.0, 0.7]))
     for time in (0.0, 0.7):
         assert np.abs(render_view(model, camera, time) - render_view(again, camera, time)).max() < 0.02
+    constant, plain = model.unshaded(), DynamicModel.of_movers(rest, model.in_motion or rest, movers, 3, 0.0)
+    assert constant is not None and plain.unshaded() is None
+    assert np.array_equal(render_view(constant, camera, 0.7), render_view(plain, camera, 0.7))
+    assert np.abs(render_view(constant, camera, 0.7) - render_view(model, camera, 0.7)).max() > 0.02
     save_rest(tmp_path / "rest.safetensors", rest)
     assert (
         path.stat().st_size < 1.5 * (tmp_path / "rest.safetensors").stat().st_size
