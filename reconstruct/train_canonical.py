@@ -17,7 +17,7 @@ from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
-from devrf.reconstruct.kernels.adam import add_total_variation
+from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation
 from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import march
 from devrf.reconstruct.losses import (
@@ -48,6 +48,9 @@ ALPHA_INIT = (
     1e-2  # of a voxel that nothing is known about: thin enough to see through, thick enough to learn from
 )
 LR_MLP = 1e-3  # initial; of the published program, as in every preset
+# Total variation of the surroundings' density and colours, before the last level: a tenth to a half of the gradient
+# there. Five times as much, or to the end, takes detail away.
+SHELL_VARIATION = (3e-5, 3e-4, 3e-4, 3e-4)
 FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
@@ -295,7 +298,12 @@ class _Recipe:
         )
         self.features.update(lr_grid, flag=self.density.grad[0])  # touched alike
         self.density.update(lr_grid)
-        if self.surround is not None:
+        if self.surround is not None and self.shell is not None:
+            if self.shell.size < self.shell.final:  # plain first, where pictures leave it open; then detail
+                add_touched_variation(
+                    self.surround.values, self.surround.grad, self.surround.reachable,
+                    torch.tensor(SHELL_VARIATION) / rays, VARIATION_CLAMP,
+                )  # fmt: skip
             self.surround.update(lr_grid)
         for group in self.net_optimiser.param_groups:
             group["lr"] = lr_mlp

@@ -90,6 +90,34 @@ def add_total_variation(
         grad.narrow(axis, 0, n - 1).sub_(difference, alpha=weight / 6.0)
 
 
+def add_touched_variation(
+    values: Float[Tensor, "X Y Z C"],
+    grad: Float[Tensor, "P X Y Z C"],
+    vertices: Int[Tensor, " A"],
+    weights: Float[Tensor, " C"],
+    clamp: float,
+) -> None:
+    """The same with a weight a channel, to those values of the listed vertices that have a gradient in any copy."""
+    channels, copies = values.shape[3], grad.shape[0]
+    weights = (weights / 6.0).to(values)
+    if use_warp(values.device):
+        arguments = [
+            array(values),
+            array(grad.view(copies, -1, channels)),
+            array(vertices),
+            array(weights),
+            clamp,
+        ]
+        launch(_touched_variation, len(vertices), arguments, values.device)
+        return
+    variation = torch.zeros_like(values)
+    add_total_variation(values, variation, 6.0, clamp)
+    touched = (grad != 0).any(0)
+    listed = torch.zeros(touched.shape[:3], dtype=torch.bool, device=values.device)
+    listed.view(-1)[vertices] = True
+    grad[0] += torch.where(touched & listed[..., None], variation * weights, 0.0)
+
+
 def _corrected(step: int, lr: float, betas: tuple[float, float]) -> tuple[float, float]:
     """The rate with the first moment's bias taken out, and the factor that does so for the second's root."""
     return lr / (1 - betas[0] ** step), (1 - betas[1] ** step) ** -0.5
@@ -166,16 +194,9 @@ def _dense(
     grad[n] = 0.0
 
 
-@wp.kernel(enable_backward=False)
+@wp.func
 @no_type_check
-def _variation(
-    first: int, values: wp.array4d(dtype=float), grad: wp.array4d(dtype=float), weight: float, most: float
-):
-    n = first + wp.tid()
-    c = n % values.shape[3]
-    k = (n // values.shape[3]) % values.shape[2]
-    j = (n // (values.shape[2] * values.shape[3])) % values.shape[1]
-    i = n // (values.shape[1] * values.shape[2] * values.shape[3])
+def _apart(values: wp.array4d(dtype=float), i: int, j: int, k: int, c: int, most: float):
     here = values[i, j, k, c]
     total = float(0.0)
     if i > 0:
@@ -190,4 +211,40 @@ def _variation(
         total += wp.clamp(here - values[i, j, k - 1, c], -most, most)
     if k < values.shape[2] - 1:
         total += wp.clamp(here - values[i, j, k + 1, c], -most, most)
-    grad[i, j, k, c] = grad[i, j, k, c] + total * weight
+    return total
+
+
+@wp.kernel(enable_backward=False)
+@no_type_check
+def _variation(
+    first: int, values: wp.array4d(dtype=float), grad: wp.array4d(dtype=float), weight: float, most: float
+):
+    n = first + wp.tid()
+    c = n % values.shape[3]
+    k = (n // values.shape[3]) % values.shape[2]
+    j = (n // (values.shape[2] * values.shape[3])) % values.shape[1]
+    i = n // (values.shape[1] * values.shape[2] * values.shape[3])
+    grad[i, j, k, c] = grad[i, j, k, c] + weight * _apart(values, i, j, k, c, most)
+
+
+@wp.kernel(enable_backward=False)
+@no_type_check
+def _touched_variation(
+    first: int,
+    values: wp.array4d(dtype=float),
+    grad: wp.array3d(dtype=float),
+    vertices: wp.array(dtype=wp.int64),
+    weights: wp.array(dtype=float),
+    most: float,
+):
+    v = int(vertices[first + wp.tid()])
+    k = v % values.shape[2]
+    j = (v // values.shape[2]) % values.shape[1]
+    i = v // (values.shape[1] * values.shape[2])
+    for c in range(values.shape[3]):
+        touched = int(0)
+        for p in range(grad.shape[0]):
+            if grad[p, v, c] != 0.0:
+                touched = 1
+        if touched == 1:
+            grad[0, v, c] = grad[0, v, c] + weights[c] * _apart(values, i, j, k, c, most)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from devrf.reconstruct.kernels import adam
 from devrf.reconstruct.kernels import background as around
-from devrf.reconstruct.kernels.adam import add_total_variation, dense_step, masked_step
+from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation, dense_step, masked_step
 from devrf.reconstruct.kernels.background import Surroundings, background, background_ref, contract, expand
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights, composite_weights_ref
 from devrf.reconstruct.kernels.march import RaySegments, Volume, Warp, march, march_ref
@@ -307,3 +308,25 @@ def test_total_variation_is_the_gradient_of_squared_differences() -> None:
     held = torch.zeros_like(values)
     add_total_variation(values.detach() * 1e6, held, 6.0, 1.0)
     assert held.abs().max() <= 6.0
+
+
+@pytest.mark.parametrize("warp", [True, False])
+def test_total_variation_of_what_is_touched_leaves_the_rest_alone(
+    warp: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values that have no gradient, and vertices that are not listed, get none."""
+    monkeypatch.setattr(adam, "use_warp", lambda device: warp)
+    generator = torch.Generator().manual_seed(6)
+    values, before = (
+        torch.randn(4, 5, 6, 3, generator=generator),
+        torch.randn(2, 4, 5, 6, 3, generator=generator),
+    )
+    before *= torch.rand(2, 4, 5, 6, 3, generator=generator) > 0.6
+    whole, found, weights = torch.zeros_like(values), before.clone(), torch.tensor([0.0, 1.0, 2.0])
+    add_total_variation(values, whole, 1.0, 0.5)
+    listed = torch.rand(4, 5, 6, generator=generator) > 0.3
+    add_touched_variation(values, found, listed.flatten().nonzero()[:, 0], weights, 0.5)
+    asked = (before != 0).any(0) & listed[..., None]
+    assert 0.1 < asked.float().mean() < 0.9
+    torch.testing.assert_close(found[0] - before[0], asked * weights * whole)
+    assert torch.equal(found[1], before[1])
