@@ -249,8 +249,8 @@ def test_a_board_whose_first_marker_has_another_number(tmp_path, spec, first):
     ("printed", "mirrored", "named"),
     [
         (replace(SPEC, dictionary="DICT_6X6_250"), False, ("DICT_6X6_50", "ids from 0 to 11")),
-        (SPEC, True, ("DICT_5X5_50", "ids from 0 to 11", "mirror")),
-        (BoardSpec("chessboard", (8, 5), 0.05), False, ("8x5",)),
+        pytest.param(SPEC, True, ("DICT_5X5_50", "ids from 0 to 11", "mirror"), marks=pytest.mark.full),
+        pytest.param(BoardSpec("chessboard", (8, 5), 0.05), False, ("8x5",), marks=pytest.mark.full),
         (KALIBR, False, ("DICT_APRILTAG_36h11", "ids from 0 to 19")),
     ],
     ids=["another dictionary", "mirrored", "chessboard", "Kalibr's grid"],

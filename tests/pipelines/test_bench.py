@@ -222,6 +222,7 @@ def test_the_first_measure_that_can_tell_decides() -> None:
     assert verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
 
 
+@pytest.mark.full
 def test_views_go_from_one_camera_to_all(devrf: Any, arm: Path, tmp_path: Path) -> None:
     _bench(devrf, "views", arm, "--out", str(tmp_path), *SETTINGS)
     rows = _rows(tmp_path / "views.json")

@@ -407,7 +407,7 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["clock_offsets_s"] == {}
 
 
-@pytest.mark.parametrize("moved", [False, True])
+@pytest.mark.parametrize("moved", [pytest.param(False, marks=pytest.mark.full), True])
 def test_clocks_are_moved_where_pixels_held_back_say_so(
     session: Scene, rest: RestModel, tracked, moved: bool
 ) -> None:
