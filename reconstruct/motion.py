@@ -33,7 +33,8 @@ class MotionField:
         backward, forward: Displacements at key times and vertices; all key times of a fine field may be too much
             for a GPU's memory and lie on the CPU, then a `window` of them is looked at.
         t_first, t_last: First and last key time, in the scene's time of [0, 1].
-        rest_key: Key time at which both are zero; None where the moving cameras never see the scene at rest.
+        rest_key: Key time at which both are zero (of movers: the nearest to rest); None where the moving cameras never
+            see the scene at rest.
     """
 
     aabb: Float[Tensor, "2 3"]

@@ -172,7 +172,7 @@ class Movers:
 
         Args:
             keys: Number of key times.
-            rest_time: In [0, 1]; at the key nearest to it nothing has moved.
+            rest_time: In [0, 1]; the key nearest to it counts as that of rest, however far parts have moved by then.
             resolution: As `MotionField.still`.
         """
         first, last = float(self.times[0]), float(self.times[-1])
@@ -185,8 +185,6 @@ class Movers:
         x = vertices(field.aabb, (shape[0], shape[1], shape[2])).reshape(-1, 3).to(device)
         part = self.part_of(x, REACH - 1)
         for key, time in enumerate(field.key_times):
-            if key == rest_key:
-                continue
             placed = self.placed(torch.tensor([time]))
             field.backward[key] = (self.to_rest(x, placed, REACH - 1)[0] - x).reshape(shape)
             field.forward[key] = (self.carried(x, part, placed) - x).reshape(shape)

@@ -161,12 +161,9 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
     from devrf.reconstruct.geometry.surface import apart, coloured, surface_of
 
     assert model.movers is not None and model.in_motion is not None
-    movers, scene, views = model.movers, trained.scene, _views(trained, model, progress)
-    if trained.request.options.times is None:
-        times: list[float] = movers.times.tolist()
-    else:
-        times = [moment.time or 0.0 for moment in trained.moments]
-    times_s = [scene.t0_s + time * (scene.t1_s - scene.t0_s) for time in times]
+    movers, views = model.movers, _views(trained, model, progress)
+    times = [moment.time or 0.0 for moment in trained.moments]
+    times_s = [moment.time_s or 0.0 for moment in trained.moments]
     ways = _ways(trained, movers, torch.tensor(times))
     meshes, moved, crumbs, empty = [], [], 0, []
     for part in range(movers.parts + 1):

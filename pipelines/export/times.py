@@ -38,7 +38,7 @@ def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
     Args:
         text: A number of times, spread evenly; `keys`; or times as `render --time` takes them, with commas.
         scene: Whose time runs from `t0_s` to `t1_s`.
-        keys: The model's key times in [0, 1].
+        keys: The model's key times, or the moments of its movers, in [0, 1].
     Raises:
         InputError: Not understood, or outside the clip.
     """

@@ -72,7 +72,9 @@ class Trained:
         motion = self.model.motion
         self.moments: list[Moment] = [times.REST]
         if motion is not None:
-            self.moments = times.chosen(default_times if wish is None else wish, self.scene, motion.key_times)
+            movers = self.model.movers
+            keys = motion.key_times if movers is None else movers.times.tolist()
+            self.moments = times.chosen(default_times if wish is None else wish, self.scene, keys)
 
     @property
     def unit(self) -> str:

@@ -32,6 +32,11 @@ FILES = {
     "forward; first axis: key time). `attributes` in each is JSON.",
 }
 
+PARTS = (
+    " What moves is rigid parts: parts has labels (on the grid of rest, from 1; 0 stands), rotations and shifts (first "
+    "axes: moment, part; in the box frame): what rests at x is at R x + t."
+)
+
 Volume = dict[str, np.ndarray]
 
 
@@ -52,7 +57,8 @@ def write(request: Request) -> None:
             files=f"{FILES[request.name]} Density is how much light is absorbed per unit of length (1 - exp(-density * "
             "length) is the opacity of a layer), rgb the 8-bit sRGB colour that the training cameras see on average, 0 "
             "where it is empty. Motion is in units of the box frame: a point seen at x at a time rests at x + "
-            "backward; what rests at x is then at x + forward. Between key times both are blended.",
+            "backward; what rests at x is then at x + forward. Between key times both are blended."
+            + ("" if trained.model.movers is None else PARTS),
             axes=attributes["axes"],
             facts={"volumes": attributes},
         )
@@ -75,8 +81,11 @@ def _volumes(trained: Trained) -> Iterator[tuple[str, tuple[int, int] | None, Vo
         return
     for n, moment in enumerate(trained.moments):
         yield "moving", (n, len(trained.moments)), at(moment.time)
-    motion = model.motion
+    motion, movers = model.motion, model.movers
     yield "motion", None, {"backward": motion.backward.cpu().numpy(), "forward": motion.forward.cpu().numpy()}
+    if movers is not None:
+        courses = {"rotations": movers.rotations.numpy(), "shifts": movers.shifts.numpy()}
+        yield "parts", None, {"labels": movers.labels.cpu().numpy(), **courses}
 
 
 def _attributes(trained: Trained, field: "Field") -> dict[str, Any]:
@@ -101,6 +110,9 @@ def _attributes(trained: Trained, field: "Field") -> dict[str, Any]:
             "moving_times_s": [moment.time_s for moment in trained.moments],
             "motion_key_times_s": [trained.scene.t0_s + span * time for time in motion.key_times],
         }
+        if trained.model.movers is not None:
+            moments = trained.model.movers.times.tolist()
+            value["parts_times_s"] = [trained.scene.t0_s + span * time for time in moments]
     return value
 
 

@@ -60,8 +60,8 @@ class Field:
         return x, y, z
 
     def at_rest(self) -> "Field":
-        """The same scene before it moved."""
-        movers = self.movers and (self.movers[0], self.movers[0].at_rest(torch.zeros(1)))
+        """The same scene before it moved, in constant light."""
+        movers = self.movers and (self.movers[0].unshaded(), self.movers[0].at_rest(torch.zeros(1)))
         return replace(self, motion=None, tau=None, movers=movers)
 
     def to_rest(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -104,7 +104,16 @@ class Field:
     def colours(self, x: Float[Tensor, "n 3"], rays_d: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """RGB in [0, 1] of points, each seen in a direction of its own (unit vectors in the box frame, away from the
         camera)."""
-        return self.canonical.net(self.features(x), rays_d, torch.arange(len(x), device=x.device))
+        rgb = self.canonical.net(self.features(x), rays_d, torch.arange(len(x), device=x.device))
+        return (rgb * self.brightness(x)).clamp(max=1)
+
+    @torch.no_grad()
+    def brightness(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+        """Factor on colours at points: the shading of movers at this time, one where there is none."""
+        if self.movers is None or self.movers[0].shading is None:
+            return torch.ones_like(x[:, :1])
+        (place, part), time = self.layer(x), self.movers[1].times.expand(len(x))
+        return self.movers[0].shading.at((part > 0).long(), place, time).exp()[:, None]
 
     def colours_from_outside(
         self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]

@@ -77,12 +77,14 @@ def coloured(views: Sequence[SeenView], surface: Surface, field: Field) -> Float
     """Colours in [0, 1] of a surface at a field's time.
 
     Args:
-        views: Of the scene at rest (`resting`): colours move along.
+        views: Of the scene at rest (`resting`): colours move along, and change with the light.
         surface: What is coloured.
         field: At its time.
     """
     vertices = rested(surface, field)
-    return colours_of(views, field.at_rest(), vertices, normals_of(vertices, surface.faces))
+    rgb = colours_of(views, field.at_rest(), vertices, normals_of(vertices, surface.faces))
+    light = torch.cat([field.brightness(x) for x in surface.x.split(AT_ONCE)])
+    return (rgb * light.cpu().numpy()).clip(max=1)
 
 
 def resting(model: DynamicModel) -> DynamicModel:

@@ -13,18 +13,22 @@ from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.model_io import FILE, save_motion, save_rest
+from devrf.reconstruct.model_io import FILE, save_deformation, save_rest
 
 SCALE = 2.0  # box units in a metre
 
 
-def write_trained(folder: Path, *, moves: bool = True) -> Path:
+def write_trained(folder: Path, *, moves: bool = True, model: DynamicModel | None = None) -> Path:
     """Write `scene.yaml` and a finished run of the moving ball (or of one at rest) into a folder.
 
+    Args:
+        folder: Where.
+        moves: Something moves.
+        model: Another one than the ball, in the same box.
     Returns:
         scene.yaml.
     """
-    run, model = folder / "run", moving_ball()
+    run, model = folder / "run", model or moving_ball()
     picture = run / "grey.png"
     picture.parent.mkdir(parents=True)
 
@@ -43,9 +47,8 @@ def write_trained(folder: Path, *, moves: bool = True) -> Path:
     (run / "canonical").mkdir()
     save_rest(run / "canonical" / FILE, model.rest)
     if moves:
-        assert model.motion is not None
         (run / "deformation").mkdir()
-        save_motion(run / "deformation" / FILE, model.motion, model.rest.canonical.voxel)
+        save_deformation(run / "deformation", model)
     for stage in run.iterdir():
         if stage.is_dir():
             (stage / STAMP).write_text("{}")
