@@ -103,6 +103,11 @@ class Movers:
         own, labels = self.canonical.only(kept), torch.where(kept, self.labels, 0)
         return Movers(own, labels, self.times, self.rotations, self.shifts, self.shading)
 
+    def still(self) -> "Movers":
+        """The same if nothing moved, in the same light."""
+        turns = torch.eye(3).expand_as(self.rotations).contiguous()
+        return replace(self, rotations=turns, shifts=torch.zeros_like(self.shifts))
+
     def at_rest(self, time: Float[Tensor, "1"]) -> Placed:
         """Where nothing has moved, in the light of a time."""
         device = self.canonical.density.device

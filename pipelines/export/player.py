@@ -29,12 +29,13 @@ def write(request: Request) -> None:
     """Write `player.html`."""
     count = shared.asked(request)
     trained = Trained(request, TIMES)
-    _check_size(count, len(trained.moments))
+    movers = trained.model.movers
+    _check_size(count, len(trained.moments), 0 if movers is None else movers.parts)
     from devrf.reconstruct.splats.packed import pack
 
     with request.new_folder() as new, request.talk.progress("export player") as progress:
         made = shared.made(trained, count, lambda done, text: progress((1 - LAST) * done, text))
-        packed = pack(made.gaussians, made.ways)
+        packed = pack(made.gaussians, made.ways, made.nodes)
         views = [_told(*view) for view in _views(trained)]
         about = {**_about(trained, made), "splats": packed.about, "views": views}
         path = new / PAGE
@@ -50,12 +51,12 @@ def write(request: Request) -> None:
         )
 
 
-def _check_size(count: int, keys: int) -> None:
+def _check_size(count: int, keys: int, nodes: int) -> None:
     """Raises InputError where the page could be larger than `MOST_BYTES`."""
     from devrf.reconstruct.splats.packed import size_at_most
 
     def size(n: int) -> int:
-        return page_size(size_at_most(n, n, keys), ABOUT)
+        return page_size(size_at_most(n, n, keys, nodes), ABOUT)
 
     if size(count) > MOST_BYTES:
         most = int(count * (MOST_BYTES - size(0)) / (size(count) - size(0)) / 1000) * 1000

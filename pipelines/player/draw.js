@@ -7,7 +7,7 @@
 const VERTEX = `#version 300 es
 layout(location = 0) in vec3 place;
 layout(location = 1) in uint id;
-uniform highp sampler2D shapes;
+uniform highp sampler2D shapes, turns;
 uniform mat3 turn;
 uniform vec3 shift;
 uniform vec2 focal, centre, size, largest;
@@ -16,13 +16,17 @@ flat out vec4 colour;
 flat out vec4 ellipse;
 
 void main() {
-  int at = int(id) * 2;
+  int at = int(id & OWN) * 2, part = int(id / (OWN + 1u));
   vec4 a = texelFetch(shapes, ivec2(at & 1023, at >> 10), 0);
   vec4 b = texelFetch(shapes, ivec2((at + 1) & 1023, at >> 10), 0);
   mat3 spread = mat3(a.x, a.y, a.z, a.y, a.w, b.x, a.z, b.x, b.y);
   vec3 seen = turn * place + shift;
   vec2 ray = clamp(seen.xy / seen.z, -largest, largest);
   mat3 slope = mat3(focal.x, 0, 0, 0, focal.y, 0, -ray.x * focal.x, -ray.y * focal.y, 0) * turn;
+  if (part > 0) {
+    vec4 x = texelFetch(turns, ivec2(0, part), 0), y = texelFetch(turns, ivec2(1, part), 0);
+    slope = slope * transpose(mat3(x.xyz, y.xyz, texelFetch(turns, ivec2(2, part), 0).xyz));
+  }
   mat3 flat_spread = slope * spread * transpose(slope);
   float z2 = seen.z * seen.z;
   float uu = flat_spread[0][0] / z2 + BLUR, vv = flat_spread[1][1] / z2 + BLUR, uv = flat_spread[0][1] / z2;
@@ -53,6 +57,7 @@ void main() {
 const BLUR = "0.3"; // square pixels, as the splats were fitted with
 const GUARD = 96; // pixels around the picture: points whose middle is outside would be dropped whole
 const NEAREST = 0.05; // box units
+const OWN = (1 << 21) - 1; // bits of a splat's number; those above are of the node it is on
 const DEPTHS = 1 << 14; // steps of depth that are told apart
 
 export class Drawing {
@@ -71,7 +76,7 @@ export class Drawing {
   build() {
     const gl = this.gl;
     const largest = gl.getParameter(gl.ALIASED_POINT_SIZE_RANGE)[1].toFixed(1);
-    const vertex = VERTEX.replaceAll("BLUR", BLUR).replaceAll("largest_point", largest);
+    const vertex = VERTEX.replaceAll("BLUR", BLUR).replaceAll("OWN", `${OWN}u`).replaceAll("largest_point", largest);
     const program = (this.program = gl.createProgram());
     for (const [type, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
       const shader = gl.createShader(type);
@@ -89,9 +94,13 @@ export class Drawing {
     const rows = Math.ceil((2 * this.splats.count) / 1024);
     const shapes = new Float32Array(4096 * rows);
     shapes.set(this.splats.shapes);
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 1024, rows, 0, gl.RGBA, gl.FLOAT, shapes);
-    for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
+    ["shapes", "turns"].forEach((name, unit) => {
+      gl.uniform1i(this.at(name), unit);
+      gl.activeTexture(gl.TEXTURE0 + unit); // the last one stays, `draw` fills it
+      gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+      for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
+      if (!unit) gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 1024, rows, 0, gl.RGBA, gl.FLOAT, shapes);
+    });
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, this.vertices.byteLength, gl.DYNAMIC_DRAW);
     gl.enableVertexAttribArray(0);
@@ -115,6 +124,8 @@ export class Drawing {
     gl.uniform2f(this.at("size"), width, height);
     gl.uniform1f(this.at("guard"), GUARD);
     gl.uniform2f(this.at("largest"), (0.65 * width) / view.focal[0], (0.65 * height) / view.focal[1]);
+    const { turns } = this.splats;
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 3, turns.length / 12, 0, gl.RGBA, gl.FLOAT, turns);
     const key = [...view.turn, ...view.shift, ...view.focal, ...view.centre, width, height].join();
     const from = this.splats.moving ? this.farthest(view) : 0;
     let drawn = 0;
@@ -153,7 +164,7 @@ export class Drawing {
 
   // Fills `vertices` with what is in view between two depths, from far to near; returns how many.
   sort(view, places, from, to) {
-    const { keys, order } = this, { radii, count } = this.splats;
+    const { keys, order } = this, { radii, count, parts } = this.splats;
     const [xx, xy, xz, yx, yy, yz, zx, zy, zz] = view.turn, [sx, sy, sz] = view.shift;
     const across = (0.5 * this.canvas.width) / view.focal[0], down = (0.5 * this.canvas.height) / view.focal[1];
     const aside = (view.centre[0] - 0.5 * this.canvas.width) / view.focal[0];
@@ -181,7 +192,7 @@ export class Drawing {
       floats[at] = places[k];
       floats[at + 1] = places[k + 1];
       floats[at + 2] = places[k + 2];
-      ids[at + 3] = id;
+      ids[at + 3] = id + (OWN + 1) * parts[id];
     }
     return found;
   }

@@ -9,7 +9,7 @@ larger one, or from nearer, it falls apart into dots (Yu et al., Mip-Splatting, 
 """
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import torch
 from jaxtyping import Float
@@ -21,7 +21,7 @@ from devrf.reconstruct.kernels.splat import splat
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.splats.gaussians import Gaussians, flattened, pixel_sizes, tiles_of
 from devrf.reconstruct.splats.looks import Look
-from devrf.reconstruct.splats.moving import moved
+from devrf.reconstruct.splats.moving import Nodes, moved, nodes_of
 
 # places in standard deviations; thrice the published rates and more, for a hundredth of the published steps
 RATES = {"places": 0.2, "quats": 1e-2, "log_scales": 5e-2, "logits": 1e-1, "colours": 3e-2}
@@ -41,6 +41,7 @@ def fit(
     rounds: int,
     seed: int,
     progress: Progress = no_progress,
+    nodes: Nodes | None = None,
 ) -> Gaussians:
     """The Gaussians after so many rounds through all pictures.
 
@@ -51,8 +52,13 @@ def fit(
         behind: Colour behind everything.
         rounds: Through all pictures, each in an order of its own.
         seed: Of that order.
+        progress: To be called with (fraction done, short text).
+        nodes: Of the Gaussians, where parts are rigid; it learns the part of those that are taken elsewhere.
     """
     learned = _Learned(gaussians, [look.camera for look in looks])
+    if nodes is not None:
+        then = nodes_of(model, gaussians.places, [look.time for look in looks])
+        learned.nodes = then and replace(then, part=nodes.part)
     adam = torch.optim.Adam(
         [{"params": [leaf], "lr": RATES[name]} for name, leaf in learned.leaves.items()], betas=BETAS, eps=EPS
     )
@@ -62,7 +68,7 @@ def fit(
     for turn in range(rounds):
         for n, at in enumerate(torch.randperm(len(looks), generator=generator).tolist()):
             adam.zero_grad()
-            learned.step(model, looks[at], behind)
+            learned.step(model, looks[at], at, behind)
             adam.step()
             learned.keep_coarse()
             schedule.step()
@@ -77,6 +83,7 @@ class _Learned:
 
     def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
         self.cameras = cameras
+        self.nodes: Nodes | None = None
         self.start = gaussians.places.clone()
         self.unit = gaussians.log_scales.exp().mean(1, keepdim=True)
         self.leaves = {f.name: getattr(gaussians, f.name).clone() for f in fields(gaussians)}
@@ -93,11 +100,14 @@ class _Learned:
     def places(self) -> Tensor:
         return self.start + self.unit * self.leaves["places"]
 
-    def step(self, model: DynamicModel, look: Look, behind: Tensor) -> None:
+    def step(self, model: DynamicModel, look: Look, number: int, behind: Tensor) -> None:
         """Gradients of one picture's mean absolute difference."""
         places = self.places()
-        offset = moved(model, places.detach(), look.time) - places.detach()
-        now = Gaussians(**{**self.leaves, "places": places + offset})
+        now = Gaussians(**{**self.leaves, "places": places})
+        if self.nodes is not None:
+            now = self.nodes.at(number, now)
+        else:
+            now = now.at(places + (moved(model, places.detach(), look.time) - places.detach()))
         size = (look.camera.width, look.camera.height)
         flat, depth, spread = flattened(now, look.camera)
         flat.retain_grad()
@@ -125,6 +135,8 @@ class _Learned:
         self.leaves["log_scales"][wide, which] += torch.log(torch.tensor(CUT))
         for leaf in self.leaves.values():
             leaf[unseen] = leaf[wide]
+        if self.nodes is not None:
+            self.nodes.part[unseen] = self.nodes.part[wide]
         middle = now.places[wide]
         self.start[wide], self.start[unseen] = middle + along, middle - along
         changed = torch.cat([wide, unseen])

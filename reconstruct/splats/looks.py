@@ -4,7 +4,7 @@ Pictures are asked of the model, not of the cameras, so that there may be as man
 cameras too, and so that surroundings, motion and colours are those of `render_view`. Test pictures are never read.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -74,11 +74,12 @@ def look_around(
     """
     poses, moments = views(scene, model.motion)
     at_rest = None if model.motion is None else rest_time(model.motion)
+    still = model if model.movers is None else replace(model, movers=model.movers.still())
     coded = None if model.rest.shell is None else coded_shell(model.rest.shell)
     placed, others = [], []
     for n, pose in enumerate([*poses, *moments]):
         if isinstance(pose, Camera):
-            placed.append(look(model, pose, at_rest, coded))
+            placed.append(look(still, pose, at_rest, coded))
         else:
             picture = torch.from_numpy(render_view(model, *pose)).to(model.rest.canonical.density.device)
             others.append(Look(*pose, picture))
@@ -123,7 +124,8 @@ def rest_time(motion: MotionField) -> float | None:
 
 @torch.no_grad()
 def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell | None) -> PlacedLook:
-    """A picture and where its pixels lie: in the box where it is solid, else in the surroundings (`coded_shell`)."""
+    """A picture of what rests at a time, and where its pixels lie: in the box where it is solid, else in the
+    surroundings (`coded_shell`)."""
     device = str(model.rest.canonical.density.device)
     view = seen.look(model, camera, time)
     size = (camera.height, camera.width, 3)
@@ -135,7 +137,7 @@ def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell |
         points = torch.where(is_body[..., None], points, back.reshape(size))
         hidden = (left < 1 - SOLID).reshape(size[:2])
         points, is_body = torch.where(hidden[..., None], front.reshape(size), points), is_body & ~hidden
-    return PlacedLook(camera, time, torch.from_numpy(view.picture).to(device), points, is_body)
+    return PlacedLook(camera, None, torch.from_numpy(view.picture).to(device), points, is_body)
 
 
 def coded_shell(shell: Shell) -> Shell:

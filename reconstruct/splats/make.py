@@ -1,7 +1,7 @@
 """Splats of a trained model: looked for, fitted, and where they are at each time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.splats.fit import fit
 from devrf.reconstruct.splats.gaussians import Gaussians
 from devrf.reconstruct.splats.looks import look_around
-from devrf.reconstruct.splats.moving import moved
+from devrf.reconstruct.splats.moving import Nodes, moved, nodes_of
 from devrf.reconstruct.splats.sample import sample
 
 ROUNDS = 4  # of fitting, through all pictures
@@ -30,13 +30,15 @@ class Splats:
 
     Attributes:
         gaussians: At rest, in the box frame; those that move come first.
-        ways: Places of those that move, at each of the times.
+        ways: Places of those that move, at each of the times; also where they are on nodes.
         behind: RGB of what is behind all of them.
+        nodes: Rigid parts at these times, where motion is theirs.
     """
 
     gaussians: Gaussians
     ways: Float[Tensor, "K M 3"]
     behind: Float[Tensor, " 3"]
+    nodes: Nodes | None = None
 
     @property
     def moving(self) -> int:
@@ -45,6 +47,8 @@ class Splats:
 
     def at(self, key: int) -> Gaussians:
         """As they are at one of the times."""
+        if self.nodes is not None:
+            return self.nodes.at(key, self.gaussians)
         return self.gaussians.at(torch.cat([self.ways[key], self.gaussians.places[self.moving :]]))
 
 
@@ -76,20 +80,30 @@ def make_splats(
     def fitting(done: float, text: str) -> None:
         progress(LOOKING + (1 - LOOKING) * done, text)
 
+    nodes = nodes_of(model, gaussians.places, times)
     if rounds:
-        gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, SEED, fitting)
-    return along(model, gaussians.only(gaussians.logits.sigmoid() > FAINTEST), times, behind)
+        gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, SEED, fitting, nodes)
+    kept = (gaussians.logits.sigmoid() > FAINTEST).nonzero()[:, 0]
+    return along(model, gaussians.only(kept), times, behind, nodes and replace(nodes, part=nodes.part[kept]))
 
 
 def along(
-    model: DynamicModel, gaussians: Gaussians, times: Sequence[float | None], behind: Float[Tensor, " 3"]
+    model: DynamicModel,
+    gaussians: Gaussians,
+    times: Sequence[float | None],
+    behind: Float[Tensor, " 3"],
+    nodes: Nodes | None,
 ) -> Splats:
     """Resting splats with their places at some times; those that stay where they are come last."""
-    places = torch.stack([moved(model, gaussians.places, time) for time in times])
+    if nodes is None:
+        places = torch.stack([moved(model, gaussians.places, time) for time in times])
+    else:
+        places = torch.stack([nodes.at(key, gaussians).places for key in range(len(times))])
     farthest = (places - gaussians.places).norm(dim=2).amax(0)
-    moves = farthest > STILL * gaussians.log_scales.exp().mean(1)
+    moves = farthest > STILL * gaussians.log_scales.exp().mean(1) if nodes is None else nodes.part > 0
     order = torch.cat([moves.nonzero()[:, 0], (~moves).nonzero()[:, 0]])
-    return Splats(gaussians.only(order), places[:, order[: int(moves.sum())]], behind)
+    nodes = nodes and replace(nodes, part=nodes.part[order])
+    return Splats(gaussians.only(order), places[:, order[: int(moves.sum())]], behind, nodes)
 
 
 def behind_of(scene: Scene) -> Float[Tensor, " 3"]:

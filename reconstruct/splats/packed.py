@@ -1,7 +1,9 @@
 """Splats in few bytes, for a page that carries them (pipelines/player/splats.js unpacks them).
 
 Places are floats of 32 bits, since surroundings may be far; what moves goes on in 16-bit steps of its own extent, as
-differences from key time to key time whose rounding does not add up. Orientations are four bytes, logarithms of the
+differences from key time to key time whose rounding does not add up. On nodes (rigid parts) it has no ways: a byte says
+which node each is on, from 1, its place is from the node's own, and at each key time each node has a quaternion and a
+place, as floats. Orientations are four bytes, logarithms of the
 scales, opacities and colours one byte each. 16-bit numbers are stored with all low bytes before all high ones, which
 deflates better.
 """
@@ -11,14 +13,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from devrf.reconstruct.splats.gaussians import Gaussians
+from devrf.reconstruct.splats.moving import Nodes
 
 STEPS = (1 << 15) - 2  # of the longest way of all: its differences fit, wherever it leads
 DEFLATE = 9
-BYTES, BYTES_PER_KEY = 23, 6  # of a splat, and for each key time after the first if it moves
+BYTES, BYTES_PER_KEY = 23, 6  # of a splat, and for each key time after the first if it moves by itself
+NODE_BYTES = 28  # of a node and a key time
 
 
 @dataclass(frozen=True)
@@ -34,17 +39,19 @@ class Packed:
     data: bytes
 
 
-def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"]) -> Packed:
+def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None = None) -> Packed:
     """Pack splats.
 
     Args:
-        gaussians: Those that move first; their own places count only for those that do not.
+        gaussians: Those that move first; their own places count for those that do not, and on nodes.
         ways: Places of those that move, at the key times.
+        nodes: On which they do, if that is so.
     """
     places = gaussians.places.cpu().numpy().astype("<f4")
     paths = ways.cpu().numpy().astype(np.float64)
     keys, moving = paths.shape[:2]
-    places[:moving] = paths[0]
+    mine = None if nodes is None else nodes.part[:moving].cpu().numpy().astype(np.uint8)
+    places[:moving] = paths[0] if nodes is None else places[:moving] - nodes.middles.cpu().numpy()[mine]
     away = paths - paths[0]
     step = 2 * float(np.abs(away).max(initial=0.0)) / STEPS or 1.0
     log_scales = gaussians.log_scales.cpu().numpy().astype(np.float64)
@@ -57,15 +64,23 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"]) -> Packed:
         _bytes((log_scales - scales[0]) / max(scales[1] - scales[0], 1e-9) * 255),
         _bytes(gaussians.logits.sigmoid().cpu().numpy() * 255),
         _bytes(gaussians.colours.cpu().numpy() * 255),
-        *(_words(way) for way in np.diff(np.round(away / step).astype(np.int64), axis=0)),
     ]
-    about = {"count": len(places), "moving": moving, "keys": keys, "step": step, "scales": scales}
+    about = {"count": len(places), "moving": moving, "keys": keys, "scales": scales}
+    if nodes is None:
+        parts += [_words(way) for way in np.diff(np.round(away / step).astype(np.int64), axis=0)]
+        about |= {"step": step}
+    else:
+        courses = torch.cat([nodes.quats, nodes.places], dim=2)[:, 1:]
+        parts += [mine, courses.cpu().numpy().astype("<f4")]
+        swept = [end(paths.reshape(-1, 3), 0, initial=0.0).tolist() for end in (np.min, np.max)]
+        about |= {"nodes": courses.shape[1], "swept": swept}
     return Packed(about, zlib.compress(b"".join(part.tobytes() for part in parts), DEFLATE))
 
 
-def size_at_most(count: int, moving: int, keys: int) -> int:
-    """Bytes that splats take at most, packed."""
-    return round(1.001 * (BYTES * count + BYTES_PER_KEY * moving * max(0, keys - 1))) + 64
+def size_at_most(count: int, moving: int, keys: int, nodes: int = 0) -> int:
+    """Bytes that splats take at most, packed; on as many nodes, if any."""
+    motion = BYTES_PER_KEY * moving * max(0, keys - 1) if not nodes else moving + NODE_BYTES * nodes * keys
+    return round(1.001 * (BYTES * count + motion)) + 64
 
 
 def _words(codes: Int[np.ndarray, "n 3"]) -> UInt8[np.ndarray, " n6"]:

@@ -7,14 +7,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from tests.pipelines.trained_run import boxed_model, write_trained
+from tests.reconstruct.conftest import look_at
+from tests.reconstruct.moving_parts import moving_parts
 
 from devrf.capture.camera import Camera
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.command import export
+from devrf.pipelines.export.player import _told
 from devrf.pipelines.export.request import Options
+from devrf.pipelines.player.page import player_page
+from devrf.reconstruct.kernels.splat import splat
 from devrf.reconstruct.model import render_view
+from devrf.reconstruct.splats.gaussians import Gaussians, flattened, tiles_of
+from devrf.reconstruct.splats.moving import Nodes
+from devrf.reconstruct.splats.packed import pack
 
 pytestmark = pytest.mark.full
 
@@ -81,6 +90,56 @@ def test_it_shows_what_the_model_shows(page: Any, pages: dict[str, Path]) -> Non
             true = render_view(model, camera_of(page), moment)
             assert psnr(seen[view, moment], true) > 25, (view, moment)
     assert psnr(seen[0, 0.0], seen[0, 1.0]) < 22 and psnr(seen[0, 0.0], seen[2, 0.0]) < 40
+
+
+def test_rigid_parts_turn_as_the_model_does(page: Any, tmp_path: Path) -> None:
+    model = moving_parts()
+    run = write_trained(tmp_path, model=model).parent / "run"
+    folder = export(Talk("quiet"), run, "player", None, Options(splats=3000, times="0s,1s"))
+    opened(page, folder / "player.html")
+    seen = {}
+    for moment in (0.0, 0.5, 1.0):  # between them it turns along the arc
+        page.evaluate(f"player.setTime({moment})")
+        seen[moment] = picture(page)
+        true = render_view(model, camera_of(page), moment)
+        assert psnr(seen[moment], true) > 22, moment
+    assert psnr(seen[0.0], seen[0.5]) < 18 and psnr(seen[0.5], seen[1.0]) < 18
+
+
+def test_a_needle_turns_with_its_node(page: Any, tmp_path: Path) -> None:
+    turn, middle = np.pi / 2, torch.tensor([[0.0, 0, 0], [0.2, -0.1, 0.1]])
+    needles = Gaussians(
+        torch.tensor([[0.3, -0.1, 0.1], [-0.5, 0.1, -0.2]]),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
+        torch.tensor([[0.3, 0.02, 0.02]]).log().repeat(2, 1),
+        torch.tensor([0.9, 0.9]).logit(),
+        torch.tensor([[0.8, 0.2, 0.2], [0.2, 0.2, 0.8]]),
+    )
+
+    def nodes(times: list[float]) -> Nodes:
+        quats = torch.tensor(
+            [[[1.0, 0, 0, 0], [np.cos(turn * t / 2), 0, 0, np.sin(turn * t / 2)]] for t in times]
+        )
+        places = torch.stack(
+            [middle + torch.tensor([[0.0], [t]]) * torch.tensor([0.0, 0.1, 0.2]) for t in times]
+        )
+        return Nodes(torch.tensor([1, 0]), middle, quats.float(), places)
+
+    keys = nodes([0.0, 1.0])
+    ways = torch.stack([keys.at(key, needles).places[:1] for key in (0, 1)])
+    packed = pack(needles, ways, keys)
+    view = _told("start", look_at(np.array([0.3, -2.0, 1.2])), np.zeros(3))
+    about = {"up": [0, 0, 1], "behind": [1, 1, 1], "metres": None, "times": [0.0, 1.0], "views": [view]}
+    path = tmp_path / "player.html"
+    path.write_text(player_page("needle", "", about | {"splats": packed.about}, packed.data))
+    opened(page, path)
+    for moment in (0.0, 0.5, 1.0):
+        page.evaluate(f"player.setTime({moment})")
+        shown = picture(page)
+        flat, depth, spread = flattened(nodes([moment]).at(0, needles), camera_of(page))
+        lists = tiles_of(flat, depth, spread, (SIDE, SIDE))
+        true = splat(flat, *lists, (SIDE, SIDE), torch.ones(3)).numpy()
+        assert psnr(shown, true) > 40, moment
 
 
 def test_mouse_keys_and_touch_move_it(page: Any, pages: dict[str, Path]) -> None:

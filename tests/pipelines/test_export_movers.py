@@ -1,6 +1,9 @@
 """Rigid parts in every format that reads the model: each thing where its motion takes it, once, and at all times."""
 
+import base64
 import json
+import re
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -8,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from tests.glb import read_glb
 from tests.pipelines.trained_run import SCALE, write_trained
 from tests.reconstruct.moving_ball import AABB
@@ -43,7 +47,10 @@ def _clouds(folder: Path, facts: dict[str, Any]) -> Shown:
     for entry in facts["files"]:
         vertex = plyfile.PlyData.read(str(folder / entry.get("file", entry.get("files", [""])[0])))["vertex"]
         xyz = np.stack([vertex[axis] for axis in "xyz"], axis=1)
-        rgb = np.stack([vertex[name] for name in ("red", "green", "blue")], 1) / 255
+        if "f_dc_0" in vertex:
+            rgb = 0.5 + 0.28209479177387814 * np.stack([vertex[f"f_dc_{k}"] for k in range(3)], 1)
+        else:
+            rgb = np.stack([vertex[name] for name in ("red", "green", "blue")], 1) / 255
         yield entry["time"], xyz * SCALE, rgb
 
 
@@ -74,12 +81,30 @@ def _arrays(folder: Path, name: str, parts: tuple[str, ...], n: int | None = Non
         return [file[part] for part in parts]
 
 
+def _played(folder: Path, facts: dict[str, Any]) -> Shown:
+    page = (folder / "player.html").read_text()
+    about = json.loads(re.findall(r'id="about">(.*?)</script>', page, re.S)[0])
+    data = zlib.decompress(base64.b64decode(re.findall(r'id="splats">(.*?)</script>', page, re.S)[0]))
+    told = about["splats"]
+    n, m, shape = told["count"], told["moving"], (told["keys"], told["nodes"], 7)
+    places = np.frombuffer(data, "<f4", 3 * n).reshape(n, 3).astype(np.float64)
+    rgb = np.frombuffer(data, np.uint8, 3 * n, 20 * n).reshape(n, 3) / 255
+    part = np.frombuffer(data, np.uint8, m, 23 * n)
+    nodes = np.frombuffer(data, "<f4", int(np.prod(shape)), 23 * n + m).reshape(shape)
+    assert len(data) == 23 * n + m + nodes.nbytes and set(part) == {1, 2}
+    for time, node in zip(about["times"], nodes, strict=True):
+        turned = Rotation.from_quat(node[part - 1, :4], scalar_first=True).apply(places[:m])
+        yield time, np.concatenate([turned + node[part - 1, 4:], places[m:]]), rgb
+
+
 FORMATS: dict[str, Callable[[Path, dict[str, Any]], Shown]] = {
     "ply": _clouds,
     "mesh": _clouds,
     "glb": _animated,
     "zarr": _grids,
     "npz": _grids,
+    "splat": _clouds,
+    "player": _played,
 }
 MODULES = {"mesh": "skimage", "glb": "skimage", "zarr": "zarr"}
 
@@ -96,14 +121,18 @@ def test_each_thing_is_where_its_motion_takes_it_and_nowhere_else(
     run_dir: Path, tmp_path: Path, name: str
 ) -> None:
     times = ",".join(f"{time}s" for time in TIMES)
-    folder, facts = exported(run_dir, tmp_path, name, times=times)
+    splats = {"splats": 1500} if name in ("splat", "player") else {}
+    folder, facts = exported(run_dir, tmp_path, name, times=times, **splats)
     voxel, found = moving_parts().rest.canonical.voxel, []
     for time, points, rgb in FORMATS[name](folder, facts):
         found.append(time)
         rotations, shifts = motion_at(time)
         for thing in (STICK, BALL, SLAB):
             mine = points[rgb.argmax(1) == thing]
-            assert outside(thing, mine, time).max() < 1.5 * voxel, (time, thing)
+            near = outside(thing, mine, time) < 1.5 * voxel
+            # a few splats in a hundred are where two things touch, of the one's colour on the other
+            assert near.mean() > (0.97 if splats else 1 - 1e-9), (time, thing)
+            mine = mine[near]
             at_rest = (mine - shifts[thing]) @ rotations[thing] - CENTRES[thing]
             ends = np.stack([-at_rest.min(0), at_rest.max(0)])
             np.testing.assert_allclose(ends, np.tile(SIZES[thing], (2, 1)), atol=1.5 * voxel)

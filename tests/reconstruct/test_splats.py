@@ -10,6 +10,7 @@ import pytest
 import torch
 from tests.reconstruct.conftest import around, look_at
 from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
+from tests.reconstruct.moving_parts import BALL, REST, SLAB, STICK, motion_at, moving_parts, outside
 from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
@@ -206,6 +207,34 @@ def test_a_scene_at_rest_has_splats_that_stay(tmp_path: Path) -> None:
     model = DynamicModel(moving_ball().rest)
     splats = make_splats(ball_scene(tmp_path, moves=False), model, 600, [None], rounds=0)
     assert splats.moving == 0 and 300 < len(splats.gaussians) <= 600
+
+
+def test_splats_go_and_turn_with_the_rigid_part_they_are_on(tmp_path: Path) -> None:
+    model = moving_parts()
+    sampled, fitted = (
+        make_splats(ball_scene(tmp_path), model, 1200, [REST, 0.6, 1.0], rounds=rounds) for rounds in (0, 1)
+    )
+    for splats in (sampled, fitted):
+        assert splats.nodes is not None and splats.moving == int((splats.nodes.part > 0).sum())
+        for key, time in enumerate((REST, 0.6, 1.0)):
+            now, (turns, shifts) = splats.at(key), motion_at(time)
+            for node, thing in enumerate((SLAB, STICK, BALL)):
+                own = splats.nodes.part == node
+                turn, shift = (torch.from_numpy(x[thing]).float() for x in (turns, shifts))
+                at_rest, there = splats.gaussians.only(own), now.only(own)
+                assert len(there) > 50
+                torch.testing.assert_close(there.places, at_rest.places @ turn.T + shift, rtol=0, atol=1e-5)
+                torch.testing.assert_close(there.axes, turn @ at_rest.axes, rtol=0, atol=1e-5)
+                if splats is sampled:  # each on the part that it shows
+                    away = outside(thing, there.places.numpy(), time)
+                    assert (np.abs(away) < 1.5 * model.rest.canonical.voxel).mean() > 0.97, (node, time)
+    camera = look_at(around(16, 0.2, 0.35)[3])
+    errors = []
+    for key, time in enumerate((REST, 1.0)):
+        with torch.no_grad():
+            picture = render_gaussians(fitted.at(2 * key), camera, fitted.behind).clamp(0, 1).numpy()
+        errors.append(float(((picture - render_view(model, camera, time)) ** 2).mean()))
+    assert errors[1] < 1.5 * errors[0]  # as good where the stick has turned
 
 
 def test_packed_splats_unpack_as_documented(made: tuple[DynamicModel, Splats, Splats]) -> None:
