@@ -17,6 +17,7 @@ from tests.refused import refused
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
+from devrf.capture.formats.export import MARKER
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.export.command import export
@@ -107,8 +108,8 @@ def test_a_stopped_export_leaves_nothing_and_says_so(tmp_path: Path, sign: signa
     scene = write_trained(tmp_path)
     command = [sys.executable, "-m", "devrf.pipelines.cli", "export", str(scene), "--format", "splat"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        new, until = tmp_path / "run/export/.new-splat", time.monotonic() + 60
-        while not new.exists() and time.monotonic() < until:
+        begun, until = tmp_path / "run/export/.new-splat" / MARKER, time.monotonic() + 60
+        while not begun.exists() and time.monotonic() < until:
             time.sleep(0.02)
         process.send_signal(sign)
         said = process.communicate(timeout=60)[1]
