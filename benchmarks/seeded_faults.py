@@ -45,18 +45,23 @@ def near_and_far(tree: Path, fault: Fault) -> tuple[list[str], list[str]]:
     return near, [file for file in imports if file not in near]
 
 
-def find(tree: Path, fault: Fault, tiers: list[str]) -> dict:
+def find(tree: Path, fault: Fault, tiers: list[str], known: dict) -> dict:
     """Seed a fault and run the tests, those of the default tier first.
 
+    Args:
+        tree: Where to.
+        fault: Which.
+        tiers: Of `TIERS`, in their order.
+        known: What was found before.
     Returns:
         The fault's path and kind, and the test that found it: `test`, in `make test`; `full`, in `make test-full`; null
-        where none did.
+        where none did, or where tests did not end in time.
     """
     file = tree / fault.path
     whole = file.read_text()
     if (count := whole.count(fault.right)) != 1:
         raise SystemExit(f"{fault.path}: {fault.right!r} stands {count} times; expected once")
-    result: dict = {"path": fault.path, "kind": fault.kind}
+    result: dict = known | {"path": fault.path, "kind": fault.kind}
     for tier in tiers:
         result[tier] = result.get("test") or _first_that_fails(tree, fault, whole, tier)
     return result
@@ -121,7 +126,7 @@ def main() -> None:
     parser.add_argument("tree", type=Path)
     parser.add_argument("--json", type=Path, help="where results are written, after every fault")
     parser.add_argument("--only", type=int, nargs="*", help="numbers of faults, from 0; default: all")
-    parser.add_argument("--tier", choices=TIERS, help="only the tests of this tier; default: both")
+    parser.add_argument("--tier", choices=TIERS, help="only the tests of this tier; default: both, in turn")
     asked = parser.parse_args()
     tree, tiers = asked.tree.resolve(), [asked.tier] if asked.tier else list(TIERS)
     results = json.loads(asked.json.read_text()) if asked.json and asked.json.is_file() else {}
@@ -129,7 +134,7 @@ def main() -> None:
         known = results.get(str(number), {})
         if set(tiers) <= set(known):
             continue
-        results[str(number)] = found = known | find(tree, FAULTS[number], tiers)
+        results[str(number)] = found = find(tree, FAULTS[number], tiers, known)
         print(number, json.dumps(found), flush=True)
         if asked.json:
             asked.json.write_text(json.dumps(results, indent=1) + "\n")

@@ -29,7 +29,7 @@ from devrf.reconstruct.error_map import confidence_picture, error_map
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
-from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores
+from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, psnr
 from devrf.reconstruct.pictures import spread
 from devrf.reconstruct.still_picture import StillPicture, still_picture
 
@@ -198,8 +198,10 @@ class _Session:
             view["rest_moving"] = _scored(stood.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
             if extra and self.unshaded is not None:
-                plain = Comparison(self.unshaded(camera, frame.time), true).part(where)
-                view["shading"] = view["moving"]["psnr"], plain.psnr
+                view["shading"] = (
+                    view["moving"]["psnr"],
+                    psnr(self.unshaded(camera, frame.time)[where], true[where]),
+                )
             if expected is not None:
                 self.errors["test_moving"].append(errors(expected, rendered, true, where))
         pictures = {"true": true, "rendered": rendered}

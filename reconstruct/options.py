@@ -36,6 +36,7 @@ class CanonicalOptions:
         learning_rate: Factor on both.
         entropy, per_point, opacity: Weights of the losses beside the re-rendering loss.
         variation: Weight of the total variation of density and features.
+        shell_variation: Of the surroundings' colours, before the last level; of their density a tenth.
         parts: In how many parts, one after the other, an iteration's rays are rendered: the same gradient, less memory.
         coarse_iterations, coarse_rays, coarse_size: The first, coarse model where surroundings are modelled, or where
             it searches the box: iterations, rays per iteration, vertices along each axis.
@@ -66,6 +67,7 @@ class CanonicalOptions:
     per_point: float = 1e-2
     opacity: float = 0.0
     variation: float = 0.0
+    shell_variation: float = 3e-4
     parts: int = 1
     coarse_iterations: int = 1000
     coarse_rays: int = 8192

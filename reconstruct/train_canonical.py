@@ -48,9 +48,6 @@ ALPHA_INIT = (
     1e-2  # of a voxel that nothing is known about: thin enough to see through, thick enough to learn from
 )
 LR_MLP = 1e-3  # initial; of the published program, as in every preset
-# Total variation of the surroundings' density and colours, before the last level: a tenth to a half of the gradient
-# there. To the end it takes detail away: 0.3 to 0.4 dB of a room with shelves (docs/results.md, What stands).
-SHELL_VARIATION = (3e-5, 3e-4, 3e-4, 3e-4)
 FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box
 RAYS_AT_ONCE = 1 << 16
@@ -183,6 +180,7 @@ class _Recipe:
                 device=device,
                 points=points_of(scene),
             )
+        self.shell_variation = options.shell_variation * torch.tensor([0.1, 1, 1, 1], device=device)
         self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), LR_MLP, BETAS, EPS)
         self.decay = 1.0
         self.guard = Guard()
@@ -299,11 +297,11 @@ class _Recipe:
         self.features.update(lr_grid, flag=self.density.grad[0])  # touched alike
         self.density.update(lr_grid)
         if self.surround is not None and self.shell is not None:
-            if self.shell.size < self.shell.final:  # plain first, where pictures leave it open; then detail
-                add_touched_variation(
-                    self.surround.values, self.surround.grad, self.surround.reachable,
-                    torch.tensor(SHELL_VARIATION) / rays, VARIATION_CLAMP,
-                )  # fmt: skip
+            # Plain first, where pictures leave it open. To the end it takes detail away: 0.3 to 0.4 dB of a room with
+            # shelves (docs/results.md, What stands).
+            if self.shell.size < self.shell.final:
+                around, weights = self.surround, self.shell_variation / rays
+                add_touched_variation(around.values, around.grad, around.reachable, weights, VARIATION_CLAMP)
             self.surround.update(lr_grid)
         for group in self.net_optimiser.param_groups:
             group["lr"] = lr_mlp

@@ -49,9 +49,10 @@ def write(request: Request) -> None:
     attributes = _attributes(trained, field)
     with request.new_folder() as new, request.talk.progress(f"export {request.name}") as progress:
         put = _Zarr(new / "scene.zarr", attributes) if request.name == "zarr" else _Npz(new, attributes)
+        count = len(trained.moments) + 2 + (trained.model.movers is not None)
         for n, (name, place, volume) in enumerate(_volumes(trained)):
             put.volume(name, place, volume)
-            progress((n + 1) / (len(trained.moments) + 2), f"{name} {'' if place is None else place[0] + 1}")
+            progress((n + 1) / count, f"{name} {'' if place is None else place[0] + 1}")
         trained.describe(
             new,
             files=f"{FILES[request.name]} Density is how much light is absorbed per unit of length (1 - exp(-density * "

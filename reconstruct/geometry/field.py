@@ -60,8 +60,8 @@ class Field:
         return x, y, z
 
     def at_rest(self) -> "Field":
-        """The same scene before it moved, in constant light."""
-        movers = self.movers and (self.movers[0].unshaded(), self.movers[0].at_rest(torch.zeros(1)))
+        """The same scene before it moved."""
+        movers = self.movers and (self.movers[0], self.movers[0].at_rest(torch.zeros(1)))
         return replace(self, motion=None, tau=None, movers=movers)
 
     def to_rest(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -102,10 +102,9 @@ class Field:
 
     @torch.no_grad()
     def colours(self, x: Float[Tensor, "n 3"], rays_d: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """RGB in [0, 1] of points, each seen in a direction of its own (unit vectors in the box frame, away from the
-        camera)."""
-        rgb = self.canonical.net(self.features(x), rays_d, torch.arange(len(x), device=x.device))
-        return (rgb * self.brightness(x)).clamp(max=1)
+        """RGB in [0, 1] of points in the light at rest, each seen in a direction of its own (unit vectors in the box
+        frame, away from the camera)."""
+        return self.canonical.net(self.features(x), rays_d, torch.arange(len(x), device=x.device))
 
     @torch.no_grad()
     def brightness(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:

@@ -47,4 +47,5 @@ def mean_colours(
     for rows, camera in zip(torch.from_numpy(seen).to(x.device), cameras, strict=True):
         centre = torch.from_numpy(camera.centre.astype(np.float32)).to(x)
         total[rows] += field.colours(x[rows], torch.nn.functional.normalize(box[rows] - centre, dim=1))
-    return total / torch.from_numpy(seen.sum(0).astype(np.float32)).to(x)[:, None]
+    mean = total / torch.from_numpy(seen.sum(0).astype(np.float32)).to(x)[:, None]
+    return (mean * field.brightness(x)).clamp(max=1)

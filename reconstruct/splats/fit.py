@@ -9,7 +9,7 @@ larger one, or from nearer, it falls apart into dots (Yu et al., Mip-Splatting, 
 """
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import torch
 from jaxtyping import Float
@@ -21,7 +21,7 @@ from devrf.reconstruct.kernels.splat import splat
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.splats.gaussians import Gaussians, flattened, pixel_sizes, tiles_of
 from devrf.reconstruct.splats.looks import Look
-from devrf.reconstruct.splats.moving import Nodes, moved, nodes_of
+from devrf.reconstruct.splats.moving import Nodes, moved
 
 # places in standard deviations; thrice the published rates and more, for a hundredth of the published steps
 RATES = {"places": 0.2, "quats": 1e-2, "log_scales": 5e-2, "logits": 1e-1, "colours": 3e-2}
@@ -57,8 +57,7 @@ def fit(
     """
     learned = _Learned(gaussians, [look.camera for look in looks])
     if nodes is not None:
-        then = nodes_of(model, gaussians.places, [look.time for look in looks])
-        learned.nodes = then and replace(then, part=nodes.part)
+        learned.nodes = nodes.then(model, [look.time for look in looks])
     adam = torch.optim.Adam(
         [{"params": [leaf], "lr": RATES[name]} for name, leaf in learned.leaves.items()], betas=BETAS, eps=EPS
     )

@@ -118,7 +118,7 @@ def squared(camera: Camera) -> Camera:
 
 
 def rest_time(motion: MotionField) -> float | None:
-    """The time of [0, 1] at which nothing has moved; None if there is none."""
+    """The time of [0, 1] that counts as that of rest; None if there is none."""
     return None if motion.rest_key is None else motion.key_times[motion.rest_key]
 
 

@@ -96,14 +96,15 @@ def along(
 ) -> Splats:
     """Resting splats with their places at some times; those that stay where they are come last."""
     if nodes is None:
-        places = torch.stack([moved(model, gaussians.places, time) for time in times])
+        ways = torch.stack([moved(model, gaussians.places, time) for time in times])
+        moves = (ways - gaussians.places).norm(dim=2).amax(0) > STILL * gaussians.log_scales.exp().mean(1)
+        ways = ways[:, moves]
     else:
-        places = torch.stack([nodes.at(key, gaussians).places for key in range(len(times))])
-    farthest = (places - gaussians.places).norm(dim=2).amax(0)
-    moves = farthest > STILL * gaussians.log_scales.exp().mean(1) if nodes is None else nodes.part > 0
+        moves = nodes.part > 0
+        mine, on = gaussians.only(moves.nonzero()[:, 0]), replace(nodes, part=nodes.part[moves])
+        ways = torch.stack([on.at(key, mine).places for key in range(len(times))])
     order = torch.cat([moves.nonzero()[:, 0], (~moves).nonzero()[:, 0]])
-    nodes = nodes and replace(nodes, part=nodes.part[order])
-    return Splats(gaussians.only(order), places[:, order[: int(moves.sum())]], behind, nodes)
+    return Splats(gaussians.only(order), ways, behind, nodes and replace(nodes, part=nodes.part[order]))
 
 
 def behind_of(scene: Scene) -> Float[Tensor, " 3"]:

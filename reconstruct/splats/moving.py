@@ -34,6 +34,22 @@ class Nodes:
         there = self.places[key, self.part] + turned
         return replace(gaussians, places=there, quats=product(quats, gaussians.quats))
 
+    def then(self, model: DynamicModel, times: Sequence[float | None]) -> "Nodes":
+        """The same nodes at other times in [0, 1]; None: at rest."""
+        assert model.movers is not None  # they are its parts
+        quats, places = (
+            self.middles.new_zeros(len(times), len(self.middles), 4),
+            self.middles.repeat(len(times), 1, 1),
+        )
+        quats[..., 0] = 1
+        for key, time in enumerate(times):
+            if time is not None:
+                placed = model.movers.placed(torch.tensor([time]))
+                quats[key, 1:] = quats_of(placed.rotations[0])
+                turned = torch.einsum("pij,pj->pi", placed.rotations[0], self.middles[1:])
+                places[key, 1:] = turned + placed.shifts[0]
+        return replace(self, quats=quats, places=places)
+
 
 @torch.no_grad()
 def nodes_of(
@@ -45,15 +61,8 @@ def nodes_of(
     movers, at_rest = model.movers, model.movers.at_rest(torch.zeros(1))
     part = Field(model.in_motion.canonical, movers=(movers, at_rest)).layer(x_rest)[1]
     middles = torch.cat([torch.zeros(1, 3), torch.from_numpy(movers.middles()).float()]).to(x_rest)
-    quats, places = middles.new_zeros(len(times), len(middles), 4), middles.repeat(len(times), 1, 1)
-    quats[..., 0] = 1
-    for key, time in enumerate(times):
-        if time is not None:
-            placed = movers.placed(torch.tensor([time]))
-            quats[key, 1:] = quats_of(placed.rotations[0])
-            turned = torch.einsum("pij,pj->pi", placed.rotations[0], middles[1:])
-            places[key, 1:] = turned + placed.shifts[0]
-    return Nodes(part, middles, quats, places)
+    never = middles.new_zeros(0, len(middles), 4)
+    return Nodes(part, middles, never, never[..., :3]).then(model, times)
 
 
 @torch.no_grad()

@@ -50,7 +50,7 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None
     places = gaussians.places.cpu().numpy().astype("<f4")
     paths = ways.cpu().numpy().astype(np.float64)
     keys, moving = paths.shape[:2]
-    mine = None if nodes is None else nodes.part[:moving].cpu().numpy().astype(np.uint8)
+    mine = np.zeros(0, np.uint8) if nodes is None else nodes.part[:moving].cpu().numpy().astype(np.uint8)
     places[:moving] = paths[0] if nodes is None else places[:moving] - nodes.middles.cpu().numpy()[mine]
     away = paths - paths[0]
     step = 2 * float(np.abs(away).max(initial=0.0)) / STEPS or 1.0
@@ -72,9 +72,23 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None
     else:
         courses = torch.cat([nodes.quats, nodes.places], dim=2)[:, 1:]
         parts += [mine, courses.cpu().numpy().astype("<f4")]
-        swept = [end(paths.reshape(-1, 3), 0, initial=0.0).tolist() for end in (np.min, np.max)]
-        about |= {"nodes": courses.shape[1], "swept": swept}
+        about |= {
+            "nodes": courses.shape[1],
+            "swept": _swept(places[:moving], mine, courses[..., 4:].numpy(force=True)),
+        }
     return Packed(about, zlib.compress(b"".join(part.tobytes() for part in parts), DEFLATE))
+
+
+def _swept(
+    places: Float[np.ndarray, "M 3"], node: UInt8[np.ndarray, " M"], middles: Float[np.ndarray, "K P 3"]
+) -> list[list[float]]:
+    """Ends of a box that holds what is on nodes, between the key times too: middles go straight, the rest turns."""
+    if not len(places):
+        return [[0.0] * 3, [0.0] * 3]
+    radius = np.zeros(middles.shape[1])
+    np.maximum.at(radius, node.astype(int) - 1, np.linalg.norm(places, axis=1))
+    used, lo, hi = np.unique(node).astype(int) - 1, middles - radius[:, None], middles + radius[:, None]
+    return [lo[:, used].min((0, 1)).tolist(), hi[:, used].max((0, 1)).tolist()]
 
 
 def size_at_most(count: int, moving: int, keys: int, nodes: int = 0) -> int:

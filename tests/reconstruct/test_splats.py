@@ -32,7 +32,7 @@ from devrf.reconstruct.splats.gaussians import (
 from devrf.reconstruct.splats.looks import Look, squared
 from devrf.reconstruct.splats.make import Splats, make_splats
 from devrf.reconstruct.splats.moving import moved
-from devrf.reconstruct.splats.packed import pack, size_at_most
+from devrf.reconstruct.splats.packed import Packed, pack, size_at_most
 
 SIZE = (30, 21)
 BEHIND = torch.tensor([0.2, 0.5, 0.9])
@@ -228,6 +228,8 @@ def test_splats_go_and_turn_with_the_rigid_part_they_are_on(tmp_path: Path) -> N
                 if splats is sampled:  # each on the part that it shows
                     away = outside(thing, there.places.numpy(), time)
                     assert (np.abs(away) < 1.5 * model.rest.canonical.voxel).mean() > 0.97, (node, time)
+    beyond = outside_of_swept(pack(sampled.gaussians, sampled.ways, sampled.nodes), sampled, model)
+    assert beyond <= 1e-6  # between the times, too
     camera = look_at(around(16, 0.2, 0.35)[3])
     errors = []
     for key, time in enumerate((REST, 1.0)):
@@ -235,6 +237,16 @@ def test_splats_go_and_turn_with_the_rigid_part_they_are_on(tmp_path: Path) -> N
             picture = render_gaussians(fitted.at(2 * key), camera, fitted.behind).clamp(0, 1).numpy()
         errors.append(float(((picture - render_view(model, camera, time)) ** 2).mean()))
     assert errors[1] < 1.5 * errors[0]  # as good where the stick has turned
+
+
+def outside_of_swept(packed: Packed, splats: Splats, model: DynamicModel) -> float:
+    """How far splats on nodes come out of the box that the page holds them to be in."""
+    assert splats.nodes is not None
+    lo, hi = (torch.tensor(end) for end in packed.about["swept"])
+    own = splats.nodes.part > 0
+    between = splats.nodes.then(model, torch.linspace(REST, 1, 21).tolist())
+    places = torch.stack([between.at(n, splats.gaussians).places[own] for n in range(21)])
+    return float(torch.maximum(lo - places, places - hi).max())
 
 
 def test_packed_splats_unpack_as_documented(made: tuple[DynamicModel, Splats, Splats]) -> None:

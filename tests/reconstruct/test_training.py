@@ -7,9 +7,12 @@ import pytest
 import torch
 from tests.reconstruct.conftest import REST
 from tests.refused import refused
+from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import load_image, plain_colour
+from devrf.reconstruct import train_canonical as training
+from devrf.reconstruct.losses import VARIATION_CLAMP
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
@@ -157,6 +160,23 @@ def test_surroundings_are_learned_without_mattes(ball) -> None:
     frame = next(f for f in scene.static if f.split == "test")
     true = load_image(frame, 1.0, "white").astype(np.float64) / 255
     assert _psnr(render_view(DynamicModel(model), frame.camera, None), true) > 16
+
+
+def test_surroundings_are_plain_first(ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Total variation, of density a tenth as much, in all levels but the last."""
+    sizes: list[int] = []
+
+    def told(values: Tensor, grad: Tensor, vertices: Tensor, weights: Tensor, clamp: float) -> None:
+        sizes.append(len(values))
+        assert grad.any() and len(vertices) and clamp == VARIATION_CLAMP
+        assert torch.allclose(weights * SHELL.rays / SHELL.shell_variation, torch.tensor([0.1, 1, 1, 1]))
+
+    monkeypatch.setattr(training, "add_touched_variation", told)
+    scene = replace(ball.scene, background="shell", aabb=np.array([[-0.7] * 3, [0.7] * 3]), far=8.0)
+    options = replace(SHELL, iterations=10, coarse_iterations=2, scale_at=(0.3, 0.6), samples=1 << 30)
+    model = train_canonical(scene, options)
+    assert model.shell is not None and len(sizes) == 6
+    assert len(set(sizes)) == 2 and max(sizes) < model.shell.size == model.shell.final
 
 
 def test_scene_without_pictures_is_refused(ball, rest: RestModel) -> None:
