@@ -22,7 +22,7 @@ from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.moving_points import TOGETHER, _cut, _seen_by_two, moving_points
+from devrf.reconstruct.tracking.moving_points import AWAY, TOGETHER, _away, _cut, _seen_by_two, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
@@ -323,6 +323,22 @@ def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_b
     found = _seen_by_two(surface, moves, cameras)
     assert not found[:100].any() and found[100:].all()
     assert not _seen_by_two(surface, ~moves, cameras).any()
+
+
+def test_a_piece_that_neighbours_hold_less_moves_only_if_it_stays_away() -> None:
+    """Half of the points that cameras saw at rest have to look different for most of the time, to all of these."""
+    along = np.arange(10) * SPACING
+    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
+    surface = Surface(
+        np.concatenate([patch, patch + [0, 0, 1], patch + [0, 0, 2], patch + [0, 0, 3]]),
+        np.tile([0.0, 0.0, 1.0], (400, 1)), np.full((400, 3), 0.5), SPACING,
+    )  # fmt: skip
+    gone, unseen = np.repeat([AWAY + 0.1, 0.2], [46, 44]), np.full(10, np.nan)
+    shade, never = np.repeat([AWAY + 0.1, AWAY - 0.1], [40, 60]), np.full(100, np.nan)
+    even = np.tile(np.concatenate([gone, unseen, shade, never, np.full(100, 0.9)]), (2, 1))
+    even[1, :200], even[1, 300:] = 1.0, AWAY - 0.1
+    assert np.array_equal(_away(surface, np.ones(400, bool), even), np.arange(400) < 100)
+    assert not _away(surface, np.zeros(400, bool), even).any()
 
 
 def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
