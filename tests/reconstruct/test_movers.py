@@ -34,7 +34,7 @@ from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
 from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.train_deformation import train_deformation
+from devrf.reconstruct.train_deformation import CLOCK_GAIN_DB, train_deformation
 from devrf.reconstruct.train_movers import Trained, train_movers
 
 TURN = np.array([0.2, -0.3, 0.4])
@@ -418,6 +418,31 @@ def test_clocks_are_moved_where_pixels_held_back_say_so(
     (decision,) = metrics["decisions"]
     assert decision.startswith("clocks: cam1 +20 ms instead" if moved else "clocks: as they are instead")
     assert metrics["iterations"] == 2 * OPTIONS.together
+
+
+@pytest.mark.parametrize("gain_db", [CLOCK_GAIN_DB + 0.1, CLOCK_GAIN_DB - 0.1])
+def test_clocks_are_moved_for_a_clear_gain_only(
+    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, gain_db: float
+) -> None:
+    tracked(TRAVEL, TRAVEL)
+    model, gains = whole(rest, TRAVEL), iter((8.0, 8.0 + gain_db))
+    cost = {
+        "seconds": 1.0,
+        "iterations": 5,
+        "rays": 9,
+        "restarts": 0,
+        "peak_rss_gb": 1.0,
+        "peak_gpu_gb": None,
+    }
+
+    def train(*_: Any) -> Trained:
+        assert model.movers is not None and model.in_motion is not None
+        return Trained(model.in_motion, model.movers, next(gains), 7.0, {**cost, "rate": 1.0})
+
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", train)
+    _, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    assert metrics["clock_offsets_s"] == ({"cam1": 0.02} if gain_db > CLOCK_GAIN_DB else {})
+    assert metrics["iterations"] == 10
 
 
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
