@@ -116,7 +116,9 @@ def exported(run: Path, folder: Path, name: str, **options: Any) -> tuple[Path, 
     return folder, json.loads((folder / "export.json").read_text())
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.full) if n in ("splat", "player") else n for n in FORMATS]
+)
 def test_each_thing_is_where_its_motion_takes_it_and_nowhere_else(
     run_dir: Path, tmp_path: Path, name: str
 ) -> None:
