@@ -4,7 +4,7 @@ For each fault the tests run until one fails that passes without it: those first
 first, then all others; of `make test`, and where these find nothing, of `make test-full`. In a work tree that has an
 environment in `.venv` and nothing to lose:
 
-    python benchmarks/seeded_faults.py TREE --json FILE [--only N ..] [--tier test]     # a minute or so each
+    python benchmarks/seeded_faults.py TREE --json FILE [--only N ..]
 """
 
 import argparse
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 LIMIT_S = 1800.0  # of one fault in one tier
-TIERS = {"test": "not full", "full": "full"}
+TIERS = {"test": "not full", "full": "full"}  # the second is asked where the first finds nothing
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,9 @@ def near_and_far(tree: Path, fault: Fault) -> tuple[list[str], list[str]]:
     return near, [file for file in imports if file not in near]
 
 
-def find(tree: Path, fault: Fault, tiers: list[str], known: dict) -> dict:
+def find(tree: Path, fault: Fault) -> dict:
     """Seed a fault and run the tests, those of the default tier first.
 
-    Args:
-        tree: Where to.
-        fault: Which.
-        tiers: Of `TIERS`, in their order.
-        known: What was found before.
     Returns:
         The fault's path and kind, and the test that found it: `test`, in `make test`; `full`, in `make test-full`; null
         where none did, or where tests did not end in time.
@@ -61,8 +56,8 @@ def find(tree: Path, fault: Fault, tiers: list[str], known: dict) -> dict:
     whole = file.read_text()
     if (count := whole.count(fault.right)) != 1:
         raise SystemExit(f"{fault.path}: {fault.right!r} stands {count} times; expected once")
-    result: dict = known | {"path": fault.path, "kind": fault.kind}
-    for tier in tiers:
+    result: dict = {"path": fault.path, "kind": fault.kind}
+    for tier in TIERS:
         result[tier] = result.get("test") or _first_that_fails(tree, fault, whole, tier)
     return result
 
@@ -92,25 +87,11 @@ def _first_that_fails(tree: Path, fault: Fault, whole: str, tier: str) -> str | 
 
 def _pytest(tree: Path, arguments: list[str], workers: int, limit_s: float) -> str | None:
     """Run tests; the first that failed, None where all passed or the time is over."""
-    command = [
-        str(tree / ".venv/bin/python"),
-        "-m",
-        "pytest",
-        "-p",
-        "no:cacheprovider",
-        "-q",
-        "-rfE",
-        "-n",
-        str(workers),
-    ]
-    order = ["--dist", "loadfile", "--no-loadscope-reorder"]
+    options = f"-p no:cacheprovider -q -rfE -n {workers} --dist loadfile --no-loadscope-reorder"
+    command = [str(tree / ".venv/bin/python"), "-m", "pytest", *options.split(), *arguments]
     try:
         output = subprocess.run(
-            [*command, *order, *arguments],
-            cwd=tree,
-            text=True,
-            timeout=max(1.0, limit_s),
-            stdout=subprocess.PIPE,
+            command, cwd=tree, text=True, timeout=max(1.0, limit_s), stdout=subprocess.PIPE
         ).stdout
     except subprocess.TimeoutExpired:
         return None
@@ -126,20 +107,17 @@ def main() -> None:
     parser.add_argument("tree", type=Path)
     parser.add_argument("--json", type=Path, help="where results are written, after every fault")
     parser.add_argument("--only", type=int, nargs="*", help="numbers of faults, from 0; default: all")
-    parser.add_argument("--tier", choices=TIERS, help="only the tests of this tier; default: both, in turn")
     asked = parser.parse_args()
-    tree, tiers = asked.tree.resolve(), [asked.tier] if asked.tier else list(TIERS)
+    tree = asked.tree.resolve()
     results = json.loads(asked.json.read_text()) if asked.json and asked.json.is_file() else {}
     for number in asked.only if asked.only is not None else range(len(FAULTS)):
-        known = results.get(str(number), {})
-        if set(tiers) <= set(known):
-            continue
-        results[str(number)] = found = find(tree, FAULTS[number], tiers, known)
-        print(number, json.dumps(found), flush=True)
-        if asked.json:
-            asked.json.write_text(json.dumps(results, indent=1) + "\n")
-    for tier in tiers:
-        print(f"{tier}: {sum(r.get(tier) is not None for r in results.values())} of {len(results)} found")
+        if str(number) not in results:
+            results[str(number)] = found = find(tree, FAULTS[number])
+            print(number, json.dumps(found), flush=True)
+            if asked.json:
+                asked.json.write_text(json.dumps(results, indent=1) + "\n")
+    for tier in TIERS:
+        print(f"{tier}: {sum(r[tier] is not None for r in results.values())} of {len(results)} found")
 
 
 if __name__ == "__main__":

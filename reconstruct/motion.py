@@ -2,7 +2,7 @@
 
 The backward field takes a point x seen at time t to where it rests, x + backward(x, t); the forward field takes
 a resting point to where it is at t. Key times are uniform; between them fields are blended, so any ray may have
-its own time. At the key time of rest both fields are exactly zero where they are trained.
+its own time. At the time of rest both fields are exactly zero and stay so.
 """
 
 from dataclasses import dataclass, replace

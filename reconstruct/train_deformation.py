@@ -32,8 +32,7 @@ from devrf.reconstruct.watch import Watch
 DIVERGED = "training-diverged"  # code of the error
 TRACKING = 0.5  # share of the progress bar
 LEAST_GAIN_DB = 1.0  # of movers over a scene in which nothing moves; with less, motion is a field
-# Of moved clocks over those of sync, on pixels held back: wrong moves gained 0.00 and 0.02 (two captures), a right one
-# 1.9.
+# Of moved clocks over those of sync, on pixels held back: a move that was wrong gained 0.02, one that was right 1.9.
 CLOCK_GAIN_DB = 0.3
 MOTION = 0.9  # share of the progress bar, before fine-tuning
 

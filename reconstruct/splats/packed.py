@@ -52,8 +52,6 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None
     keys, moving = paths.shape[:2]
     mine = np.zeros(0, np.uint8) if nodes is None else nodes.part[:moving].cpu().numpy().astype(np.uint8)
     places[:moving] = paths[0] if nodes is None else places[:moving] - nodes.middles.cpu().numpy()[mine]
-    away = paths - paths[0]
-    step = 2 * float(np.abs(away).max(initial=0.0)) / STEPS or 1.0
     log_scales = gaussians.log_scales.cpu().numpy().astype(np.float64)
     scales = float(log_scales.min()), float(log_scales.max())
     quats = gaussians.quats.cpu().numpy().astype(np.float64)
@@ -67,6 +65,8 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None
     ]
     about = {"count": len(places), "moving": moving, "keys": keys, "scales": scales}
     if nodes is None:
+        away = paths - paths[0]
+        step = 2 * float(np.abs(away).max(initial=0.0)) / STEPS or 1.0
         parts += [_words(way) for way in np.diff(np.round(away / step).astype(np.int64), axis=0)]
         about |= {"step": step}
     else:

@@ -142,26 +142,31 @@ def _seen_by_two(
 
     Such a piece may as well be covered by what moves, and mostly is fog before a plain wall.
     """
-    some = np.flatnonzero(moves)
-    if not len(some):
-        return moves
-    piece, by = _pieces(surface, some), cameras[some]
-    seen, well = (np.bincount(piece, by >= least) for least in (1, 2))
-    kept = well > BY_TWO * seen
-    out = moves.copy()
-    out[some] = kept[piece] if kept.any() else True
-    return out
+    kept = _pieces_with(surface, moves, cameras >= 2, cameras >= 1, BY_TWO)
+    return kept if kept.any() else moves
 
 
 def _away(
     surface: Surface, moves: Bool[np.ndarray, " n"], even: Float[np.ndarray, "c n"]
 ) -> Bool[np.ndarray, " n"]:
     """Only pieces that are seen to be away for most of the time: the edge of a shade comes and goes."""
+    least = np.where(np.isfinite(even), even, np.inf).min(axis=0)
+    seen = np.isfinite(least)
+    return _pieces_with(surface, moves, seen & (least > AWAY), seen, 0.5)
+
+
+def _pieces_with(
+    surface: Surface,
+    moves: Bool[np.ndarray, " n"],
+    good: Bool[np.ndarray, " n"],
+    known: Bool[np.ndarray, " n"],
+    share: float,
+) -> Bool[np.ndarray, " n"]:
+    """Those pieces of what moves of whose known points more than a share are good."""
     some, out = np.flatnonzero(moves), np.zeros_like(moves)
     if len(some):
-        piece, seen = _pieces(surface, some), np.isfinite(even[:, some])
-        away = seen.any(0) & (np.where(seen, even[:, some], np.inf).min(0) > AWAY)
-        out[some] = (np.bincount(piece, away) > 0.5 * np.bincount(piece, seen.any(0)))[piece]
+        piece = _pieces(surface, some)
+        out[some] = (np.bincount(piece, good[some]) > share * np.bincount(piece, known[some]))[piece]
     return out
 
 
