@@ -1,9 +1,9 @@
 """Which surface points move: by what cameras that saw them at rest see there later, and by their neighbours.
 
 A point moves if every camera that saw it sees something else there for much of the time in which things move: what
-covers it hides it from some cameras only, so what one camera alone saw says little. A shadow changes brightness and
-not colour. Labels are a minimum cut (Boykov and Kolmogorov, PAMI 2004) on the surface, in which neighbours of one
-plane and colour belong together.
+covers it hides it from some cameras only, so what one camera alone saw says little. A shadow changes the brightness of
+neighbours alike, and not colour. Labels are a minimum cut (Boykov and Kolmogorov, PAMI 2004) on the surface, in which
+neighbours of one plane and colour belong together.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ LOWEST = 5  # pictures by which a point's own noise is known; of fewer than 25, 
 CHANGED, CHANGED_RAW = 0.045, 0.06  # of the full range; brightness made equal, and as it is
 BLUR_PX, LIGHT_PX = 1.0, 2.0  # of colours; of brightness
 DARKER, BRIGHTER = 0.45, 1.6  # than at rest, in shadow and in light
+LIT_ALIKE = 32  # neighbours whose median tells the light: of fewer, one square of a chequered thing is most
 BUSY = 0.5  # of the largest share of points that change: in pictures with as many, something moves
 MOVES = 0.3  # share of the busy pictures from which a point moves
 ONE_CAMERA = 0.6  # weight of what one camera says alone
@@ -60,7 +61,8 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
 def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray, "2 n"]:
     """Share of the busy pictures in which each point looks other than at rest, brightness made equal and as it is.
 
-    NaN where the camera did not see it at rest.
+    Brightness is made equal point by point, which leaves colours to compare; and by the median of neighbours, which
+    leaves patterns that are but brighter and darker. NaN where the camera did not see it at rest.
     """
     out = np.full((2, len(surface)), np.nan)
     at_rest = film.nearest(rest_time, float(np.diff(film.times).max()))
@@ -68,24 +70,29 @@ def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray
         return out
     sight = Sight(film, surface.xyz, surface.normals, surface.spacing)
     seen = np.flatnonzero(sight.seen)
+    if not len(seen):
+        return out
     at, before = sight.at[seen], film.picture(at_rest)
     colour, light = sampled(blurred(before, BLUR_PX), at), sampled(blurred(before.mean(-1), LIGHT_PX), at)
+    around = KDTree(surface.xyz[seen]).query(surface.xyz[seen], k=range(1, min(LIT_ALIKE, len(seen)) + 1))[1]
     apart: list[list[np.ndarray]] = [[], []]
     for n in spread(range(len(film.times)), MOST_PICTURES):
         picture = film.picture(n)
         now = sampled(blurred(picture, BLUR_PX), at)
         gain = sampled(blurred(picture.mean(-1), LIGHT_PX), at) / np.maximum(light, 0.02)
         gain = gain.clip(DARKER, BRIGHTER)
-        apart[0].append(np.abs(now / gain[:, None] - colour).max(1) * np.minimum(1, gain))
+        shared = np.median(gain[around], axis=1)
+        hue = np.abs(now / gain[:, None] - colour).max(1) * np.minimum(1, gain)
+        pattern = np.abs(now.mean(1) / shared - colour.mean(1)) * np.minimum(1, shared)
+        apart[0].append(np.maximum(hue, pattern))
         apart[1].append(np.abs(now - colour).max(1))
-    if len(seen):
-        for row, changes, least in zip(out, apart, (CHANGED, CHANGED_RAW), strict=True):
-            stack = np.stack(changes)
-            lowest = max(1, min(LOWEST, len(stack) // LOWEST))
-            usual = np.sort(stack, axis=0)[:lowest].mean(0)
-            changed = stack > usual + least
-            amount = changed.mean(1)
-            row[seen] = changed[amount >= BUSY * amount.max()].mean(0)
+    for row, changes, least in zip(out, apart, (CHANGED, CHANGED_RAW), strict=True):
+        stack = np.stack(changes)
+        lowest = max(1, min(LOWEST, len(stack) // LOWEST))
+        usual = np.sort(stack, axis=0)[:lowest].mean(0)
+        changed = stack > usual + least
+        amount = changed.mean(1)
+        row[seen] = changed[amount >= BUSY * amount.max()].mean(0)
     return out
 
 

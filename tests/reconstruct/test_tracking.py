@@ -271,7 +271,15 @@ def cards_and_wall() -> Surface:
     return Surface(xyz, normals, np.concatenate([cards.rgb, np.zeros_like(wall)]), SPACING)
 
 
-def test_the_wall_stands_and_the_cards_move(films: list[Film]) -> None:
+@pytest.mark.parametrize("hues", [True, False], ids=["many hues", "one hue"])
+def test_the_wall_stands_and_the_cards_move(films: list[Film], hues: bool) -> None:
+    """Also where all that tells one place of a card from another is that it is a little brighter."""
+    if not hues:
+        hue = np.array([0.6, 0.9, 0.8])
+        films = [
+            otherwise(film, lambda _, x: (0.5 + 2 * (x.mean(-1, keepdims=True) - 0.5)).clip(0, 1) * hue)
+            for film in films
+        ]
     moves, cards = moving_points(cards_and_wall(), films, 0.5), len(on_cards()[0])
     assert moves[:cards].mean() > 0.95 and moves[cards:].mean() < 0.05
 
