@@ -32,8 +32,9 @@ STAYS = 0.6  # weight of the vote against motion
 SHADE = 0.1  # the same where only brightness changes: else the edge of a shade takes all that it crosses for moving
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
 # Votes that neighbours of one plane and colour are worth: what moves by either. By the first alone, things stay
-# where they stand on others, as bricks do; by the second alone, poles do beside a sheet, and its edge with them.
-TOGETHER = 8.0, 4.0
+# where they stand on others, as bricks do, and white shoes on a brown floor (those up to 2.0); by the second alone,
+# poles do beside a sheet, and its edge with them.
+TOGETHER = 8.0, 2.0
 # Share of the busy pictures in which a piece that only the second finds looks other than at rest, by its median point.
 # What has gone stays away: bricks and a box on a rug have 0.95 and 0.77; floor at a door that turns has 0.55 and 0.64.
 AWAY = 0.7
