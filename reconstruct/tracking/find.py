@@ -173,7 +173,8 @@ def parts_of(
     `surface` and `hidden` as `at_rest` gives them.
     """
     moving, voxel = surface.only(moves), rest.canonical.voxel
-    labels = rigid_parts(moving.xyz, _while_moving(tracks, moving, voxel), graph.links, voxel)
+    when = _while_moving(tracks, moving, voxel)
+    labels = rigid_parts(moving.xyz, tracks.xyz[when], graph.links, voxel, tracks.lost[when])
     kept, labels = _that_move(moving, tracks, labels, voxel)
     if kept.sum() < FEWEST_POINTS:
         return None
@@ -249,8 +250,8 @@ def _that_move(
     return kept, np.unique(labels[kept], return_inverse=True)[1]
 
 
-def _while_moving(tracks: Tracks, surface: Surface, voxel: float) -> Float[np.ndarray, "t p 3"]:
-    """The tracks at moments at which something has moved."""
+def _while_moving(tracks: Tracks, surface: Surface, voxel: float) -> Bool[np.ndarray, " t"]:
+    """Moments at which something has moved; all where nothing ever has."""
     away = np.linalg.norm(tracks.xyz - surface.xyz, axis=-1)
     moved = np.percentile(away, 100 * (1 - MOVING_SHARE), axis=1) > STILL * voxel
-    return tracks.xyz[moved] if moved.any() else tracks.xyz
+    return moved if moved.any() else ~moved

@@ -2,6 +2,7 @@
 
 Motions and labels are found in turn; labels are even on the surface. Then neighbours are merged while one motion
 explains both. Distances between points that stay the same would be a weaker rule: on a figure they give fragments.
+Where points are while they are lost is a guess, by which a thing that is covered for a while would fall to pieces.
 """
 
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ SURELY, WORSE = (
 )  # of it: two parts are one in any case; else only while the residual grows by less than this
 SMALL, SMALL_SAME = 50, 3.3  # points; so much more residual joins a part of fewer
 FEWEST = 8  # points that have a motion
+GUESSED = 1e-4  # weight of a place that is a guess: what is always lost has some motion, too
 MOMENTS = 16  # that are looked at, spread over all
 
 Motions = tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3"]]
@@ -46,12 +48,18 @@ def motion_of(
 
 
 def residual(
-    motion: Motions, rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"]
+    motion: Motions,
+    rest: Float[np.ndarray, "p 3"],
+    tracks: Float[np.ndarray, "t p 3"],
+    lost: Bool[np.ndarray, "t p"] | None = None,
 ) -> np.ndarray:
-    """Mean squared distance of each point from where a rigid motion has it [p]."""
+    """Mean squared distance of each point from where a rigid motion has it [p]; while it is lost it hardly counts."""
     rotations, shifts = motion
     apart = rest @ rotations.mT + (shifts[:, None] - tracks)
-    return np.einsum("tpi,tpi->p", apart, apart) / len(tracks)
+    if lost is None:
+        return np.einsum("tpi,tpi->p", apart, apart) / len(tracks)
+    weights = np.where(lost, GUESSED, 1.0)
+    return np.einsum("tpi,tpi,tp->p", apart, apart, weights) / weights.sum(0)
 
 
 def rigid_parts(
@@ -59,6 +67,7 @@ def rigid_parts(
     tracks: Float[np.ndarray, "t p 3"],
     links: csr_matrix,
     voxel: float,
+    lost: Bool[np.ndarray, "t p"] | None = None,
     seed: int = 0,
 ) -> Int[np.ndarray, " p"]:
     """The part of each point, counted from 0.
@@ -68,10 +77,12 @@ def rigid_parts(
         tracks: Where they are.
         links: Neighbours on the surface.
         voxel: Of the scene at rest, the unit of what counts as the same motion.
+        lost: When each point's place is a guess, which says hardly anything.
         seed: Of the choice of the first point.
     """
     looked_at = np.linspace(0, len(tracks) - 1, min(len(tracks), MOMENTS)).round().astype(int)
     tracks = tracks[looked_at].astype(np.float64)
+    lost = np.zeros(tracks.shape[:2], dtype=bool) if lost is None else lost[looked_at]
     labels = _first_parts(rest, tracks, np.random.default_rng(seed))
     beside = links.copy()
     beside.data = np.ones_like(beside.data)
@@ -79,13 +90,14 @@ def rigid_parts(
     for _ in range(TURNS):
         kept = [k for k in np.unique(labels) if (labels == k).sum() >= FEWEST] or [labels[0]]
         mine = [labels == k for k in kept]
-        cost = np.stack([residual(motion_of(rest[m], tracks[:, m]), rest, tracks) for m in mine])
+        motions = [motion_of(rest[m], tracks[:, m], lost[:, m]) for m in mine]
+        cost = np.stack([residual(motion, rest, tracks, lost) for motion in motions])
         usual = max(float(np.median(cost.min(0))), 1e-7)
         agree = np.stack([np.asarray(beside @ m.astype(float)).ravel() / neighbours for m in mine])
         before, labels = labels, np.argmin(cost / usual - EVEN * agree, axis=0)
         if np.array_equal(before, labels):
             break
-    return _merged(rest, tracks, beside, labels, SAME * voxel)
+    return _merged(rest, tracks, lost, beside, labels, SAME * voxel)
 
 
 def _first_parts(
@@ -104,14 +116,19 @@ def _first_parts(
 
 
 def _merged(
-    rest: np.ndarray, tracks: np.ndarray, beside: csr_matrix, labels: np.ndarray, same: float
+    rest: np.ndarray,
+    tracks: np.ndarray,
+    lost: np.ndarray,
+    beside: csr_matrix,
+    labels: np.ndarray,
+    same: float,
 ) -> Int[np.ndarray, " p"]:
     links = beside.tocoo()
 
     def spread(points: np.ndarray) -> float:
         """Root mean square distance of points from where one motion has them."""
-        motion = motion_of(rest[points], tracks[:, points])
-        return float(np.sqrt(residual(motion, rest[points], tracks[:, points]).mean()))
+        mine = rest[points], tracks[:, points], lost[:, points]
+        return float(np.sqrt(residual(motion_of(*mine), *mine).mean()))
 
     own = {int(a): spread(labels == a) for a in np.unique(labels)}
     known: dict[tuple[int, int], float] = {}

@@ -260,6 +260,20 @@ def test_two_motions_are_two_parts(tracks: Tracks) -> None:
     assert np.array_equal(labels == labels[0], card == card[0])
 
 
+def test_what_is_lost_belongs_to_what_it_moved_with_while_it_was_seen() -> None:
+    """The lower half of each card is covered after the first pictures, and the guesses of where it is are bad."""
+    surface, card = on_cards()
+    xyz = true_tracks(surface, card, np.linspace(0.5, 1, 9))
+    lost = np.zeros(xyz.shape[:2], dtype=bool)
+    lost[4:, surface.xyz[:, 2] < CENTRES[card, 2]] = True
+    xyz[lost] += [0.1, 0.0, -0.1]
+    links = Graph(surface).links
+    labels = rigid_parts(surface.xyz, xyz, links, 0.02, lost)
+    assert labels.max() == 1
+    assert np.array_equal(labels == labels[0], card == card[0])
+    assert rigid_parts(surface.xyz, xyz, links, 0.02).max() > 1
+
+
 def cards_and_wall() -> Surface:
     """The points on the cards, then those on the wall."""
     cards, _ = on_cards()
