@@ -1,10 +1,11 @@
 """The motion that was learned against the pictures that it was learned from, camera by camera.
 
-Pictures say more of a motion than its loss does. Where they change, four things are measured on a few rays of a few
+Pictures say more of a motion than its loss does. Where they change, five things are measured on a few rays of a few
 pictures: by how much the motion explains them better than the scene at rest; how much of what the scene at rest
-leaves unexplained lies where the model shows nothing at any time, so that no motion can explain it; how much of the
-surface that changes no other camera sees from aside, so that its depth is a guess; and whether the pictures would fit
-better as if they had been taken a little earlier or later.
+leaves unexplained lies where the model shows nothing at any time, so that no motion can explain it, and how much where
+it shows the same as at rest, as if nothing had moved there; how much of the surface that changes no other camera sees
+from aside, so that its depth is a guess; and whether the pictures would fit better as if they had been taken a little
+earlier or later.
 
 A motion has far fewer numbers than the pictures have pixels, so pixels need not be held back from training for this.
 What fits each picture by a motion of its own (wrong cameras) is not seen here but at rest (`check_rest.py`).
@@ -36,6 +37,9 @@ FEWEST_PICTURES = 4  # that can be compared at two times
 LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
 SHIFTS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # pictures by which a camera is tried to be early or late
 OPAQUE = 0.5  # opacity from which something is there
+UNMOVED = (
+    0.05  # of the full range: what the model changes by less is as at rest; shading alone may do as much
+)
 # Voxels: between depths of two cameras, a surface two to three voxels thick, seen at a slant; and by which a depth may
 # be wrong where the other camera is wrong by a pixel: more than that is another surface.
 SAME_SURFACE = 6.0
@@ -48,6 +52,7 @@ class MotionFit:
     Attributes:
         gain_db: Error of the scene at rest over that of the motion, where the camera's pictures change.
         unreachable: Share of the error of the scene at rest where the box is empty at rest and at the picture's time.
+        unmoved: Share of that error where the model is not empty, and looks at the picture's time as it does at rest.
         alone: Share of the changing surface that no other training camera sees from far enough aside to tell its
             depth; None where no surface changes.
         better_at: Pictures by which they would have to be later (> 0) or earlier (< 0) to fit the motion clearly
@@ -56,6 +61,7 @@ class MotionFit:
 
     gain_db: float
     unreachable: float
+    unmoved: float
     alone: float | None
     better_at: float
 
@@ -95,7 +101,8 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     parts = zip(batch.rays_o.split(CHUNK), batch.rays_d.split(CHUNK), strict=True)
     still = [model.box_at_rest(o, d) for o, d in parts]
     rest_left = torch.cat([part.left for part in still])
-    at_rest = error(torch.cat([part.rgb for part in still]), rest_left)
+    rest_rgb = torch.cat([part.rgb for part in still])
+    at_rest = error(rest_rgb, rest_left)
     names = list(by_camera)
     of_frame = torch.tensor([names.index(f.camera_name) for f in frames], device=device)
     camera = of_frame[batch.frame]
@@ -107,6 +114,7 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
     times[~counts] = torch.nan  # at no time: these pictures are not rendered
     curves = error_curves(model, rays, surroundings, changing, times, generator)
     empty = torch.minimum(left, rest_left) > OPAQUE
+    unmoved = ((rgb - rest_rgb).abs().amax(1) < UNMOVED) & ((left - rest_left).abs() < UNMOVED) & ~empty
     solid = (left < OPAQUE).nonzero()[:, 0]
     surface = batch.rays_o + (depth / (1 - left).clamp_min(1e-6))[:, None] * batch.rays_d
     others = _seen_by_others(
@@ -121,6 +129,7 @@ def check_motion(scene: Scene, model: DynamicModel, seed: int = 0) -> dict[str, 
         out[name] = MotionFit(
             gain_db=10 * math.log10(before / max(float(in_motion[mine].sum()), 1e-12)),
             unreachable=float(at_rest[mine & empty].sum()) / before,
+            unmoved=float(at_rest[mine & unmoved].sum()) / before,
             alone=float((~others[mine[solid]]).float().mean()) if bool(mine[solid].any()) else None,
             better_at=better_shift(curves[of_frame.cpu().numpy() == n]),
         )

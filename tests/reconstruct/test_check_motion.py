@@ -51,6 +51,7 @@ def test_the_true_motion_fires_nothing(ball, true: DynamicModel) -> None:
     fits = check_motion(ball.scene, true)
     assert list(fits) == ["cam0", "cam1", "cam2"]
     assert all(f.gain_db > 5 and f.unreachable < 0.1 and f.better_at == 0 for f in fits.values()), fits
+    assert all(fit.unmoved < 0.03 for fit in fits.values()), fits
     assert warnings(fits) == []
 
 
@@ -59,6 +60,8 @@ def test_no_motion_and_motion_the_other_way_gain_nothing(ball, rest: RestModel, 
     fits = check_motion(ball.scene, moved(ball, rest, way))
     assert all(fit.gain_db < 0.1 for fit in fits.values())
     assert any(check.startswith("gain of motion") for check in warnings(fits))
+    assert all(fit.unmoved > 0.3 if way == 0 else fit.unmoved < 0.1 for fit in fits.values()), fits
+    assert any(check.startswith("change where the model stands") for check in warnings(fits)) == (way == 0)
 
 
 def test_a_box_that_holds_little_of_the_motion_cannot_explain_it(ball, rest: RestModel) -> None:
@@ -237,7 +240,7 @@ def test_cameras_side_by_side_do_not_tell_depth(ball, true: DynamicModel) -> Non
     assert any(check.startswith("moving surface") for check in warnings(fits))
 
 
-FINE = MotionFit(gain_db=4.0, unreachable=0.1, alone=0.2, better_at=0.0)
+FINE = MotionFit(gain_db=4.0, unreachable=0.1, unmoved=0.02, alone=0.2, better_at=0.0)
 
 
 @pytest.mark.parametrize(
@@ -245,6 +248,7 @@ FINE = MotionFit(gain_db=4.0, unreachable=0.1, alone=0.2, better_at=0.0)
     [
         ({"gain_db": 1.4}, ["gain of motion"]),
         ({"unreachable": 0.6}, ["change where the model is empty"]),
+        ({"unmoved": 0.1}, ["change where the model stands still"]),
         ({"better_at": -0.5}, ["pictures by which"]),
         ({"alone": None}, []),
     ],
@@ -263,4 +267,4 @@ def test_where_nothing_changes_nothing_is_said() -> None:
 
 def test_where_no_surface_changes_no_share_of_it_is_claimed() -> None:
     said = [row.check for row in in_motion_rows({"left": replace(FINE, alone=None)})]
-    assert len(said) == 3 and not any(check.startswith("moving surface") for check in said)
+    assert len(said) == 4 and not any(check.startswith("moving surface") for check in said)
