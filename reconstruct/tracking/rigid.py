@@ -56,10 +56,8 @@ def residual(
     """Mean squared distance of each point from where a rigid motion has it [p]; while it is lost it hardly counts."""
     rotations, shifts = motion
     apart = rest @ rotations.mT + (shifts[:, None] - tracks)
-    if lost is None:
-        return np.einsum("tpi,tpi->p", apart, apart) / len(tracks)
-    weights = np.where(lost, GUESSED, 1.0)
-    return np.einsum("tpi,tpi,tp->p", apart, apart, weights) / weights.sum(0)
+    weights = None if lost is None else np.where(lost, GUESSED, 1.0)
+    return np.average(np.einsum("tpi,tpi->tp", apart, apart), axis=0, weights=weights)
 
 
 def rigid_parts(
