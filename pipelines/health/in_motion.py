@@ -9,8 +9,8 @@ from devrf.reconstruct.check_motion import MotionFit
 LEAST_GAIN_DB = 1.0  # of pictures never trained on; motion that gains less is not worth its name
 LEAST_TRAINED_GAIN_DB = 1.5  # what was trained on flatters: others gain as little as 0.6 of it
 MOST_UNREACHABLE = 0.5  # of the error at rest: motion can then halve the error at best
-# Of that error: ten sessions and data sets whose motion is followed have at most 0.045, bricks that fly off, a figure
-# whose shoes were taken for standing and a stranger who walks in 0.13, 0.10 and 0.53.
+# Of that error: eight captures and data sets in which all that moves is found have at most 0.045, others 0.10 and more
+# (docs/stability.md).
 MOST_UNMOVED = 0.08
 MOST_ALONE = 0.75  # of the surface; around a ball four cameras leave none of it, three half, one all
 MOST_SHIFT = 0.25  # pictures; as for the check of clocks by geometry
@@ -47,8 +47,9 @@ def in_motion_rows(cameras: Mapping[str, MotionFit]) -> Iterator[HealthRow]:
         100 * share,
         "%",
         warn_above=100 * MOST_UNMOVED,
-        remedy=f"Something changes in {name} and was not found to move, or was not there in the sweep: keep people "
-        "and things that come later out of the pictures, and give what moves a pattern unlike that of what is behind.",
+        remedy=f"Something changes in {name} and was not found to move, or was not there in the sweep: keep people, "
+        "shadows and things that come later out of the pictures, keep lights still, and give what moves a pattern "
+        "unlike that of what is behind it.",
     )
     alone = [fit.alone for fit in cameras.values() if fit.alone is not None]
     if alone:

@@ -32,6 +32,8 @@ from devrf.reconstruct.training_log import TrainingLog
 
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
+# Of a part's points: what is lost belongs to what it hung on, so a limb is a piece of a part when it is lost.
+LOST_SHARE = 0.25
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
 STILL, MOVING_SHARE = (
     0.75,
@@ -62,8 +64,8 @@ class Found:
     def told(self, box_from_world: Float[np.ndarray, "4 4"]) -> list[dict[str, Any]]:
         """Of each part its number, where it rests, its points, how far they go and how long it is lost.
 
-        Lost: the most moments in a row in which pictures show something else where most of the part should be. How far
-        is a median over points; lengths and places in world units.
+        Lost: the most moments in a row in which pictures show something else where more than a quarter of the part
+        should be. How far is a median over points; lengths and places in world units.
         """
         world_from_box, out = np.linalg.inv(box_from_world), []
         scale = float(np.cbrt(np.linalg.det(world_from_box[:3, :3])))
@@ -71,7 +73,7 @@ class Found:
             mine = self.labels == m
             rests = self.surface.xyz[mine]
             way = np.linalg.norm(self.tracks.xyz[:, mine] - rests, axis=-1).max(0)
-            lost = self.tracks.lost[:, mine].mean(1) > 0.5
+            lost = self.tracks.lost[:, mine].mean(1) > LOST_SHARE
             runs = np.diff(np.flatnonzero(~np.r_[False, lost, False])) - 1
             at = world_from_box @ np.append(rests.mean(0), 1.0)
             out.append(

@@ -24,7 +24,7 @@ LOWEST = 5  # pictures by which a point's own noise is known; of fewer than 25, 
 CHANGED, CHANGED_RAW = 0.045, 0.06  # of the full range; brightness made equal, and as it is
 BLUR_PX, LIGHT_PX = 1.0, 2.0  # of colours; of brightness
 DARKER, BRIGHTER = 0.45, 1.6  # than at rest, in shadow and in light
-LIT_ALIKE = 32  # neighbours whose median tells the light: of fewer, one square of a chequered thing is most
+LIT_ALIKE = 32  # neighbours whose median tells the light: of 16, a square of a chequered capsule is most
 BUSY = 0.5  # of the largest share of points that change: in pictures with as many, something moves
 MOVES = 0.3  # share of the busy pictures from which a point moves
 ONE_CAMERA = 0.6  # weight of what one camera says alone
@@ -32,8 +32,8 @@ STAYS = 0.6  # weight of the vote against motion
 SHADE = 0.1  # the same where only brightness changes: else the edge of a shade takes all that it crosses for moving
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
 # Votes that neighbours of one plane and colour are worth: what moves by either. By the first alone, things stay
-# where they stand on others, as bricks do, and white shoes on a brown floor (those up to 2.0); by the second alone,
-# poles do beside a sheet, and its edge with them.
+# where they stand on others, as bricks do; by the second alone, poles do beside a sheet, and its edge with them. White
+# shoes on a brown floor are only found by 2.0 or less; by 1.0 floor at a door moves.
 TOGETHER = 8.0, 2.0
 # Share of the busy pictures in which a piece that only the second finds looks other than at rest, by its median point.
 # What has gone stays away: bricks and a box on a rug have 0.95 and 0.77; floor at a door that turns has 0.55 and 0.64.
@@ -75,7 +75,8 @@ def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray
         return out
     at, before = sight.at[seen], film.picture(at_rest)
     colour, light = sampled(blurred(before, BLUR_PX), at), sampled(blurred(before.mean(-1), LIGHT_PX), at)
-    around = KDTree(surface.xyz[seen]).query(surface.xyz[seen], k=range(1, min(LIT_ALIKE, len(seen)) + 1))[1]
+    near = KDTree(surface.xyz[seen]).query(surface.xyz[seen], k=min(LIT_ALIKE, len(seen)))[1]
+    around = np.asarray(near).reshape(len(seen), -1)
     apart: list[list[np.ndarray]] = [[], []]
     for n in spread(range(len(film.times)), MOST_PICTURES):
         picture = film.picture(n)

@@ -22,7 +22,7 @@ SURELY, WORSE = (
 )  # of it: two parts are one in any case; else only while the residual grows by less than this
 SMALL, SMALL_SAME = 50, 3.3  # points; so much more residual joins a part of fewer
 FEWEST = 8  # points that have a motion
-GUESSED = 1e-4  # weight of a place that is a guess: what is always lost has some motion, too
+GUESSED = 1e-4  # weight of a place that is a guess; of points that are never seen, guesses decide the part
 MOMENTS = 16  # that are looked at, spread over all
 
 Motions = tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3"]]
@@ -53,7 +53,7 @@ def residual(
     tracks: Float[np.ndarray, "t p 3"],
     lost: Bool[np.ndarray, "t p"] | None = None,
 ) -> np.ndarray:
-    """Mean squared distance of each point from where a rigid motion has it [p]; while it is lost it hardly counts."""
+    """Mean squared distance of each point from where a rigid motion has it [p]; by what is seen of it, if anything."""
     rotations, shifts = motion
     apart = rest @ rotations.mT + (shifts[:, None] - tracks)
     weights = None if lost is None else np.where(lost, GUESSED, 1.0)
@@ -81,7 +81,8 @@ def rigid_parts(
     looked_at = np.linspace(0, len(tracks) - 1, min(len(tracks), MOMENTS)).round().astype(int)
     tracks = tracks[looked_at].astype(np.float64)
     lost = np.zeros(tracks.shape[:2], dtype=bool) if lost is None else lost[looked_at]
-    labels = _first_parts(rest, tracks, np.random.default_rng(seed))
+    labels = _first_parts(rest, tracks, lost, np.random.default_rng(seed))
+    seen = ~lost.all(0) if not lost.all() else np.ones(len(rest), dtype=bool)
     beside = links.copy()
     beside.data = np.ones_like(beside.data)
     neighbours = np.maximum(np.asarray(beside.sum(1)).ravel(), 1)
@@ -90,7 +91,7 @@ def rigid_parts(
         mine = [labels == k for k in kept]
         motions = [motion_of(rest[m], tracks[:, m], lost[:, m]) for m in mine]
         cost = np.stack([residual(motion, rest, tracks, lost) for motion in motions])
-        usual = max(float(np.median(cost.min(0))), 1e-7)
+        usual = max(float(np.median(cost.min(0)[seen])), 1e-7)
         agree = np.stack([np.asarray(beside @ m.astype(float)).ravel() / neighbours for m in mine])
         before, labels = labels, np.argmin(cost / usual - EVEN * agree, axis=0)
         if np.array_equal(before, labels):
@@ -99,13 +100,18 @@ def rigid_parts(
 
 
 def _first_parts(
-    rest: Float[np.ndarray, "p 3"], tracks: Float[np.ndarray, "t p 3"], rng: np.random.Generator
+    rest: Float[np.ndarray, "p 3"],
+    tracks: Float[np.ndarray, "t p 3"],
+    lost: Bool[np.ndarray, "t p"],
+    rng: np.random.Generator,
 ) -> Int[np.ndarray, " p"]:
-    """Around points that are far from one another, at rest and in motion."""
-    flat = tracks.transpose(1, 0, 2).reshape(len(rest), -1)
+    """Around points that are far from one another, at rest and in motion, as far as both are seen."""
+    seen = 1.0 - lost
 
     def away(n: int) -> np.ndarray:
-        return MOTION * ((flat - flat[n]) ** 2).mean(1) + ((rest - rest[n]) ** 2).sum(1)
+        both = seen * seen[:, n, None]
+        moved = (((tracks - tracks[:, n, None]) ** 2).mean(-1) * both).sum(0) / np.maximum(both.sum(0), 1)
+        return MOTION * moved + ((rest - rest[n]) ** 2).sum(1)
 
     apart = [away(int(rng.integers(len(rest))))]
     for _ in range(min(MOST, len(rest)) - 1):
@@ -124,9 +130,10 @@ def _merged(
     links = beside.tocoo()
 
     def spread(points: np.ndarray) -> float:
-        """Root mean square distance of points from where one motion has them."""
+        """Root mean square distance of points from where one motion has them, over all that is seen of them."""
         mine = rest[points], tracks[:, points], lost[:, points]
-        return float(np.sqrt(residual(motion_of(*mine), *mine).mean()))
+        seen = np.where(mine[2], GUESSED, 1.0).sum(0)
+        return float(np.sqrt(np.average(residual(motion_of(*mine), *mine), weights=seen)))
 
     own = {int(a): spread(labels == a) for a in np.unique(labels)}
     known: dict[tuple[int, int], float] = {}

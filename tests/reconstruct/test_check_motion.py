@@ -73,6 +73,7 @@ def test_a_box_that_holds_little_of_the_motion_cannot_explain_it(ball, rest: Res
     model.motion.aabb = corner.aabb
     fits = check_motion(ball.scene, model)
     assert all(fit.unreachable > 0.9 and fit.alone is None for fit in fits.values()), fits
+    assert all(fit.unmoved < 0.01 for fit in fits.values()), fits
     assert any(check.startswith("change where the model is empty") for check in warnings(fits))
 
 

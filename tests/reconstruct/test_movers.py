@@ -31,8 +31,10 @@ from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
-from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
+from devrf.reconstruct.still_picture import standing_clips
+from devrf.reconstruct.tracking.find import Found, find_movers, parts_of, why_not_tracked
 from devrf.reconstruct.tracking.follow import Tracks
+from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import CLOCK_GAIN_DB, train_deformation
 from devrf.reconstruct.train_movers import Trained, train_movers
@@ -387,6 +389,26 @@ def test_why_nothing_is_tracked_is_said(
     assert decision.startswith("movers: none instead of tracked") and word in decision
     _, metrics = train_deformation(scene_is(scene), rest, {}, PRESETS["reference"].motion, estimator=DisFlow)
     assert metrics["decisions"] == []
+
+
+def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, rest: RestModel) -> None:
+    """A ball goes along a line; half of it is covered from the third moment of five, and guessed to stay."""
+    ball = np.random.default_rng(0).normal(size=(300, 3))
+    ball *= RADIUS / np.linalg.norm(ball, axis=1, keepdims=True)
+    surface = Surface(ball, ball / RADIUS, np.ones_like(ball), 0.2 * RADIUS)
+    way = np.linspace(0, 1, 5)[:, None, None] * TRAVEL
+    xyz, lost = ball + way, np.zeros((5, 300), dtype=bool)
+    lost[2:, ball[:, 0] > 0] = True
+    xyz[lost] = np.broadcast_to(ball + way[1], xyz.shape)[lost]
+    scene = session.in_box_frame()
+    tracks = Tracks(np.linspace(0, 1, 5), xyz, lost, np.zeros(len(standing_clips(scene))))
+    hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
+    everything = np.ones(300, dtype=bool)
+    found = parts_of(scene, rest, surface, hidden, everything, Graph(surface), tracks)
+    assert found is not None and found.movers.parts == 1
+    assert np.allclose(found.movers.shifts[:, 0], way[:, 0], atol=1e-5)
+    (told,) = found.told(np.eye(4))
+    assert told["longest_lost"] == 3
 
 
 def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestModel) -> None:

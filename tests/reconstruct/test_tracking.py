@@ -260,12 +260,13 @@ def test_two_motions_are_two_parts(tracks: Tracks) -> None:
     assert np.array_equal(labels == labels[0], card == card[0])
 
 
-def test_what_is_lost_belongs_to_what_it_moved_with_while_it_was_seen() -> None:
-    """The lower half of each card is covered after the first pictures, and the guesses of where it is are bad."""
+@pytest.mark.parametrize("since", [0, 4])  # the first of the moments
+def test_what_is_lost_belongs_to_what_it_moved_with_while_it_was_seen(since: int) -> None:
+    """The lower half of each card is covered, in all pictures or after some; the guesses of where it is are bad."""
     surface, card = on_cards()
     xyz = true_tracks(surface, card, np.linspace(0.5, 1, 9))
     lost = np.zeros(xyz.shape[:2], dtype=bool)
-    lost[4:, surface.xyz[:, 2] < CENTRES[card, 2]] = True
+    lost[since:, surface.xyz[:, 2] < CENTRES[card, 2]] = True
     xyz[lost] += [0.1, 0.0, -0.1]
     links = Graph(surface).links
     labels = rigid_parts(surface.xyz, xyz, links, 0.02, lost)
@@ -310,6 +311,18 @@ def test_a_shoe_does_not_belong_to_the_floor_of_its_colour() -> None:
         for together in TOGETHER:
             found = _cut(Surface(xyz, normals, rgb, SPACING), votes, together)
             assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
+
+
+@pytest.mark.parametrize(("unlike", "moves"), [(0.38, True), (0.2, False)])
+def test_a_small_thing_of_another_colour_does_not_belong_to_the_floor(unlike: float, moves: bool) -> None:
+    """White shoes lie nearly level with a brown floor; only the weaker hold of neighbours lets them go."""
+    along = np.arange(-20, 20) * SPACING
+    floor = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(1600)], 1)
+    shoe = (np.abs(floor[:, 0]) < 6 * SPACING) & (np.abs(floor[:, 1]) < 4 * SPACING)
+    rgb = np.tile(np.where(shoe, 0.4 + unlike / np.sqrt(3), 0.4)[:, None], 3)
+    surface = Surface(floor, np.tile([0.0, 0.0, 1.0], (1600, 1)), rgb, SPACING)
+    strong, weak = (_cut(surface, np.where(shoe, 0.8, -0.6), together) for together in TOGETHER)
+    assert not strong.any() and np.array_equal(weak, shoe & moves)
 
 
 def test_a_brick_does_not_belong_to_the_brick_below() -> None:
