@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from devrf.capture.audio import Sound, _place, read_sound, read_wav, write_wav
+from devrf.capture.audio import Sound, _channels, _place, read_sound, read_wav, write_wav
 from devrf.capture.audio_channels import Heard, choose
 
 
@@ -36,6 +36,11 @@ def test_no_sound_and_silence(make_clip, pictures):
     assert read_sound(make_clip("mute.mp4", pictures)) is None
     sound = read_sound(make_clip("silent.mp4", pictures, sound=np.zeros(24_000)))
     assert sound is not None and sound.silent
+
+
+def test_eight_bits_rest_in_the_middle():
+    frame = av.AudioFrame.from_ndarray(np.array([[128, 192, 0]], np.uint8), format="u8", layout="mono")
+    np.testing.assert_allclose(_channels(frame), [[0, 0.5, -1]])
 
 
 def test_gaps_become_silence_and_overlaps_are_cut():
