@@ -37,8 +37,8 @@ FEWEST_PICTURES = 4  # that can be compared at two times
 LEAST_SHIFT_DB = 0.1  # that another time must gain to be worth a word
 SHIFTS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # pictures by which a camera is tried to be early or late
 OPAQUE = 0.5  # opacity from which something is there
-# Of the full range: what the model changes by less looks as at rest. Of 0.01, 0.02 and 0.05 the last parts captures in
-# which all that moves is found from others most clearly (docs/stability.md).
+# Of the full range: what the model changes by less looks as at rest. By 0.02 captures in which all that moves is found
+# differ from others, too; by 0.01 they do not.
 UNMOVED = 0.05
 # Voxels: between depths of two cameras, a surface two to three voxels thick, seen at a slant; and by which a depth may
 # be wrong where the other camera is wrong by a pixel: more than that is another surface.

@@ -9,8 +9,8 @@ from devrf.reconstruct.check_motion import MotionFit
 LEAST_GAIN_DB = 1.0  # of pictures never trained on; motion that gains less is not worth its name
 LEAST_TRAINED_GAIN_DB = 1.5  # what was trained on flatters: others gain as little as 0.6 of it
 MOST_UNREACHABLE = 0.5  # of the error at rest: motion can then halve the error at best
-# Of that error: eight captures and data sets in which all that moves is found have at most 0.045, others 0.10 and more
-# (docs/stability.md).
+# Of that error: eight captures and data sets in which all that moves is found have at most 0.045, three others 0.10 and
+# more (docs/stability.md).
 MOST_UNMOVED = 0.08
 MOST_ALONE = 0.75  # of the surface; around a ball four cameras leave none of it, three half, one all
 MOST_SHIFT = 0.25  # pictures; as for the check of clocks by geometry

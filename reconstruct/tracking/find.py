@@ -176,7 +176,7 @@ def parts_of(
     """
     moving, voxel = surface.only(moves), rest.canonical.voxel
     when = _while_moving(tracks, moving, voxel)
-    labels = rigid_parts(moving.xyz, tracks.xyz[when], graph.links, voxel, tracks.lost[when])
+    labels = rigid_parts(moving.xyz, tracks.xyz[when], tracks.lost[when], graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
     if kept.sum() < FEWEST_POINTS:
         return None

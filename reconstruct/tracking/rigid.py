@@ -63,9 +63,9 @@ def residual(
 def rigid_parts(
     rest: Float[np.ndarray, "p 3"],
     tracks: Float[np.ndarray, "t p 3"],
+    lost: Bool[np.ndarray, "t p"],
     links: csr_matrix,
     voxel: float,
-    lost: Bool[np.ndarray, "t p"] | None = None,
     seed: int = 0,
 ) -> Int[np.ndarray, " p"]:
     """The part of each point, counted from 0.
@@ -73,14 +73,13 @@ def rigid_parts(
     Args:
         rest: Points at rest.
         tracks: Where they are.
+        lost: When each point's place is a guess, which says hardly anything.
         links: Neighbours on the surface.
         voxel: Of the scene at rest, the unit of what counts as the same motion.
-        lost: When each point's place is a guess, which says hardly anything.
         seed: Of the choice of the first point.
     """
     looked_at = np.linspace(0, len(tracks) - 1, min(len(tracks), MOMENTS)).round().astype(int)
-    tracks = tracks[looked_at].astype(np.float64)
-    lost = np.zeros(tracks.shape[:2], dtype=bool) if lost is None else lost[looked_at]
+    tracks, lost = tracks[looked_at].astype(np.float64), lost[looked_at]
     labels = _first_parts(rest, tracks, lost, np.random.default_rng(seed))
     seen = ~lost.all(0) if not lost.all() else np.ones(len(rest), dtype=bool)
     beside = links.copy()

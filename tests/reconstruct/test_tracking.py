@@ -255,7 +255,7 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
 
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:
     surface, card = on_cards()
-    labels = rigid_parts(surface.xyz, tracks.xyz, Graph(surface).links, voxel=0.02)
+    labels = rigid_parts(surface.xyz, tracks.xyz, tracks.lost, Graph(surface).links, voxel=0.02)
     assert labels.max() == 1
     assert np.array_equal(labels == labels[0], card == card[0])
 
@@ -269,10 +269,10 @@ def test_what_is_lost_belongs_to_what_it_moved_with_while_it_was_seen(since: int
     lost[since:, surface.xyz[:, 2] < CENTRES[card, 2]] = True
     xyz[lost] += [0.1, 0.0, -0.1]
     links = Graph(surface).links
-    labels = rigid_parts(surface.xyz, xyz, links, 0.02, lost)
+    labels = rigid_parts(surface.xyz, xyz, lost, links, 0.02)
     assert labels.max() == 1
     assert np.array_equal(labels == labels[0], card == card[0])
-    assert rigid_parts(surface.xyz, xyz, links, 0.02).max() > 1
+    assert rigid_parts(surface.xyz, xyz, np.zeros_like(lost), links, 0.02).max() > 1
 
 
 def cards_and_wall() -> Surface:
