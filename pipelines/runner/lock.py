@@ -85,7 +85,8 @@ class Lock:
         if self._me is None or self._kernels is None:
             return
         self._released.set()
-        self._beats.join(1.0)  # at once, unless a server does not answer
+        if self._beats.is_alive():  # a signal may have come before it was started
+            self._beats.join(1.0)  # at once, unless a server does not answer
         with suppress(OSError):  # the disk is gone, or read-only now: the lock is a dead one's soon
             if _holder(self._path) == self._me:
                 self._path.unlink(missing_ok=True)

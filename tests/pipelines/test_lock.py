@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from tests.waiting import wait_for
 from devrf.capture.errors import InputError
 from devrf.pipelines.runner import lock
 from devrf.pipelines.runner.lock import LOCK, Lock
+from devrf.pipelines.runner.workspace import Workspace
 
 HOLD = """
 import sys, time
@@ -118,6 +120,18 @@ def test_a_holder_touches_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     os.utime(tmp_path / LOCK, (1, 1))
     wait_for(lambda: (tmp_path / LOCK).stat().st_mtime > 1)
     taken.release()
+
+
+def test_one_that_a_signal_ends_before_its_first_touch_is_released(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(thread: threading.Thread) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    with pytest.raises(KeyboardInterrupt), Workspace(tmp_path):
+        pass
+    assert not (tmp_path / LOCK).exists()
 
 
 @pytest.mark.parametrize("errno", lock.NO_LOCKS)
