@@ -67,6 +67,7 @@ def test_clips_that_ask_to_be_mirrored(crew_files: Path, tmp_path: Path, kind: s
     assert any("mirrored" in note for note in frames.notes)
 
 
+@pytest.mark.full
 def test_timecode_counts_at_its_own_rate(copy: Copy, devrf: Command) -> None:
     folder = run(devrf, copy("timecode-own-rate") / "scene.yaml", "sync")
     cameras = json.loads((folder / "ingest" / "ingest.json").read_text())["cameras"]
@@ -116,12 +117,14 @@ def scene_of(devrf: Command, folder: Path) -> tuple[dict[str, Any], str]:
     return yaml.safe_load((folder / "scene.yaml").read_text())["capture"], done.out
 
 
+@pytest.mark.full
 def test_clips_of_photos_are_no_sweep(copy: Copy, devrf: Command) -> None:
     capture, page = scene_of(devrf, copy("live-photos"))
     assert capture["static"] == "DCIM/100APPLE"
     assert page.count(".MOV") == 1 and "4 clips" in page
 
 
+@pytest.mark.full
 def test_chapters_and_small_copies_are_no_cameras(copy: Copy, devrf: Command) -> None:
     capture, page = scene_of(devrf, copy("chapters"))
     assert sorted(capture["cameras"].values()) == [

@@ -21,7 +21,16 @@ def policy_of_torch(module: str, **environment: str) -> str:
     return line.split("=")[1].strip(" '")
 
 
-@pytest.mark.parametrize("module", ["devrf", "devrf.pipelines.cli", "devrf.calibration.sweep.sfm_worker"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "devrf",
+        *(
+            pytest.param(module, marks=pytest.mark.full)
+            for module in ("devrf.pipelines.cli", "devrf.calibration.sweep.sfm_worker")
+        ),
+    ],
+)
 def test_threads_sleep_while_they_wait(module: str) -> None:
     assert policy_of_torch(module) == "PASSIVE"
 

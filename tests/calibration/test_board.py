@@ -229,7 +229,7 @@ KALIBR = replace(APRILGRID, order="kalibr", border=2)
 
 
 @pytest.mark.parametrize("spec", [SPEC, replace(SPEC, squares=(5, 7)), GRID], ids=["6x4", "5x7", "grid"])
-@pytest.mark.parametrize("first", [1, 20])
+@pytest.mark.parametrize("first", [pytest.param(1, marks=pytest.mark.full), 20])
 def test_a_board_whose_first_marker_has_another_number(tmp_path, spec, first):
     rng, printed = np.random.default_rng(4), replace(spec, first_id=first)
     poses = [board_pose(rng, printed) for _ in range(3)]
@@ -282,7 +282,8 @@ def from_below(spec: BoardSpec, by_columns: bool = False) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("order", "border", "distance"), [("up", 1, 0.5), ("kalibr", 2, 0.5), ("kalibr", 2, 0.8)]
+    ("order", "border", "distance"),
+    [("up", 1, 0.5), ("kalibr", 2, 0.5), pytest.param("kalibr", 2, 0.8, marks=pytest.mark.full)],
 )
 def test_grids_that_are_numbered_from_below(tmp_path, order, border, distance):
     """As Kalibr's aprilgrid. Near, markers with two cells of border are read as smaller ones with one, too."""

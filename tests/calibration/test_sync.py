@@ -100,6 +100,7 @@ def test_drift_shows_in_long_clips():
         assert 1e3 * np.abs(error).max() < 0.5
 
 
+@pytest.mark.full
 def test_real_speech(data_dir):
     folder = data_dir / "audio_offset"
     one, two = read_sound(folder / "timbl_1.mp3"), read_sound(folder / "timbl_2.mp3")

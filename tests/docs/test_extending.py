@@ -62,6 +62,7 @@ def write_files(folder: Path) -> None:
             (folder / block.file).write_text(block.text, encoding="utf-8")
 
 
+@pytest.mark.full
 def test_the_flow_method(
     scene: Path, tmp_path: Path, devrf_process: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -298,6 +298,7 @@ def test_a_pipe_in_place_of_a_stamp_is_none(tmp_path: Path) -> None:
     assert read_stamp(tmp_path) is None
 
 
+@pytest.mark.full
 def test_a_table_beside_clips_that_is_too_long_is_not_used(tmp_path: Path, run: Fuzzer) -> None:
     write_video(tmp_path / "sweep.mp4", pictures(), 10.0)
     write_video(tmp_path / "cam0.mp4", pictures(1) * 12, 10.0)

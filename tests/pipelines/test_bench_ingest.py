@@ -9,6 +9,7 @@ from devrf.pipelines.bench.accuracy.cases import Cases
 from devrf.pipelines.console import Talk
 
 
+@pytest.mark.full
 def test_parts_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = {"SHORT_FRAMES": 4, "LONGER": 2, "REPETITIONS": 1, "BIT_RATES": {"16 Mbit/s": 16_000_000}}
     for name, value in (small | {"PHOTO_TILES": 1, "FEW_PHOTOS": 1, "MANY_PHOTOS": 2}).items():

@@ -252,6 +252,7 @@ def test_what_a_killed_run_left_is_removed_one_day(folder: Path) -> None:
     assert not left.exists()
 
 
+@pytest.mark.full
 def test_runs_share_a_cache_while_others_empty_it(tmp_path: Path) -> None:
     """Six at a time in a cache with room for a few entries, three of them killed: what the others have is whole."""
     folders = []

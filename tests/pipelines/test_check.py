@@ -231,6 +231,7 @@ def test_a_clip_that_the_scene_does_not_name_is_said(tmp_path: Path) -> None:
 # --- boards ---
 
 
+@pytest.mark.full
 def test_a_board_clip_without_its_board_is_a_no_go(tmp_path: Path, textures: Callable) -> None:
     """One clip shows the board in half of its pictures, one in few, one never; never is no failure of a joint clip."""
     image = charuco_picture()

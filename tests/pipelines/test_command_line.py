@@ -26,7 +26,9 @@ def test_names_that_no_system_takes(tmp_path: Path, words: str) -> None:
     assert LONG in result.stderr.replace("\n", "") and "too long" in result.stderr
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", ">&- 2>&- <&-"])
+@pytest.mark.parametrize(
+    "closed", [*(pytest.param(one, marks=pytest.mark.full) for one in (">&-", "2>&-", "<&-")), ">&- 2>&- <&-"]
+)
 def test_streams_that_are_closed(tmp_path: Path, closed: str) -> None:
     (tmp_path / "a.mp4").write_bytes(b"x")
     (tmp_path / "scene.yaml").write_text("{name: x, output: run, capture: {static: a.mp4}}")

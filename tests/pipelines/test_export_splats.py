@@ -103,7 +103,7 @@ def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
     assert not (tmp_path / "run/report/stamp.json").exists()
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sign", [pytest.param(signal.SIGINT, marks=pytest.mark.full), signal.SIGTERM])
 def test_a_stopped_export_leaves_nothing_and_says_so(tmp_path: Path, sign: signal.Signals) -> None:
     scene = write_trained(tmp_path)
     command = [sys.executable, "-m", "devrf.pipelines.cli", "export", str(scene), "--format", "splat"]

@@ -60,7 +60,9 @@ def drawn(spec: BoardSpec) -> np.ndarray:
 @pytest.mark.parametrize(
     "spec",
     [
-        BoardSpec("charuco", (8, 6), 1.0, 0.75, "DICT_5X5_50", False, False),
+        pytest.param(
+            BoardSpec("charuco", (8, 6), 1.0, 0.75, "DICT_5X5_50", False, False), marks=pytest.mark.full
+        ),
         BoardSpec("charuco", (5, 7), 1.0, 0.7, "DICT_4X4_50", True, False),
         BoardSpec("charuco", (6, 4), 1.0, 0.75, "DICT_6X6_50", False, True),
         BoardSpec("aruco_grid", (5, 4), 1.0, 0.8, "DICT_4X4_50", False, False),
@@ -89,6 +91,7 @@ def test_a_room_is_no_board(textures: Callable[[int], np.ndarray]) -> None:
     assert guess_board([textures(n)[:, :, 0] for n in range(4)]) is None
 
 
+@pytest.mark.full
 def test_real_chessboard_photos(data_dir: Path) -> None:
     files = sorted((data_dir / "caliscope_chessboard_intrinsic").glob("cam_0*.jpg"))[:3]
     found = guess_board([read_grey(file) for file in files])

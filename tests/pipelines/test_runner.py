@@ -314,7 +314,7 @@ def hanging(folder: Path, stage: str) -> "subprocess.Popen[str]":
     return process
 
 
-@pytest.mark.parametrize("at", ALL)
+@pytest.mark.parametrize("at", [ALL[0], *(pytest.param(stage, marks=pytest.mark.full) for stage in ALL[1:])])
 def test_killed_at_any_point_the_next_run_goes_on(folder: Path, at: str) -> None:
     started = hanging(folder, at)
     started.kill()

@@ -151,7 +151,9 @@ def program() -> dict[str, object]:
     return {"method": "command", "command": [sys.executable, "-c", code, "{image}", "{matte}"]}
 
 
-@pytest.mark.parametrize("method", ["given", "chroma", "command"])
+@pytest.mark.parametrize(
+    "method", ["given", *(pytest.param(made, marks=pytest.mark.full) for made in ("chroma", "command"))]
+)
 def test_mattes_of_every_picture_make_the_background_plain(session: Session, method: str) -> None:
     session.write_mattes("mattes", "static", "cam0")
     mattes = {"given": "mattes", "chroma": "chroma", "command": program()}[method]
@@ -235,6 +237,7 @@ def test_bad_mattes_have_rows(session: Session) -> None:
     assert rows["subject's share of the picture (sweep)"].verdict == "warn"
 
 
+@pytest.mark.full
 def test_a_common_colour_is_no_screen_unless_it_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

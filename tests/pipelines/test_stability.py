@@ -30,6 +30,8 @@ from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 
+pytestmark = pytest.mark.full  # whole runs; what the suite is made of has tests of its own
+
 Suite = tuple[Path, list[str], str]
 
 
@@ -99,9 +101,8 @@ def test_a_suite_goes_on_where_it_was(devrf: Any, suite: Suite) -> None:
     assert before == {path: path.read_text() for path in stamps}
 
 
-def test_axes_that_do_not_exist_are_named(devrf: Any, suite: Suite, tmp_path: Path) -> None:
-    _, arguments, _ = suite
-    for scene in ((), (arguments[2],)):  # without one nothing is rendered first
+def test_axes_that_do_not_exist_are_named(devrf: Any, arm: Path, tmp_path: Path) -> None:
+    for scene in ((), (str(arm),)):  # without one nothing is rendered first
         done = devrf("bench", "stability", *scene, "--axes", "poses", "--out", str(tmp_path / "o"))
         assert done.code == 2 and "pose_noise" in done.said
         assert not (tmp_path / "o").exists()

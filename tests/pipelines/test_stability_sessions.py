@@ -60,6 +60,7 @@ def with_code(truth: Path, code: str | None) -> None:
     truth.write_text(json.dumps(content))
 
 
+@pytest.mark.full
 def test_a_session_is_made_again_once_for_all_seeds_with_the_clips_that_stay(
     session: Path, odd_scene: Scene, tmp_path: Path
 ) -> None:
@@ -104,7 +105,7 @@ def test_a_session_that_was_made_otherwise_is_not_taken_for_this_one(session: Pa
     assert not is_rendered(tmp_path / "none", made())
 
 
-@pytest.mark.parametrize("code", ["of another version", None])
+@pytest.mark.parametrize("code", ["of another version", pytest.param(None, marks=pytest.mark.full)])
 def test_a_session_of_another_version_of_the_simulator_is_not_compared_with_this_one(
     session: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str | None
 ) -> None:

@@ -55,7 +55,7 @@ def test_without_viser_it_says_how_to_get_it(tmp_path: Path) -> None:
     assert "python -m pip install -e '.[viewer]'" in result.stderr
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sign", [pytest.param(signal.SIGINT, marks=pytest.mark.full), signal.SIGTERM])
 def test_it_reads_only_and_ends_at_once(odd_scene: Scene, tmp_path: Path, sign: signal.Signals) -> None:
     run = ViewerRun(tmp_path)
     run.scene(odd_scene)

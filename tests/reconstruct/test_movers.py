@@ -203,6 +203,7 @@ def test_gradients_of_corrections_are_those_of_differences(
     assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(differences), rel=0.2)
 
 
+@pytest.mark.full
 def test_training_corrects_where_parts_are(session: Scene, rest: RestModel) -> None:
     model = whole(rest, TRAVEL)
     assert model.movers is not None and model.in_motion is not None
@@ -467,6 +468,7 @@ def test_clocks_are_moved_for_a_clear_gain_only(
     assert metrics["iterations"] == 10
 
 
+@pytest.mark.full
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
     tracked(-TRAVEL)  # the other way
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
@@ -539,6 +541,7 @@ def test_movers_whose_training_diverges_give_way_to_a_field(
     assert model.movers is None and "training diverged" in metrics["decisions"][0]
 
 
+@pytest.mark.full
 def test_clocks_stay_where_training_with_others_diverges(
     session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch
 ) -> None:

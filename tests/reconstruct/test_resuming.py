@@ -82,7 +82,7 @@ def _assert_same_rest(scene: Scene, options: CanonicalOptions, folder: Path, dea
     assert _timeless(undisturbed.metrics) == _timeless(resumed.metrics)
 
 
-@pytest.mark.parametrize("deferred", [False, True])
+@pytest.mark.parametrize("deferred", [pytest.param(False, marks=pytest.mark.full), True])
 def test_scene_at_rest(ball, tmp_path: Path, deferred: bool) -> None:
     """In the middle of every resolution, right before the grids grow, right after, and after the last step."""
     deaths = {("", done) for done in (1, 6, 7, 12, 13, 17, 24)}

@@ -228,7 +228,9 @@ class Killed(Exception):
     """In the middle of tracking."""
 
 
-@pytest.mark.parametrize("moments", [2, 6])  # of the first run; of the second
+@pytest.mark.parametrize(
+    "moments", [2, pytest.param(6, marks=pytest.mark.full)]
+)  # of the first run; of the second
 def test_tracking_that_was_killed_goes_on_where_it_was(
     films: list[Film], tracks: Tracks, moments: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -511,6 +513,7 @@ def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[Film]) -> Non
     assert found.xyz.shape == (PICTURES, len(surface), 3) and np.isfinite(found.xyz).all()
 
 
+@pytest.mark.full
 def test_a_film_at_half_the_rate_is_followed_as_well(films: list[Film]) -> None:
     surface, card = on_cards()
     slow = replace(films[0], frames=films[0].frames[::2], times=films[0].times[::2])

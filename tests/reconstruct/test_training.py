@@ -72,6 +72,7 @@ def _off_the_path(ball, motion: MotionField, time: float) -> float:
     return float(np.linalg.norm(moved - abs(time) * ball.travel) / np.linalg.norm(ball.travel))
 
 
+@pytest.mark.full
 def test_rigid_travel_is_recovered(ball, rest: RestModel) -> None:
     """The centre's path, from the forward field at exact times that are and are not key times."""
     motion, metrics = train_motion(ball.scene, rest, {}, replace(MOTION, most_keys=4))
