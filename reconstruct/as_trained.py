@@ -10,7 +10,7 @@ BEYOND = 1e-3  # of all modelled time, that a picture may lie outside of it
 
 
 def as_trained(scene: Scene, metrics: Mapping[str, Any]) -> Scene:
-    """Move the clocks that training moved; only training pictures have other times then.
+    """Move the clocks that training moved, and those that went with them.
 
     Args:
         scene: As `scene` left it.
@@ -20,11 +20,11 @@ def as_trained(scene: Scene, metrics: Mapping[str, Any]) -> Scene:
 
 
 def retimed(scene: Scene, offsets_s: Mapping[str, float]) -> Scene:
-    """The scene with training pictures of some cameras taken so much later, less those beyond what is modelled."""
+    """The scene with pictures of some cameras taken so much later, less those beyond what is modelled."""
     span_s = scene.t1_s - scene.t0_s
 
     def moved(frame: PosedFrame) -> PosedFrame | None:
-        offset_s = offsets_s.get(frame.camera_name, 0.0) if frame.split == "train" else 0.0
+        offset_s = offsets_s.get(frame.camera_name, 0.0)
         if offset_s == 0 or frame.time_s is None:
             return frame
         time_s = frame.time_s + offset_s

@@ -8,7 +8,7 @@ so. Cameras that see the same side of the subject are compared by tracks of comm
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,6 +32,9 @@ SHARP_CONFIDENCE = 0.9
 GUESS_CONFIDENCE = 0.5  # below, a cue was refused and its own standard deviation says nothing
 LEAST_STD_S = 1e-4  # of a clock that is held
 BETTER = 0.5  # geometry replaces a clock only where its standard deviation is at most half as large
+# What a guess is good for beside geometry, in its own standard deviations and at least: those of motion energies are
+# 2 to 200 ms off (docs/accuracy.md), where they claim 20 to 45.
+GUESS_SIGMAS, GUESS_STD_S = 3.0, 0.15
 
 
 @dataclass(frozen=True)
@@ -80,13 +83,16 @@ class GeometryCheck:
 
     Attributes:
         pairs: Of cameras.
+        dropped: Those that contradict the others.
         corrections: By geometry alone, of the cameras that pairs reach, but not the first.
-        held: The same with the clocks held that a cue makes known: what the others are to be corrected by. A camera
-            may be well known beside its neighbours, and all of them badly beside the first.
+        held: The same with the clocks held that a cue makes known, and with guesses for what they are worth: what the
+            others are to be corrected by. A camera may be well known beside its neighbours, and all of them badly
+            beside the first.
         loops, notes: Sums around triangles; what could not be seen.
     """
 
     pairs: tuple[PairCheck, ...]
+    dropped: tuple[tuple[str, str], ...]
     corrections: dict[str, Correction]
     held: dict[str, Correction]
     loops: tuple[Loop, ...]
@@ -136,13 +142,21 @@ def check_clocks(
         if not _replaceable(clocks[n])
     ]
 
+    seen = {n for e in kept for n in (e.a, e.b)}
+    said += [
+        Equation(names[0], n, 0.0, 0.0, _of_a_guess(clocks[n]), "geometry", 1.0)
+        for n in names[1:]
+        if _guessed(clocks[n]) and np.isfinite(clocks[n].std_s)
+    ]
+
     def corrections(by: Solution) -> dict[str, Correction]:
-        known = (n for n in names[1:] if n in by.offset_s)
+        known = (n for n in names[1:] if n in by.offset_s and n in seen)
         return {n: _correction(by.offset_s[n], by.std_s[n], work.step_s(n)) for n in known}
 
     checked = tuple(p for p in pairs.values() if p is not None)
     held = corrections(solve(spans, [*kept, *said]))
-    return GeometryCheck(checked, corrections(solution), held, tuple(loops(names, kept)), tuple(notes))
+    out = tuple((e.a, e.b) for e in dropped)
+    return GeometryCheck(checked, out, corrections(solution), held, tuple(loops(names, kept)), tuple(notes))
 
 
 def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Clock]:
@@ -168,6 +182,32 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
     return out
 
 
+def carried_along(
+    moved_s: Mapping[str, float], training: Collection[str], pairs: Sequence[Equation]
+) -> dict[str, float]:
+    """How far the clocks of other cameras go with those that training moved.
+
+    Args:
+        moved_s: Camera -> what training added to its times; nothing for those that it left.
+        training: Cameras that are trained on.
+        pairs: What geometry says: the second camera's times must be raised by so much more than the first one's.
+    Returns:
+        Camera that is not trained on -> mean of what its pairs with those say, by their variances; those without any
+        are left out.
+    """
+    sums: dict[str, list[float]] = {}
+    for pair in pairs:
+        for name, other, sign in ((pair.a, pair.b, -1), (pair.b, pair.a, 1)):
+            if other in training and name not in training:
+                said, weights = sums.setdefault(name, [0.0, 0.0])
+                weight = 1 / max(pair.std_s, LEAST_STD_S) ** 2
+                sums[name] = [
+                    said + weight * (moved_s.get(other, 0.0) + sign * pair.delay_s),
+                    weights + weight,
+                ]
+    return {name: said / weights for name, (said, weights) in sums.items()}
+
+
 def _replaceable(clock: Clock) -> bool:
     if clock.method == "reference" or clock.std_s == 0:  # taken as true
         return False
@@ -176,6 +216,11 @@ def _replaceable(clock: Clock) -> bool:
 
 def _guessed(clock: Clock) -> bool:
     return clock.confidence < GUESS_CONFIDENCE
+
+
+def _of_a_guess(clock: Clock) -> float:
+    """Its standard deviation."""
+    return max(GUESS_SIGMAS * clock.std_s, GUESS_STD_S)
 
 
 class _Work:

@@ -4,8 +4,10 @@ import json
 from dataclasses import asdict, replace
 from functools import partial
 
+from devrf.calibration.clocks.geometry import carried_along
 from devrf.capture.formats.scene_files import read_scene
 from devrf.flow.store import read_flows
+from devrf.pipelines.clocks_in_use import sharp_pairs
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
@@ -46,6 +48,10 @@ def run(context: StageContext) -> None:
         estimator=partial(flow_estimator, context.config, context.scene_dir, context.device),
     )
     save_deformation(context.out, model)
+    if metrics.get("clock_offsets_s"):
+        training = {frame.camera_name for frame in scene.dynamic if frame.split == "train"}
+        moved_s = metrics["clock_offsets_s"]
+        metrics["clock_offsets_s"] = moved_s | carried_along(moved_s, training, sharp_pairs(context.run_dir))
     for line in metrics["decisions"]:
         context.say(f"  {line}")
     cameras = check_motion(as_trained(scene, metrics), model, options.seed)

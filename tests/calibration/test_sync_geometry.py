@@ -1,6 +1,7 @@
 """Geometry against clocks: pictures with known shifts, the example's clips, and real ones from opposite sides."""
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,8 @@ import pytest
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, essential, sampson, track_delay
-from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.geometry import PairCheck, check_clocks, refined
+from devrf.calibration.clocks.equations import Clock, Equation
+from devrf.calibration.clocks.geometry import GeometryCheck, PairCheck, carried_along, check_clocks, refined
 from devrf.calibration.formats import find_calibration
 from devrf.capture.camera import Camera
 from devrf.capture.video import VideoReader
@@ -138,9 +139,10 @@ def test_the_sampson_error_of_a_point_seen_by_two_cameras_is_zero():
     assert moved.max() < 1e-3 and moved.max() > 1e-4  # at most the distance moved
 
 
-def test_a_clock_that_is_not_known_is_corrected_beside_those_that_are(monkeypatch: pytest.MonkeyPatch):
-    """Geometry knows badly how cam0 lies beside all others, and well how these lie beside one another."""
-    apart_s = {("cam0", "cam1"): -0.057, ("cam0", "cam2"): -0.057, ("cam1", "cam2"): 0.001}
+def given_pairs(
+    monkeypatch: pytest.MonkeyPatch, found: Mapping[tuple[str, str], tuple[float, float]]
+) -> Callable[..., GeometryCheck]:
+    """A check of three cameras' clocks in which pairs are apart by so much, with such standard deviations, seconds."""
 
     class Pairs:
         def __init__(self, views):
@@ -150,8 +152,10 @@ def test_a_clock_that_is_not_known_is_corrected_beside_those_that_are(monkeypatc
             return 0.04
 
         def planes(self, a, b):
-            std_s = 0.001 if (a, b) == ("cam1", "cam2") else 0.032
-            return PairCheck(a, b, "planes", apart_s[a, b], std_s, std_s < 0.02, np.zeros(1), np.zeros(1))
+            if (a, b) not in found:
+                return None
+            apart_s, std_s = found[a, b]
+            return PairCheck(a, b, "planes", apart_s, std_s, std_s < 0.02, np.zeros(1), np.zeros(1))
 
         def wide_search(self, *asked):
             return None
@@ -162,15 +166,60 @@ def test_a_clock_that_is_not_known_is_corrected_beside_those_that_are(monkeypatc
     names = ("cam0", "cam1", "cam2")
     camera = poster("sideways", 0.0, 0.0).camera
     views = {n: TimedPictures(camera, np.zeros((2, 1, 1), np.uint8), np.array([0.0, 2.0])) for n in names}
+    return lambda clocks: check_clocks(views, clocks)
+
+
+def test_a_clock_that_is_not_known_is_corrected_beside_those_that_are(monkeypatch: pytest.MonkeyPatch):
+    """Geometry knows badly how cam0 lies beside all others, and well how these lie beside one another."""
+    found = {
+        ("cam0", "cam1"): (-0.057, 0.032),
+        ("cam0", "cam2"): (-0.057, 0.032),
+        ("cam1", "cam2"): (0.001, 0.001),
+    }
+    check_of = given_pairs(monkeypatch, found)
     heard = Clock(0.2, 0.0, 1e-4, "audio", 0.9, "")
     clocks = {
         "cam0": replace(heard, offset_s=0.0, method="reference"),
         "cam1": replace(heard, confidence=0.4),
     }
     clocks["cam2"] = heard
-    check = check_clocks(views, clocks)
+    check = check_of(clocks)
     assert check.corrections["cam1"].offset_s == pytest.approx(-0.057, abs=0.002)
     used = refined(clocks, check)
     assert used["cam2"] == heard
     assert used["cam1"].method == "geometry" and used["cam1"].std_s < 0.002
     assert used["cam1"].offset_s == pytest.approx(0.2, abs=0.002)
+
+
+def test_guesses_are_weighed_with_what_geometry_says_vaguely(monkeypatch: pytest.MonkeyPatch):
+    """Two cameras are sharp beside each other; where both lie beside the first, guesses say better than geometry."""
+    found = {("cam0", "cam1"): (-0.2, 0.3), ("cam0", "cam2"): (-0.26, 0.3), ("cam1", "cam2"): (-0.06, 0.002)}
+    guess = Clock(0.1, 0.0, 0.03, "motion", 0.49, "")
+    clocks = {"cam0": replace(guess, offset_s=0.0, std_s=0.0, method="reference", confidence=1.0)}
+    clocks |= {"cam1": guess, "cam2": guess}
+    used = refined(clocks, given_pairs(monkeypatch, found)(clocks))
+    assert used["cam2"].offset_s - used["cam1"].offset_s == pytest.approx(-0.06, abs=0.001)
+    between = (used["cam1"].offset_s + used["cam2"].offset_s) / 2
+    assert abs(between - 0.1) < 0.06  # geometry alone: 0.23 earlier
+    assert 0.08 < used["cam1"].std_s < 0.11  # two guesses of 150 ms, two pairs of 300
+    assert used["cam1"].method == "geometry"
+
+
+def test_a_camera_that_no_pair_reaches_keeps_its_guess(monkeypatch: pytest.MonkeyPatch):
+    found = {("cam0", "cam1"): (0.01, 0.002)}
+    guess = Clock(0.1, 0.0, 0.03, "motion", 0.49, "")
+    clocks = {"cam0": replace(guess, offset_s=0.0, std_s=0.0, method="reference", confidence=1.0)}
+    clocks |= {"cam1": guess, "cam2": guess}
+    used = refined(clocks, given_pairs(monkeypatch, found)(clocks))
+    assert used["cam2"] == guess and used["cam1"].offset_s == pytest.approx(0.11, abs=0.001)
+
+
+def test_clocks_of_other_cameras_go_along_with_those_that_training_moved():
+    pairs = [
+        Equation("a", "witness", 0.001, 0.0, 0.002, "geometry", 1.0),
+        Equation("witness", "b", 0.003, 0.0, 0.002, "geometry", 1.0),
+        Equation("a", "b", 0.5, 0.0, 0.002, "geometry", 1.0),
+        Equation("witness", "other", 0.0, 0.0, 0.002, "geometry", 1.0),
+    ]
+    along = carried_along({"a": 0.02}, ("a", "b"), pairs)  # a says 21 ms, b, which stays, -3 ms
+    assert along == {"witness": pytest.approx(0.009)}

@@ -22,12 +22,13 @@ def moving(ball, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return ball_clips(ball, tmp_path_factory.mktemp("moving"), TIMES, TRAVEL)
 
 
-def test_times_stay_within_what_is_modelled_and_test_views_keep_theirs(moving: Scene) -> None:
-    test = replace(moving.dynamic[0], split="test")
+def test_times_stay_within_what_is_modelled_and_test_views_go_along(moving: Scene) -> None:
+    test = replace(moving.dynamic[0], split="test", camera_name="witness")
     scene = replace(moving, dynamic=(*moving.dynamic, test), t0_s=0.0, t1_s=1.0)
-    shifted = retimed(scene, {"cam0": 0.05})
+    shifted = retimed(scene, {"cam0": 0.05, "witness": 0.02})
     before, after = ([f for f in s.dynamic if f.camera_name == "cam0"] for s in (scene, shifted))
-    for a, b in zip(before[:-2], after[:-1], strict=True):  # the last one is beyond what is modelled
+    for a, b in zip(before[:-1], after, strict=True):  # the last one is beyond what is modelled
         assert b.time_s == pytest.approx((a.time_s or 0) + 0.05)
         assert b.time == pytest.approx((a.time or 0) + 0.05)
-    assert after[-1] == test and shifted.dynamic[TIMES - 1] == scene.dynamic[TIMES]
+    assert shifted.dynamic[-1].time_s == pytest.approx((test.time_s or 0) + 0.02)
+    assert shifted.dynamic[TIMES - 1] == scene.dynamic[TIMES]
