@@ -1,5 +1,6 @@
 """Clocks against geometry, once cameras are known: reads pictures, calls the check, makes rows of it."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -11,7 +12,14 @@ from jaxtyping import Float, UInt8
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.geometry import SHIFT_FRAMES, SHIFT_SIGMAS, GeometryCheck, check_clocks, refined
+from devrf.calibration.clocks.geometry import (
+    SHIFT_FRAMES,
+    SHIFT_SIGMAS,
+    GeometryCheck,
+    check_clocks,
+    guess_std_s,
+    refined,
+)
 from devrf.calibration.clocks.spans import most_together
 from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
@@ -19,7 +27,7 @@ from devrf.capture.frames import CameraFrames
 from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health.clock import REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
+from devrf.pipelines.health.clock import BY_TRACKING, REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
 from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
@@ -76,10 +84,10 @@ def clock_check(
     if len(views) < 2:
         few = f"fewer than {MIN_FRAMES} pictures of two cameras in a time that they share"
         rows = [note("clocks that geometry cannot check", few)]
-        return dict(clocks), rows + unknown_rows(clocks, "too few pictures for geometry"), {}
+        return dict(clocks), rows + unknown_rows(clocks, "too few pictures for geometry", frames), {}
     check = check_clocks(views, clocks, progress)
     used = refined(clocks, check)
-    rows = check_rows(check, clocks, used, frames) + unknown_rows(used, "; ".join(check.notes))
+    rows = check_rows(check, clocks, used, frames) + unknown_rows(used, "; ".join(check.notes), frames)
     if metric:
         rows += sound_travel(cameras, clocks)
     return used, rows, _content(check, used)
@@ -143,13 +151,23 @@ def _mend(name: str, cue: str, offset_s: float) -> str:
     return "Film with sound and clap a few times"
 
 
-def unknown_rows(used: Mapping[str, Clock], why: str) -> list[HealthRow]:
-    """A refusal where a clock that was to be found by a cue is still not known."""
+def unknown_rows(used: Mapping[str, Clock], why: str, frames: Mapping[str, CameraFrames]) -> list[HealthRow]:
+    """A refusal where a clock that was to be found by a cue is still not known.
+
+    A warning where motion gave a guess that tracking can be expected to mend, which tries up to three pictures.
+    """
     found = {n: c for n, c in used.items() if c.method != "reference" and c.std_s > 0}  # 0: taken as true
-    worst = min(found, key=lambda n: found[n].confidence, default=None)
-    if worst is None or found[worst].confidence >= REFUSED_BELOW:
+    unknown = {n: c for n, c in found.items() if c.confidence < REFUSED_BELOW}
+
+    def pictures(name: str) -> float:
+        clock = unknown[name]
+        return 1e3 * guess_std_s(clock) / frame_ms(frames[name]) if clock.method == "motion" else math.inf
+
+    worst = max(unknown, key=pictures, default=None)
+    if worst is None:
         return []
-    return [confidence_row(worst, found[worst], why, final=True)]
+    hope = BY_TRACKING if pictures(worst) <= UNKNOWN_FRAMES else ""
+    return [confidence_row(worst, unknown[worst], why, hope)]
 
 
 def sound_travel(cameras: Mapping[str, Camera], clocks: Mapping[str, Clock]) -> list[HealthRow]:

@@ -32,9 +32,8 @@ SHARP_CONFIDENCE = 0.9
 GUESS_CONFIDENCE = 0.5  # below, a cue was refused and its own standard deviation says nothing
 LEAST_STD_S = 1e-4  # of a clock that is held
 BETTER = 0.5  # geometry replaces a clock only where its standard deviation is at most half as large
-# What a guess is good for beside geometry, in its own standard deviations and at least: those of motion energies are
-# 2 to 200 ms off (docs/accuracy.md), where they claim 20 to 45.
-GUESS_SIGMAS, GUESS_STD_S = 3.0, 0.15
+# What a guess by motion energies is good for, in its own standard deviations and at least (docs/accuracy.md)
+GUESS_SIGMAS, GUESS_STD_S = 2.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,7 @@ def check_clocks(
 
     seen = {n for e in kept for n in (e.a, e.b)}
     said += [
-        Equation(names[0], n, 0.0, 0.0, _of_a_guess(clocks[n]), "geometry", 1.0)
+        Equation(names[0], n, 0.0, 0.0, guess_std_s(clocks[n]), "geometry", 1.0)
         for n in names[1:]
         if _guessed(clocks[n]) and np.isfinite(clocks[n].std_s)
     ]
@@ -182,6 +181,11 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
     return out
 
 
+def guess_std_s(clock: Clock) -> float:
+    """Standard deviation of a clock that is guessed, whatever it says of itself."""
+    return max(GUESS_SIGMAS * clock.std_s, GUESS_STD_S)
+
+
 def carried_along(
     moved_s: Mapping[str, float], training: Collection[str], pairs: Sequence[Equation]
 ) -> dict[str, float]:
@@ -216,11 +220,6 @@ def _replaceable(clock: Clock) -> bool:
 
 def _guessed(clock: Clock) -> bool:
     return clock.confidence < GUESS_CONFIDENCE
-
-
-def _of_a_guess(clock: Clock) -> float:
-    """Its standard deviation."""
-    return max(GUESS_SIGMAS * clock.std_s, GUESS_STD_S)
 
 
 class _Work:

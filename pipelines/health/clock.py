@@ -8,6 +8,10 @@ REFUSED_BELOW = 0.5  # confidence of a cue that is only just accepted
 # standard deviation of a clock that is worth a warning: frames cannot be told apart surely
 UNSURE_FRAMES = 0.25
 USUAL_FPS = 30.0  # of a camera whose rate is not known
+BY_GEOMETRY = "Stage scene tries by geometry, since something moves in view. If that fails: "
+BY_TRACKING = (
+    "It is good to about three pictures, and moved where tracks of what moves say more. If they do not: "
+)
 REMEDY = (
     "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough for all "
     "cameras; or let somebody jump; or give capture.timestamps; or, for cameras synchronised by hardware, set "
@@ -15,22 +19,21 @@ REMEDY = (
 )
 
 
-def confidence_row(name: str, clock: Clock, why: str, *, final: bool) -> HealthRow:
+def confidence_row(name: str, clock: Clock, why: str, hope: str = "") -> HealthRow:
     """Judge the worst clock.
 
     Args:
         name: Its camera.
         clock: The clock.
         why: What is known of the reason, in words; empty: the clock's own basis.
-        final: Nothing later can make it better: a clock that is not known is refused.
+        hope: What can still make it better, a sentence; with none a clock that is not known is refused.
     """
-    later = "" if final else "Stage scene tries by geometry, since something moves in view. If that fails: "
     return row(
         f"confidence, worst camera ({name})",
         clock.confidence,
         warn=0.6,
-        fail=REFUSED_BELOW if final else None,
-        remedy=f"The clock of {name} is not known: {why or clock.basis}. {later}{REMEDY}",
+        fail=None if hope else REFUSED_BELOW,
+        remedy=f"The clock of {name} is not known: {why or clock.basis}. {hope}{REMEDY}",
     )
 
 

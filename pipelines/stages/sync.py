@@ -18,7 +18,7 @@ from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health.clock import UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
+from devrf.pipelines.health.clock import BY_GEOMETRY, UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
 from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
 
@@ -135,7 +135,7 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[He
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
     yield note("cue", ", ".join(cues))
-    yield confidence_row(worst, others[worst], why, final=not moves)
+    yield confidence_row(worst, others[worst], why, BY_GEOMETRY if moves else "")
     vague = max(others, key=lambda name: others[name].std_s)
     if math.isfinite(others[vague].std_s):
         step_ms = frame_ms(cameras[vague])

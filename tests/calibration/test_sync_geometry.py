@@ -201,7 +201,7 @@ def test_guesses_are_weighed_with_what_geometry_says_vaguely(monkeypatch: pytest
     assert used["cam2"].offset_s - used["cam1"].offset_s == pytest.approx(-0.06, abs=0.001)
     between = (used["cam1"].offset_s + used["cam2"].offset_s) / 2
     assert abs(between - 0.1) < 0.06  # geometry alone: 0.23 earlier
-    assert 0.08 < used["cam1"].std_s < 0.11  # two guesses of 150 ms, two pairs of 300
+    assert used["cam1"].std_s == pytest.approx(0.067, abs=0.002)  # two guesses of 100 ms, two pairs of 300
     assert used["cam1"].method == "geometry"
 
 

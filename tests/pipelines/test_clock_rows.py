@@ -1,5 +1,6 @@
 """What goes wrong with clocks (numbers of the list of failure cases, D1 to D25): the row that fires, its remedy."""
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from devrf.calibration.clocks.equations import Clock, Loop
+from devrf.calibration.clocks.equations import Clock, Cue, Loop
 from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.geometry import Correction, GeometryCheck, refined
@@ -233,10 +234,31 @@ def test_d20_views_that_disagree():
     row = rows_of(result)["confidence, worst camera (cam1)"]
     assert row.verdict == "warn" and "geometry" in row.remedy  # something does move
     assert re.search(r"motion .*correlation", notes_of(result))
-    (late,) = unknown_rows(result.cameras, "nothing moves in both across epipolar lines")
+    (late,) = unknown_rows(result.cameras, "nothing moves in both across epipolar lines", CAMERAS)
     assert late.verdict == "fail" and "epipolar" in late.remedy
     found = refined(result.cameras, check(cam1=(0.01, 1e-3)))
-    assert found["cam1"].method == "geometry" and not unknown_rows(found, "")
+    assert found["cam1"].method == "geometry" and not unknown_rows(found, "", CAMERAS)
+
+
+@pytest.mark.parametrize(
+    ("fps", "std_s", "method", "verdict"),
+    [
+        (25.0, 0.03, "motion", "warn"),
+        (60.0, 0.03, "motion", "fail"),  # tracking tries three pictures
+        (25.0, 0.08, "motion", "fail"),
+        (25.0, 0.03, "audio", "fail"),
+        (25.0, math.inf, "none", "fail"),
+    ],
+)
+def test_a_guess_by_motion_that_tracking_can_mend_is_no_refusal(
+    fps: float, std_s: float, method: Cue, verdict: str
+) -> None:
+    clocks = {
+        "cam0": Clock(0.0, 0.0, 0.0, "reference", 1.0, ""),
+        "cam1": Clock(0.1, 0.0, std_s, method, 0.49, "a guess"),
+    }
+    (row,) = unknown_rows(clocks, "", {name: camera(fps=fps) for name in clocks})
+    assert row.check == "confidence, worst camera (cam1)" and row.verdict == verdict
 
 
 def test_d21_a_loop_that_does_not_close():
