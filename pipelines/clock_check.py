@@ -195,7 +195,6 @@ def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
             "offset_s": p.offset_s,
             "std_s": p.std_s,
             "sharp": p.sharp,
-            "dropped": (p.first, p.second) in check.dropped,
         }
         | curve_dict(p.lags_s, p.values)
         for p in check.pairs

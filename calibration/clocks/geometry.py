@@ -8,7 +8,7 @@ so. Cameras that see the same side of the subject are compared by tracks of comm
 """
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -82,7 +82,6 @@ class GeometryCheck:
 
     Attributes:
         pairs: Of cameras.
-        dropped: Those that contradict the others.
         corrections: By geometry alone, of the cameras that pairs reach, but not the first.
         held: The same with the clocks held that a cue makes known, and with guesses for what they are worth: what the
             others are to be corrected by. A camera may be well known beside its neighbours, and all of them badly
@@ -91,7 +90,6 @@ class GeometryCheck:
     """
 
     pairs: tuple[PairCheck, ...]
-    dropped: tuple[tuple[str, str], ...]
     corrections: dict[str, Correction]
     held: dict[str, Correction]
     loops: tuple[Loop, ...]
@@ -154,8 +152,7 @@ def check_clocks(
 
     checked = tuple(p for p in pairs.values() if p is not None)
     held = corrections(solve(spans, [*kept, *said]))
-    out = tuple((e.a, e.b) for e in dropped)
-    return GeometryCheck(checked, out, corrections(solution), held, tuple(loops(names, kept)), tuple(notes))
+    return GeometryCheck(checked, corrections(solution), held, tuple(loops(names, kept)), tuple(notes))
 
 
 def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Clock]:
@@ -184,32 +181,6 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
 def guess_std_s(clock: Clock) -> float:
     """Standard deviation of a clock that is guessed, whatever it says of itself."""
     return max(GUESS_SIGMAS * clock.std_s, GUESS_STD_S)
-
-
-def carried_along(
-    moved_s: Mapping[str, float], training: Collection[str], pairs: Sequence[Equation]
-) -> dict[str, float]:
-    """How far the clocks of other cameras go with those that training moved.
-
-    Args:
-        moved_s: Camera -> what training added to its times; nothing for those that it left.
-        training: Cameras that are trained on.
-        pairs: What geometry says: the second camera's times must be raised by so much more than the first one's.
-    Returns:
-        Camera that is not trained on -> mean of what its pairs with those say, by their variances; those without any
-        are left out.
-    """
-    sums: dict[str, list[float]] = {}
-    for pair in pairs:
-        for name, other, sign in ((pair.a, pair.b, -1), (pair.b, pair.a, 1)):
-            if other in training and name not in training:
-                said, weights = sums.setdefault(name, [0.0, 0.0])
-                weight = 1 / max(pair.std_s, LEAST_STD_S) ** 2
-                sums[name] = [
-                    said + weight * (moved_s.get(other, 0.0) + sign * pair.delay_s),
-                    weights + weight,
-                ]
-    return {name: said / weights for name, (said, weights) in sums.items()}
 
 
 def _replaceable(clock: Clock) -> bool:

@@ -1,13 +1,15 @@
 """Stage `deformation`: how the scene moves, learned from the moving cameras."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
+from typing import Any
 
-from devrf.calibration.clocks.geometry import carried_along
 from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.scene import Scene
 from devrf.flow.store import read_flows
-from devrf.pipelines.clocks_in_use import sharp_pairs
+from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
@@ -18,10 +20,13 @@ from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.check_motion import check_motion
+from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
 from devrf.reconstruct.sizing import levels_for
 from devrf.reconstruct.train_deformation import train_deformation
+from devrf.reconstruct.view_offsets import view_offset
 
+KNOWN_MS = 5.0  # standard deviation of a clock that is left as it is: those by sound and flashes are better
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
 
 
@@ -48,10 +53,8 @@ def run(context: StageContext) -> None:
         estimator=partial(flow_estimator, context.config, context.scene_dir, context.device),
     )
     save_deformation(context.out, model)
-    if metrics.get("clock_offsets_s"):
-        training = {frame.camera_name for frame in scene.dynamic if frame.split == "train"}
-        moved_s = metrics["clock_offsets_s"]
-        metrics["clock_offsets_s"] = moved_s | carried_along(moved_s, training, sharp_pairs(context.run_dir))
+    if model.movers is not None:
+        _learn_test_clocks(context, scene, model, metrics)
     for line in metrics["decisions"]:
         context.say(f"  {line}")
     cameras = check_motion(as_trained(scene, metrics), model, options.seed)
@@ -68,6 +71,29 @@ def run(context: StageContext) -> None:
     context.health.extend(mover_rows(metrics))
     context.health.extend(flow_rows(metrics["flow_contradicted"]))
     context.health.extend(moved_clock_rows(metrics.get("clock_offsets_s", {})))
+
+
+def _learn_test_clocks(
+    context: StageContext, scene: Scene, model: DynamicModel, metrics: dict[str, Any]
+) -> None:
+    """Move clocks of cameras that are not trained on, where they are not known well enough to measure by."""
+    trained = as_trained(scene, metrics).in_box_frame()
+    for name in unknown_test_clocks(trained, clocks_in_use(context.run_dir)):
+        context.progress(0.99, f"clock of {name}")
+        estimator = flow_estimator(context.config, context.scene_dir, context.device)
+        offset_s = view_offset(trained, model, name, estimator)
+        if offset_s is not None:
+            metrics["clock_offsets_s"][name] = offset_s
+            metrics["decisions"].append(
+                f"clock: {name} {1e3 * offset_s:+.0f} ms, by where the model shows what moves"
+            )
+
+
+def unknown_test_clocks(scene: Scene, clocks: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Cameras that are not trained on whose clocks, as `clocks_in_use` gives them, are not known to `KNOWN_MS`."""
+    splits = {name: {f.split for f in scene.dynamic if f.camera_name == name} for name in clocks}
+    unsure = {name for name, c in clocks.items() if c["std_s"] is None or 1e3 * c["std_s"] > KNOWN_MS}
+    return [name for name, of in splits.items() if of == {"test"} and name in unsure]
 
 
 def _left_box(share: float) -> HealthRow:

@@ -11,8 +11,8 @@ import pytest
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, essential, sampson, track_delay
-from devrf.calibration.clocks.equations import Clock, Equation
-from devrf.calibration.clocks.geometry import GeometryCheck, PairCheck, carried_along, check_clocks, refined
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.clocks.geometry import GeometryCheck, PairCheck, check_clocks, refined
 from devrf.calibration.formats import find_calibration
 from devrf.capture.camera import Camera
 from devrf.capture.video import VideoReader
@@ -212,14 +212,3 @@ def test_a_camera_that_no_pair_reaches_keeps_its_guess(monkeypatch: pytest.Monke
     clocks |= {"cam1": guess, "cam2": guess}
     used = refined(clocks, given_pairs(monkeypatch, found)(clocks))
     assert used["cam2"] == guess and used["cam1"].offset_s == pytest.approx(0.11, abs=0.001)
-
-
-def test_clocks_of_other_cameras_go_along_with_those_that_training_moved():
-    pairs = [
-        Equation("a", "witness", 0.001, 0.0, 0.002, "geometry", 1.0),
-        Equation("witness", "b", 0.003, 0.0, 0.002, "geometry", 1.0),
-        Equation("a", "b", 0.5, 0.0, 0.002, "geometry", 1.0),
-        Equation("witness", "other", 0.0, 0.0, 0.002, "geometry", 1.0),
-    ]
-    along = carried_along({"a": 0.02}, ("a", "b"), pairs)  # a says 21 ms, b, which stays, -3 ms
-    assert along == {"witness": pytest.approx(0.009)}

@@ -326,7 +326,7 @@ def check(**offsets_s: tuple[float, float]) -> GeometryCheck:
     corrections = {
         n: Correction(o, s, s < 0.5 / FPS, abs(o) > max(0.25 / FPS, 3 * s)) for n, (o, s) in offsets_s.items()
     }
-    return GeometryCheck((), (), corrections, corrections, (), ("cam0 and cam2: not observable, ...",))
+    return GeometryCheck((), corrections, corrections, (), ("cam0 and cam2: not observable, ...",))
 
 
 HEARD = {n: Clock(o, 0.0, 1e-3, "audio" if o else "reference", 0.9, "") for n, o in OFFSETS_S.items()}

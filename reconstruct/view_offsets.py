@@ -1,0 +1,111 @@
+"""By how much later a camera that is not trained on took its pictures than its clock says.
+
+Without sound such a clock may be known to a few pictures only, and where things move fast an error of one picture costs
+more than anything that is to be measured with the camera. One number is found, by where things are on their way:
+optical flow from what the model shows at a time to what the camera shows, along the flow from there to a moment later.
+No colours are compared, nothing else is fitted, and the model stays as it is.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.flow.estimator import FlowEstimator
+from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.tracking.offsets import CLEAR, SIGMAS
+
+PICTURES = 12  # that are looked at, evenly
+AHEAD = (
+    1,
+    2,
+    4,
+)  # times between two pictures, from which the way is seen: the first one in which enough goes
+LEAST_WAY = 1.0  # pixels that it goes then
+ROUNDS = 3  # flow is surer the less is left
+SETTLED = 0.05  # of the time between two pictures: less is no reason to look again
+FEWEST_PIXELS, FEWEST_PICTURES = 30, 4  # that show something on its way
+MAD = 1.4826  # times the median absolute deviation is a standard deviation
+
+
+def view_offset(
+    scene: Scene,
+    model: DynamicModel,
+    camera_name: str,
+    estimator: FlowEstimator,
+    progress: Callable[[float], object] = lambda share: None,
+) -> float | None:
+    """Seconds by which a camera took its pictures later than the scene says; None where that is not clear.
+
+    Args:
+        scene: In the box frame, with the times that the model was trained with.
+        model: What was learned.
+        camera_name: A camera that stands; its pictures of the scene in motion are looked at.
+        estimator: Of optical flow.
+        progress: Told how much is done.
+    """
+    frames = sorted((f for f in scene.dynamic if f.camera_name == camera_name), key=lambda f: f.time or 0.0)
+    if len(frames) < FEWEST_PICTURES:
+        return None
+    gap = float(np.median(np.diff([f.time or 0.0 for f in frames])))
+    chosen = [frames[n] for n in np.unique(np.linspace(0, len(frames) - 1, PICTURES).round().astype(int))]
+    true = [load_image(f, scene.image_scale, scene.background) for f in chosen]
+    offset, std = 0.0, np.inf
+    for n in range(ROUNDS):
+        said = []
+        for k, (frame, picture) in enumerate(zip(chosen, true, strict=True)):
+            late = _late(scene, model, frame, picture, offset, gap, estimator)
+            said += [] if late is None else [late]
+            progress((n + (k + 1) / len(chosen)) / ROUNDS)
+        if len(said) < FEWEST_PICTURES:
+            return None
+        more = float(np.median(said))
+        std = gap * MAD * float(np.median(np.abs(np.array(said) - more))) / np.sqrt(len(said))
+        offset += gap * more
+        if abs(more) < SETTLED:
+            break
+    if abs(offset) <= max(CLEAR * gap, SIGMAS * std):
+        return None
+    return offset * (scene.t1_s - scene.t0_s)
+
+
+def _late(
+    scene: Scene,
+    model: DynamicModel,
+    frame: PosedFrame,
+    true: UInt8[np.ndarray, "h w 3"],
+    offset: float,
+    gap: float,
+    estimator: FlowEstimator,
+) -> float | None:
+    """What one picture says beside an offset, in times between two pictures; None where nothing is on its way."""
+    assert frame.time is not None
+    time, camera = frame.time + offset, frame.camera.scaled(scene.image_scale)
+    if not 0 <= time <= 1:
+        return None
+    here = _bytes(render_layers(model, camera, time)[0])
+    for ahead in AHEAD:
+        step = gap * (ahead if time + ahead * gap <= 1 else -ahead)
+        if time + step < 0:
+            return None
+        way = estimator.estimate(here, _bytes(render_layers(model, camera, time + step)[0]))
+        goes = np.square(way).sum(-1) > LEAST_WAY**2
+        if goes.sum() >= FEWEST_PIXELS:
+            break
+    else:
+        return None
+    along = way[goes] * (gap / step)
+    squared = np.square(along).sum(-1)
+    left = estimator.estimate(here, true)[goes]
+    return _median((left * along).sum(-1) / squared, squared)
+
+
+def _bytes(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    return (np.clip(picture, 0, 1) * 255).round().astype(np.uint8)
+
+
+def _median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(share, share[-1] / 2)])
