@@ -6,8 +6,6 @@ optical flow from what the model shows at a time to what the camera shows, along
 No colours are compared, nothing else is fitted, and the model stays as it is.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Float32, UInt8
 
@@ -17,11 +15,8 @@ from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.tracking.offsets import CLEAR, SIGMAS
 
 PICTURES = 12  # that are looked at, evenly
-AHEAD = (
-    1,
-    2,
-    4,
-)  # times between two pictures, from which the way is seen: the first one in which enough goes
+# times between two pictures, from which the way is seen: the first one in which enough goes
+AHEAD = (1, 2, 4)
 LEAST_WAY = 1.0  # pixels that it goes then
 ROUNDS = 3  # flow is surer the less is left
 SETTLED = 0.05  # of the time between two pictures: less is no reason to look again
@@ -30,11 +25,7 @@ MAD = 1.4826  # times the median absolute deviation is a standard deviation
 
 
 def view_offset(
-    scene: Scene,
-    model: DynamicModel,
-    camera_name: str,
-    estimator: FlowEstimator,
-    progress: Callable[[float], object] = lambda share: None,
+    scene: Scene, model: DynamicModel, camera_name: str, estimator: FlowEstimator
 ) -> float | None:
     """Seconds by which a camera took its pictures later than the scene says; None where that is not clear.
 
@@ -43,7 +34,6 @@ def view_offset(
         model: What was learned.
         camera_name: A camera that stands; its pictures of the scene in motion are looked at.
         estimator: Of optical flow.
-        progress: Told how much is done.
     """
     frames = sorted((f for f in scene.dynamic if f.camera_name == camera_name), key=lambda f: f.time or 0.0)
     if len(frames) < FEWEST_PICTURES:
@@ -52,12 +42,12 @@ def view_offset(
     chosen = [frames[n] for n in np.unique(np.linspace(0, len(frames) - 1, PICTURES).round().astype(int))]
     true = [load_image(f, scene.image_scale, scene.background) for f in chosen]
     offset, std = 0.0, np.inf
-    for n in range(ROUNDS):
-        said = []
-        for k, (frame, picture) in enumerate(zip(chosen, true, strict=True)):
-            late = _late(scene, model, frame, picture, offset, gap, estimator)
-            said += [] if late is None else [late]
-            progress((n + (k + 1) / len(chosen)) / ROUNDS)
+    for _ in range(ROUNDS):
+        every = (
+            _late(scene, model, f, picture, offset, gap, estimator)
+            for f, picture in zip(chosen, true, strict=True)
+        )
+        said = [late for late in every if late is not None]
         if len(said) < FEWEST_PICTURES:
             return None
         more = float(np.median(said))

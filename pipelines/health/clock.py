@@ -10,7 +10,7 @@ UNSURE_FRAMES = 0.25
 USUAL_FPS = 30.0  # of a camera whose rate is not known
 BY_GEOMETRY = "Stage scene tries by geometry, since something moves in view. If that fails: "
 BY_TRACKING = (
-    "It is good to about three pictures, and moved where tracks of what moves say more. If they do not: "
+    "It is good to about three pictures, and stage deformation moves it where what moves says more. If not: "
 )
 REMEDY = (
     "Film with sound and clap a few times at uneven intervals; or flash a light a few times, bright enough for all "
