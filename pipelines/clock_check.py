@@ -1,6 +1,5 @@
 """Clocks against geometry, once cameras are known: reads pictures, calls the check, makes rows of it."""
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -160,8 +159,7 @@ def unknown_rows(used: Mapping[str, Clock], why: str, frames: Mapping[str, Camer
     unknown = {n: c for n, c in found.items() if c.confidence < REFUSED_BELOW}
 
     def pictures(name: str) -> float:
-        clock = unknown[name]
-        return 1e3 * guess_std_s(clock) / frame_ms(frames[name]) if clock.method == "motion" else math.inf
+        return 1e3 * guess_std_s(unknown[name]) / frame_ms(frames[name])
 
     worst = max(unknown, key=pictures, default=None)
     if worst is None:

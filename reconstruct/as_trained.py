@@ -10,11 +10,11 @@ BEYOND = 1e-3  # of all modelled time, that a picture may lie outside of it
 
 
 def as_trained(scene: Scene, metrics: Mapping[str, Any]) -> Scene:
-    """Move the clocks that training moved, and those that went with them.
+    """Move the clocks that training moved, and those of test cameras that it made known.
 
     Args:
         scene: As `scene` left it.
-        metrics: What `train_deformation` measured; nothing of offsets in there: all clocks stay.
+        metrics: What stage `deformation` measured; nothing of offsets in there: all clocks stay.
     """
     return retimed(scene, metrics.get("clock_offsets_s", {}))
 

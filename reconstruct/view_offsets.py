@@ -7,11 +7,13 @@ No colours are compared, nothing else is fitted, and the model stays as it is.
 """
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import UInt8
 
+from devrf.capture.picture_files import to_8_bits
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.flow.estimator import FlowEstimator
-from devrf.reconstruct.model import DynamicModel, render_layers
+from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.pictures import spread
 from devrf.reconstruct.tracking.offsets import CLEAR, SIGMAS
 
 PICTURES = 12  # that are looked at, evenly
@@ -21,7 +23,6 @@ LEAST_WAY = 1.0  # pixels that it goes then
 ROUNDS = 3  # flow is surer the less is left
 SETTLED = 0.05  # of the time between two pictures: less is no reason to look again
 FEWEST_PIXELS, FEWEST_PICTURES = 30, 4  # that show something on its way
-MAD = 1.4826  # times the median absolute deviation is a standard deviation
 
 
 def view_offset(
@@ -32,14 +33,14 @@ def view_offset(
     Args:
         scene: In the box frame, with the times that the model was trained with.
         model: What was learned.
-        camera_name: A camera that stands; its pictures of the scene in motion are looked at.
+        camera_name: Of the camera.
         estimator: Of optical flow.
     """
     frames = sorted((f for f in scene.dynamic if f.camera_name == camera_name), key=lambda f: f.time or 0.0)
     if len(frames) < FEWEST_PICTURES:
         return None
     gap = float(np.median(np.diff([f.time or 0.0 for f in frames])))
-    chosen = [frames[n] for n in np.unique(np.linspace(0, len(frames) - 1, PICTURES).round().astype(int))]
+    chosen = spread(frames, PICTURES)
     true = [load_image(f, scene.image_scale, scene.background) for f in chosen]
     offset, std = 0.0, np.inf
     for _ in range(ROUNDS):
@@ -51,7 +52,7 @@ def view_offset(
         if len(said) < FEWEST_PICTURES:
             return None
         more = float(np.median(said))
-        std = gap * MAD * float(np.median(np.abs(np.array(said) - more))) / np.sqrt(len(said))
+        std = gap * 1.4826 * float(np.median(np.abs(np.array(said) - more))) / np.sqrt(len(said))
         offset += gap * more
         if abs(more) < SETTLED:
             break
@@ -74,12 +75,12 @@ def _late(
     time, camera = frame.time + offset, frame.camera.scaled(scene.image_scale)
     if not 0 <= time <= 1:
         return None
-    here = _bytes(render_layers(model, camera, time)[0])
+    here = to_8_bits(render_view(model, camera, time))
     for ahead in AHEAD:
         step = gap * (ahead if time + ahead * gap <= 1 else -ahead)
         if time + step < 0:
             return None
-        way = estimator.estimate(here, _bytes(render_layers(model, camera, time + step)[0]))
+        way = estimator.estimate(here, to_8_bits(render_view(model, camera, time + step)))
         goes = np.square(way).sum(-1) > LEAST_WAY**2
         if goes.sum() >= FEWEST_PIXELS:
             break
@@ -88,14 +89,5 @@ def _late(
     along = way[goes] * (gap / step)
     squared = np.square(along).sum(-1)
     left = estimator.estimate(here, true)[goes]
-    return _median((left * along).sum(-1) / squared, squared)
-
-
-def _bytes(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    return (np.clip(picture, 0, 1) * 255).round().astype(np.uint8)
-
-
-def _median(values: np.ndarray, weights: np.ndarray) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(share, share[-1] / 2)])
+    said = (left * along).sum(-1) / squared
+    return float(np.quantile(said, 0.5, weights=squared, method="inverted_cdf"))

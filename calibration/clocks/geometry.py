@@ -133,18 +133,14 @@ def check_clocks(
         if p is not None and not p.sharp
     ]
     notes += [f"{e.a} and {e.b}: geometry contradicts the other pairs; dropped" for e in dropped]
+    worth_s = {n: guess_std_s(c) if _replaceable(c) else max(c.std_s, LEAST_STD_S) for n, c in clocks.items()}
     said = [
-        Equation(names[0], n, 0.0, 0.0, max(clocks[n].std_s, LEAST_STD_S), "geometry", 1.0)
+        Equation(names[0], n, 0.0, 0.0, worth_s[n], "geometry", 1.0)
         for n in names[1:]
-        if not _replaceable(clocks[n])
+        if np.isfinite(worth_s[n])
     ]
 
     seen = {n for e in kept for n in (e.a, e.b)}
-    said += [
-        Equation(names[0], n, 0.0, 0.0, guess_std_s(clocks[n]), "geometry", 1.0)
-        for n in names[1:]
-        if _guessed(clocks[n]) and np.isfinite(clocks[n].std_s)
-    ]
 
     def corrections(by: Solution) -> dict[str, Correction]:
         known = (n for n in names[1:] if n in by.offset_s and n in seen)
@@ -179,8 +175,9 @@ def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Cloc
 
 
 def guess_std_s(clock: Clock) -> float:
-    """Standard deviation of a clock that is guessed, whatever it says of itself."""
-    return max(GUESS_SIGMAS * clock.std_s, GUESS_STD_S)
+    """Standard deviation of a clock that motion energies guess; infinite for every other clock."""
+    guessed = _guessed(clock) and clock.method == "motion"
+    return max(GUESS_SIGMAS * clock.std_s, GUESS_STD_S) if guessed else np.inf
 
 
 def _replaceable(clock: Clock) -> bool:

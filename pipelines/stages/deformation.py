@@ -26,7 +26,7 @@ from devrf.reconstruct.sizing import levels_for
 from devrf.reconstruct.train_deformation import train_deformation
 from devrf.reconstruct.view_offsets import view_offset
 
-KNOWN_MS = 5.0  # standard deviation of a clock that is left as it is: those by sound and flashes are better
+KNOWN_MS = 5.0  # standard deviation of a clock that is left as it is: those by sound are better
 OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
 
 

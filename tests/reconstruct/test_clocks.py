@@ -1,4 +1,4 @@
-"""Training pictures at other times than their clocks say."""
+"""Pictures at other times than their clocks say."""
 
 from dataclasses import replace
 

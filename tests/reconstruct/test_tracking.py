@@ -228,9 +228,8 @@ class Killed(Exception):
     """In the middle of tracking."""
 
 
-@pytest.mark.parametrize(
-    "moments", [2, pytest.param(6, marks=pytest.mark.full)]
-)  # of the first run; of the second
+# of the first run; of the second
+@pytest.mark.parametrize("moments", [2, pytest.param(6, marks=pytest.mark.full)])
 def test_tracking_that_was_killed_goes_on_where_it_was(
     films: list[Film], tracks: Tracks, moments: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
