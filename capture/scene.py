@@ -23,7 +23,6 @@ from devrf.capture.resize import shrink
 Background = str  # "shell", "white", "black" or "#rrggbb" (`plain_colour`)
 PLAIN_COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 Kind = Literal["inward", "forward"]
-Rest = Literal["auto", "start", "middle", "end", "none"]  # when moving clips show the scene as in the sweep
 Split = Literal["train", "test"]
 
 

@@ -17,8 +17,8 @@ from devrf.capture.photo_folders import is_photo, list_pictures
 from devrf.capture.pictures import probe_picture
 from devrf.capture.raw import WhiteBalance, check_unpacks, is_raw
 from devrf.capture.raw_compression import compression_of
+from devrf.capture.rest import Rest
 from devrf.capture.sampled import picture_times
-from devrf.capture.scene import Rest
 from devrf.capture.slow_motion import check_filmed_rate
 from devrf.capture.timestamps import FrameTimes, check_indices, check_table, read_timestamps, table_factor
 from devrf.capture.video import VideoInfo, probe_video

@@ -10,7 +10,8 @@ from devrf.calibration.motion_masks import MotionMask
 from devrf.calibration.rest_moment import RestSeen, middle_of, moments_of, rest_moment, rest_seen, rest_votes
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.picture_files import read_pixels
-from devrf.capture.scene import PosedFrame, Rest
+from devrf.capture.rest import Rest
+from devrf.capture.scene import PosedFrame
 from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
 from devrf.pipelines.health.rows import HealthRow, note
 

@@ -95,6 +95,18 @@ def test_the_command_line_starts_without_heavy_libraries(command: list[str]) -> 
     assert result.returncode == 0, result.stderr
 
 
+def test_a_run_that_has_nothing_to_do_needs_no_arrays() -> None:
+    """What plans it reads scene.yaml and the stamps of finished stages; numpy and scipy take longer to import."""
+    program = (
+        "import sys\n"
+        "import devrf.pipelines.config.load, devrf.pipelines.run_command, devrf.pipelines.stamps.stamp\n"
+        "heavy = {'numpy', 'scipy', 'torch', 'cv2'} & set(sys.modules)\n"
+        "sys.exit(f'imports {heavy}' if heavy else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
 @pytest.mark.parametrize("room", ORDER)
 def test_a_room_is_not_imported_by_its_bare_name(room: str) -> None:
     """`import capture` from the repository root would make second copies of every class."""

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.picture_files import read_pixels, write_png
-from devrf.capture.scene import Rest
+from devrf.capture.rest import Rest
 
 CLIP_FRAMES = 21  # of the whole clip's median
 REST_FRAMES = 3

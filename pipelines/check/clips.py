@@ -16,8 +16,8 @@ from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded, rate_faults, read_recorded
 from devrf.capture.recordings import chapter_faults
+from devrf.capture.rest import Rest
 from devrf.capture.sampled import read_runs
-from devrf.capture.scene import Rest
 from devrf.capture.slow_motion import length_faults
 from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small

@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from devrf.capture.scene import Rest
+from devrf.capture.rest import Rest
 from devrf.flow.methods import mistake
 from devrf.reconstruct.options import PresetName
 

@@ -25,7 +25,7 @@ from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, HealthError
-from devrf.capture.scene import Rest
+from devrf.capture.rest import Rest
 from devrf.capture.view_axes import look_at
 from devrf.pipelines.joint_clips import JointViews
 from devrf.pipelines.stages import rig as rig_stage

@@ -15,8 +15,8 @@ from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.field.matching import features
 from devrf.calibration.field.overlap import overlap_of
 from devrf.capture.progress import no_progress
+from devrf.capture.rest import Rest
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
-from devrf.capture.scene import Rest
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, look_at
 from devrf.capture.video import VideoReader

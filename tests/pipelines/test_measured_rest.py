@@ -10,7 +10,8 @@ from tests.calibration import coloured_room as room
 from devrf.calibration.motion_masks import MotionMask
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.picture_files import write_png
-from devrf.capture.scene import PosedFrame, Rest
+from devrf.capture.rest import Rest
+from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.rows import HealthRow
 from devrf.pipelines.measured_rest import CHECK, rest_time
 
