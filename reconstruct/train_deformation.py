@@ -4,6 +4,7 @@ Where fixed cameras film what moves, it is tracked and split into rigid parts, w
 stands; else, and where that explains too little, motion is a field (`train_motion.py`).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,16 +17,18 @@ from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.as_trained import retimed
+from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
 from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.train_movers import Trained, train_movers
+from devrf.reconstruct.train_movers import Trained, train_movers, untrained_error
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
@@ -81,8 +84,20 @@ def _movers(
     log = TrainingLog("cpu", 1)
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # it can be tracked
+    errors: list[float] = []
+
+    def error_of(stands: Canonical, movers: Movers) -> float:
+        errors.append(untrained_error(boxed, rest, stands, movers, options, device))
+        return errors[-1]
+
     every = find_movers(
-        boxed, rest, estimator(), lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
+        boxed,
+        rest,
+        estimator(),
+        lambda f, m: progress(TRACKING * f, m),
+        checkpoint.part("tracks"),
+        log,
+        error_of,
     )
     if not every:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
@@ -101,6 +116,8 @@ def _movers(
         if error.code != DIVERGED:
             raise
         return Decision("movers", "none", f"{every[0].movers.parts} rigid parts", str(error))
+    if len(errors) == 2:  # points were followed twice
+        decisions = [*decisions, str(_followed(*errors))]
     parts = found.movers.parts
     gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
     if trained.unshaded_gain_db < LEAST_GAIN_DB:
@@ -127,6 +144,13 @@ def _movers(
     }
     metrics["seconds"] += tracking_s
     return model, metrics
+
+
+def _followed(by_nodes: float, by_parts: float) -> Decision:
+    """Whether points were followed by rigid parts, and why: mean squared errors of movers that are not trained."""
+    reason = f"by rigid parts pixels held back gain {10 * math.log10(by_nodes / by_parts):+.2f} dB, before any training"
+    chosen, other = ("by rigid parts", "by nodes") if by_parts < by_nodes else ("by nodes", "by rigid parts")
+    return Decision("tracks", chosen, other, reason)
 
 
 def _better(

@@ -118,6 +118,18 @@ def train_movers(
     )
 
 
+def untrained_error(
+    scene: Scene,
+    rest: RestModel,
+    stands: Canonical,
+    movers: Movers,
+    options: MotionOptions,
+    device: str = "cpu",
+) -> float:
+    """Mean squared error on pixels held back before any training; arguments as `train_movers` has them."""
+    return _Recipe(scene, rest, stands, movers, options, device).held_errors()[1]
+
+
 class _Recipe:
     """The state of the training: both layers, their optimisers, and one iteration."""
 

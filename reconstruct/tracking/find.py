@@ -1,5 +1,7 @@
 """From a scene at rest and its fixed cameras to rigid parts, their motion, and the voxels that are theirs."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,6 +36,8 @@ FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
 # Of a part's points: what is lost belongs to what it hung on, so a limb is a piece of a part when it is lost.
 LOST_SHARE = 0.25
+# Of all points and moments: a figure that is half lost gains 0.9 dB by parts, a sheet of which 1 % is lost loses 0.4.
+MUCH_LOST = 0.05
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
 STILL, MOVING_SHARE = (
     0.75,
@@ -112,6 +116,7 @@ def find_movers(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
+    error: Callable[[Canonical, Movers], float] | None = None,
 ) -> list[Found]:
     """Rigid parts and their motion; nothing where too little moves.
 
@@ -124,6 +129,7 @@ def find_movers(
         progress: Told how far it is.
         checkpoint: Where the state of tracking is kept, and taken up from.
         log: Counts the seconds, those before it was killed too.
+        error: Of what stands and movers on pixels that are not trained on; decides where points were followed twice.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -141,7 +147,23 @@ def find_movers(
     stands = rest.canonical.only(~region)
     clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
     moving = surface.only(moves)
-    graph = Graph(moving)
+    graph, voxel = Graph(moving), rest.canonical.voxel
+
+    def found(tracks: Tracks) -> Found | None:
+        return parts_of(scene, rest, surface, hidden, moves, graph, tracks)
+
+    def in_parts(tracks: Tracks) -> Graph | None:
+        if error is None or tracks.lost.mean() < MUCH_LOST:
+            return None
+        return graph.in_parts(_labels(moving, graph, tracks, voxel))
+
+    def better(*two: Tracks) -> bool:
+        assert error is not None  # else there are no parts
+        before, after = (
+            math.inf if one is None else error(one.stands, one.movers) for one in map(found, two)
+        )
+        return after < before
+
     every = follow_both_ways(
         moving,
         graph,
@@ -150,9 +172,10 @@ def find_movers(
         lambda share: progress(0.25 + 0.65 * share, "tracking"),
         checkpoint,
         log,
+        in_parts,
+        better,
     )
-    found = [parts_of(scene, rest, surface, hidden, moves, graph, tracks) for tracks in every]
-    return [one for one in found if one is not None]
+    return [one for one in map(found, every) if one is not None]
 
 
 def at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:
@@ -175,8 +198,7 @@ def parts_of(
     `surface` and `hidden` as `at_rest` gives them.
     """
     moving, voxel = surface.only(moves), rest.canonical.voxel
-    when = _while_moving(tracks, moving, voxel)
-    labels = rigid_parts(moving.xyz, tracks.xyz[when], tracks.lost[when], graph.links, voxel)
+    labels = _labels(moving, graph, tracks, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
     if kept.sum() < FEWEST_POINTS:
         return None
@@ -195,6 +217,12 @@ def parts_of(
         movers,
         {name: offset * span_s for name, offset in offsets if offset},
     )
+
+
+def _labels(surface: Surface, graph: Graph, tracks: Tracks, voxel: float) -> Int[np.ndarray, " p"]:
+    """The rigid part of each point, by what is seen while anything has moved."""
+    when = _while_moving(tracks, surface, voxel)
+    return rigid_parts(surface.xyz, tracks.xyz[when], tracks.lost[when], graph.links, voxel)
 
 
 def movers_of(

@@ -6,7 +6,8 @@ high-pass pictures itself. Points are always compared with real pictures, mostly
 Pictures count at their exact times: a point of a picture at time t lies on the way between the two moments around it.
 
 Where pictures show what stands behind instead of a node's points, the node is lost. It is looked for again from other
-guesses: where it was, and carried along by what is around it; until it is found it is carried along.
+guesses: where it was, and carried along by what is around it; until it is found it is carried along. Where much is lost
+everything is followed a second time, by the rigid parts that are known then: a part that is half seen is not lost.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -79,11 +80,14 @@ def follow_both_ways(
     progress: Callable[[float], object] = lambda share: None,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
+    in_parts: Callable[[Tracks], Graph | None] = lambda tracks: None,
+    better: Callable[[Tracks, Tracks], bool] = lambda before, after: True,
 ) -> list[Tracks]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
-    Where they seem to show that a camera's clock is wrong, again, with other clocks. Then there are both: errors of
-    other kinds may look alike, and trained models tell.
+    Where rigid parts are known by that, and it is worth it, they are followed again by these. Where points seem to show
+    that a camera's clock is wrong, again, with other clocks. Then there are both: errors of other kinds may look alike,
+    and trained models tell.
 
     Args:
         surface: Points that move, at rest.
@@ -93,6 +97,8 @@ def follow_both_ways(
         progress: Told how much is done, of each time.
         checkpoint: Where to keep the state between two moments, and to take it up from.
         log: Counts the seconds, those before it was killed too.
+        in_parts: The graph in rigid parts, by tracks; None: not worth it.
+        better: Whether the second of two tracks, which is by parts, explains pictures better.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -100,11 +106,18 @@ def follow_both_ways(
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
     runs = Runs(checkpoint, len(surface), log or TrainingLog("cpu", 1))
 
-    def followed(offsets: Float[np.ndarray, " c"], again: int) -> tuple[Tracks, dict[int, Offsets]]:
-        name = f"{again} times again"
+    def followed(
+        graph: Graph, offsets: Float[np.ndarray, " c"], name: str
+    ) -> tuple[Tracks, dict[int, Offsets]]:
         return _both_ways(surface, graph, films, times, before, offsets, progress, runs, name)
 
-    tracks, seen = followed(np.zeros(len(films)), 0)
+    as_said = np.zeros(len(films))
+    tracks, seen = followed(graph, as_said, "by nodes")
+    parts = in_parts(tracks)
+    if parts is not None:
+        by_parts = followed(parts, as_said, "by parts")
+        if better(tracks, by_parts[0]):
+            graph, (tracks, seen) = parts, by_parts
     offsets, std = offsets_of(seen, gap)
     if not clear(offsets, std, gap).any():
         runs.write()
@@ -112,7 +125,7 @@ def follow_both_ways(
     again = tracks
     for n in range(MOST_AGAIN):
         known = offsets
-        again, seen = followed(known, n + 1)
+        again, seen = followed(graph, known, f"{n + 1} times again")
         offsets, _ = offsets_of(seen, gap)
         if np.abs(offsets - known).max() < SETTLED * gap:
             break
@@ -221,7 +234,7 @@ class Follower:
         """To the next moment."""
         graph, surface, shots = self.graph, self.surface, self.shots(moment)
         self._come(shots, moment)
-        expected = self.carried(_ahead(*[self.poses[0], *self.poses][-2:]), self.lost_nodes)
+        expected = self.carried(graph.rigid(_ahead(*[self.poses[0], *self.poses][-2:])), self.lost_nodes)
         found = expected
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS)
@@ -357,7 +370,7 @@ class Follower:
         return out
 
     def likeness(self, shots: Sequence[Shot], found: Pose) -> Float[np.ndarray, " n"]:
-        """Of what pictures show to each node's points: 1 alike, -1 what stands behind; NaN not known."""
+        """Of what pictures show to the points of each node's part: 1 alike, -1 what stands behind; NaN not known."""
         graph, now = self.graph, self.xyz[-1]
         xyz = graph.points(found)
         sums = np.zeros((2, len(graph.nodes)))
@@ -366,6 +379,7 @@ class Follower:
             weights = graph.weights[points]
             np.add.at(sums[0], graph.followed[points], weights * votes[:, None])
             np.add.at(sums[1], graph.followed[points], weights)
+        sums = np.stack([np.bincount(graph.parts, of_nodes)[graph.parts] for of_nodes in sums])
         return np.where(sums[1] > TELLING, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
 
     def _points(self, nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " p"]:

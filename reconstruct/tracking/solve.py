@@ -38,15 +38,15 @@ def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     J = csr_matrix(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(first, 6 * nodes)
     )
+    J = csr_matrix(J @ graph.by_parts(pose))
     A = csc_matrix(J.T @ J)
     A.setdiag(A.diagonal() * (1 + DAMPED) + LEAST)
-    # Positive definite, and nodes meet only their neighbours: no pivots, few of the zeros are filled.
+    # Positive definite, and parts meet only their neighbours: no pivots, few of the zeros are filled.
     factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    move = factors.solve(-(J.T @ residuals)).reshape(nodes, 6)
+    move = factors.solve(-(J.T @ residuals)).reshape(-1, 6)
     turn, shift = move[:, :3], move[:, 3:]
     too_far = max(1.0, np.abs(shift).max() / LONGEST_STEP, np.abs(turn).max() / LARGEST_TURN)
-    turn, shift = turn / too_far, shift / too_far
-    return Pose(Rotation.from_rotvec(turn).as_matrix() @ pose.rotations, pose.shifts + shift)
+    return graph.moved(pose, turn / too_far, shift / too_far)
 
 
 def _data(
@@ -66,8 +66,8 @@ def _data(
 
 
 def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Edges as they were at rest, turned with their first node."""
-    a, b = graph.edges.T
+    """Edges between parts as they were at rest, turned with their first node."""
+    a, b = graph.edges[np.diff(graph.parts[graph.edges]).any(1)].T
     edge = graph.nodes[b] - graph.nodes[a]
     turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
     residual = turned + graph.nodes[a] + pose.shifts[a] - graph.nodes[b] - pose.shifts[b]

@@ -14,6 +14,7 @@ from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
 from tests.reconstruct.deaths import until_done
 
 import devrf.reconstruct.movers as movers_module
+import devrf.reconstruct.train_deformation as train_deformation_module
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
@@ -392,7 +393,7 @@ def test_why_nothing_is_tracked_is_said(
     assert metrics["decisions"] == []
 
 
-def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, rest: RestModel) -> None:
+def half_covered() -> tuple[Surface, Tracks, np.ndarray]:
     """A ball goes along a line; half of it is covered from the third moment of five, and guessed to stay."""
     ball = np.random.default_rng(0).normal(size=(300, 3))
     ball *= RADIUS / np.linalg.norm(ball, axis=1, keepdims=True)
@@ -401,15 +402,47 @@ def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, r
     xyz, lost = ball + way, np.zeros((5, 300), dtype=bool)
     lost[2:, ball[:, 0] > 0] = True
     xyz[lost] = np.broadcast_to(ball + way[1], xyz.shape)[lost]
+    return surface, Tracks(np.linspace(0, 1, 5), xyz, lost, np.zeros(2)), way[:, 0]
+
+
+def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, rest: RestModel) -> None:
+    surface, tracks, way = half_covered()
     scene = session.in_box_frame()
-    tracks = Tracks(np.linspace(0, 1, 5), xyz, lost, np.zeros(len(standing_clips(scene))))
+    tracks = replace(tracks, offsets=np.zeros(len(standing_clips(scene))))
     hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
     everything = np.ones(300, dtype=bool)
     found = parts_of(scene, rest, surface, hidden, everything, Graph(surface), tracks)
     assert found is not None and found.movers.parts == 1
-    assert np.allclose(found.movers.shifts[:, 0], way[:, 0], atol=1e-5)
+    assert np.allclose(found.movers.shifts[:, 0], way, atol=1e-5)
     (told,) = found.told(np.eye(4))
     assert told["longest_lost"] == 3
+
+
+def test_points_are_followed_by_parts_where_much_is_lost_and_pixels_say_so(
+    session: Scene, rest: RestModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surface, tracks, _ = half_covered()
+    scene = session.in_box_frame()
+    tracks = replace(tracks, offsets=np.zeros(len(standing_clips(scene))))
+    little = replace(tracks, lost=tracks.lost & (np.arange(300) < 30))
+    nowhere = replace(tracks, xyz=np.broadcast_to(surface.xyz, tracks.xyz.shape))
+
+    def follow(surface: Surface, graph: Graph, *arguments: Any) -> list[Tracks]:
+        in_parts, better = arguments[-2:]
+        assert 0 < little.lost.mean() < 0.05 and in_parts(little) is None
+        assert not in_parts(tracks).parts.any() and len(graph.nodes) > 1
+        assert better(tracks, tracks) and not better(tracks, tracks) and better(nowhere, tracks)
+        return [tracks]
+
+    hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
+    name = "devrf.reconstruct.tracking.find."
+    monkeypatch.setattr(name + "at_rest", lambda scene, rest: (surface, hidden))
+    monkeypatch.setattr(name + "moving_points", lambda *_: np.ones(300, dtype=bool))
+    monkeypatch.setattr(name + "_with_what_stands", lambda scene, film, stands: film)
+    monkeypatch.setattr(name + "follow_both_ways", follow)
+    errors = iter((2.0, 1.0, 1.0, 2.0, 1.0))  # of movers that are there
+    (found,) = find_movers(scene, rest, DisFlow(), error=lambda stands, movers: next(errors))
+    assert found.movers.parts == 1
 
 
 def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestModel) -> None:
@@ -428,6 +461,27 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
     assert metrics["rigid_parts"][0]["longest_lost"] == 0 and metrics["lost_share"] == 0
     assert metrics["clock_offsets_s"] == {}
+
+
+@pytest.mark.parametrize("gains", [True, pytest.param(False, marks=pytest.mark.full)])
+def test_whether_points_were_followed_by_parts_is_said(
+    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, gains: bool
+) -> None:
+    tracked(TRAVEL)
+    every = train_deformation_module.find_movers(session, rest, DisFlow())
+    ways = (-TRAVEL, TRAVEL) if gains else (TRAVEL, -TRAVEL)
+
+    def find(*arguments: Any) -> list[Found]:
+        for model in (whole(rest, way) for way in ways):
+            assert model.in_motion is not None and model.movers is not None
+            arguments[-1](model.in_motion.canonical, model.movers)
+        return every
+
+    monkeypatch.setattr(train_deformation_module, "find_movers", find)
+    (decision,) = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
+    chosen, other = ("rigid parts", "nodes") if gains else ("nodes", "rigid parts")
+    assert decision.startswith(f"tracks: by {chosen} instead of by {other} (by rigid parts pixels held back")
+    assert f"gain {'+' if gains else '-'}" in decision
 
 
 @pytest.mark.parametrize("moved", [pytest.param(False, marks=pytest.mark.full), True])

@@ -254,6 +254,23 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
     assert goes.call_count == PICTURES and over.path is not None and over.path.exists()
 
 
+@pytest.mark.parametrize("taken", [True, pytest.param(False, marks=pytest.mark.full)])
+def test_once_parts_are_known_everything_is_followed_again_by_them(films: list[Film], taken: bool) -> None:
+    surface, card = on_cards()
+    short = [replace(f, frames=f.frames[: REST + 1], times=f.times[: REST + 1]) for f in films]
+    graph, better = Graph(surface), Mock(return_value=taken)
+    (found,) = follow_both_ways(
+        surface, graph, short, 0.5, in_parts=lambda tracks: graph.in_parts(card), better=better
+    )
+    before, after = better.call_args.args
+    assert found is (after if taken else before)
+    wrong = np.linalg.norm(found.xyz - true_tracks(surface, card, found.times), axis=-1)
+    assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02 and not found.lost.any()
+    for mine in (card == 0, card == 1):
+        rest, there = surface.xyz[mine], after.xyz[:, mine].astype(float)
+        assert residual(motion_of(rest, there), rest, there).max() < 1e-10
+
+
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:
     surface, card = on_cards()
     labels = rigid_parts(surface.xyz, tracks.xyz, tracks.lost, Graph(surface).links, voxel=0.02)
@@ -420,6 +437,19 @@ def test_a_step_goes_where_all_points_are_pulled() -> None:
         pulls = Pulls(np.tile(1e4 * np.eye(3), (len(points), 1, 1)), 1e4 * (points - goal))
         pose = step(graph, pose, Pose.rest(len(graph.nodes)), pulls)
     assert np.abs(graph.points(pose) - goal).max() < 1e-4
+
+
+def test_a_part_goes_where_half_of_it_is_pulled_and_leaves_others_where_they_are() -> None:
+    surface, card = on_cards()
+    graph = Graph(surface).in_parts(card)
+    R, middle = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix(), CENTRES[1] + [0.1, 0.0, 0.2]
+    goal = np.where((card == 1)[:, None], (surface.xyz - CENTRES[1]) @ R.T + middle, surface.xyz)
+    strength = np.where((card == 1) & (surface.xyz[:, 0] > CENTRES[1, 0]), 1e4, 0.0)
+    pose = rest = Pose.rest(len(graph.nodes))
+    for _ in range(8):
+        apart = strength[:, None] * (graph.points(pose) - goal)
+        pose = step(graph, pose, rest, Pulls(strength[:, None, None] * np.eye(3), apart))
+    assert np.abs(graph.points(pose) - goal).max() < 1e-3
 
 
 def test_a_step_is_held_to_its_longest() -> None:
