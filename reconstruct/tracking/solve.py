@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.sparse import csc_matrix, csr_matrix
+from jaxtyping import Float, Int
+from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
@@ -26,71 +26,64 @@ class Pulls(NamedTuple):
 
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     """The pose after one step."""
-    nodes = len(graph.nodes)
-    rows, columns, values, residuals = _data(graph, pose, pulls)
-    first = len(residuals)
-    for part in (_rigid(graph, pose), _expected(pose, expected)):
-        rows.append(part[0] + first)
-        columns.append(part[1])
-        values.append(part[2])
-        residuals = np.concatenate([residuals, part[3]])
-        first = len(residuals)
-    J = csr_matrix(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(first, 6 * nodes)
-    )
-    J = csr_matrix(J @ graph.by_parts(pose))
-    A = csc_matrix(J.T @ J)
+    terms = [_data(graph, pose, pulls), _rigid(graph, pose), _expected(pose, expected)]
+    by_parts = graph.by_parts(pose)
+    A = csc_matrix(by_parts.T @ sum(csc_matrix(J.T @ J) for J, _ in terms) @ by_parts)
     A.setdiag(A.diagonal() * (1 + DAMPED) + LEAST)
     # Positive definite, and parts meet only their neighbours: no pivots, few of the zeros are filled.
     factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    move = factors.solve(-(J.T @ residuals)).reshape(-1, 6)
+    move = factors.solve(-(by_parts.T @ sum(J.T @ residual for J, residual in terms))).reshape(-1, 6)
     turn, shift = move[:, :3], move[:, 3:]
     too_far = max(1.0, np.abs(shift).max() / LONGEST_STEP, np.abs(turn).max() / LARGEST_TURN)
     return graph.moved(pose, turn / too_far, shift / too_far)
 
 
-def _data(
-    graph: Graph, pose: Pose, pulls: Pulls
-) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """Rows of the points' quadratics: three a point, by the root of its Hessian."""
+Term = tuple[bsr_matrix, np.ndarray]
+"""Residuals [r], and their derivative by small rotations and shifts of the nodes [r, 6 n]."""
+
+
+def _data(graph: Graph, pose: Pose, pulls: Pulls) -> Term:
+    """The points' quadratics: three residuals a point, by the root of its Hessian."""
     trace = np.trace(pulls.hessian, axis1=1, axis2=2)
     points = np.flatnonzero(trace > 1e-6)
     root = np.linalg.cholesky(pulls.hessian[points] + np.eye(3) * (1e-6 * trace[points, None, None] + 1e-9))
     residual = np.linalg.solve(root, pulls.gradient[points][..., None])[..., 0]
-    by_node = np.einsum("pji,pkjc->pikc", root, graph.derivative(pose, points))  # the transposed root
-    row = np.arange(3 * len(points)).reshape(-1, 3)
-    column = 6 * graph.followed[points][:, :, None] + np.arange(6)
-    rows = np.broadcast_to(row[:, :, None, None], by_node.shape).ravel()
-    columns = np.broadcast_to(column[:, None], by_node.shape).ravel()
-    return [rows], [columns], [by_node.ravel()], residual.ravel()
+    by_node = root.mT[:, None] @ graph.derivative(pose, points)
+    return _term(by_node, graph.followed[points], len(graph.nodes), residual)
 
 
-def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _rigid(graph: Graph, pose: Pose) -> Term:
     """Edges between parts as they were at rest, turned with their first node."""
-    a, b = graph.edges[np.diff(graph.parts[graph.edges]).any(1)].T
+    edges = graph.edges[np.diff(graph.parts[graph.edges]).any(1)]
+    a, b = edges.T
     edge = graph.nodes[b] - graph.nodes[a]
     turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
     residual = turned + graph.nodes[a] + pose.shifts[a] - graph.nodes[b] - pose.shifts[b]
     length = np.linalg.norm(edge, axis=1, keepdims=True)
     stretch = np.linalg.norm(edge + pose.shifts[b] - pose.shifts[a], axis=1, keepdims=True) / length - 1
     root = np.sqrt(RIGID / (1 + (stretch / TEARS) ** 2)) / length
-    row = np.arange(3 * len(a)).reshape(-1, 3)
-    by_turn = -skew(turned) * root[..., None]
-    rows, columns, values = (
-        [np.broadcast_to(row[:, :, None], by_turn.shape).ravel()],
-        [np.broadcast_to(6 * a[:, None, None] + np.arange(3), by_turn.shape).ravel()],
-        [by_turn.ravel()],
-    )
-    for node, sign in ((a, 1.0), (b, -1.0)):
-        rows.append(row.ravel())
-        columns.append((6 * node[:, None] + 3 + np.arange(3)).ravel())
-        values.append(np.broadcast_to(sign * root, row.shape).ravel())
-    return np.concatenate(rows), np.concatenate(columns), np.concatenate(values), (residual * root).ravel()
+    by_node = np.zeros((len(edges), 2, 3, 6))
+    by_node[:, 0, :, :3] = -skew(turned)
+    by_node[:, 0, :, 3:], by_node[:, 1, :, 3:] = np.eye(3), -np.eye(3)
+    return _term(by_node * root[:, None, None], edges, len(graph.nodes), residual * root)
 
 
-def _expected(pose: Pose, expected: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _expected(pose: Pose, expected: Pose) -> Term:
     """Nodes near where they were expected."""
     turn = Rotation.from_matrix(pose.rotations @ expected.rotations.transpose(0, 2, 1)).as_rotvec()
-    residual = np.concatenate([turn, pose.shifts - expected.shifts], axis=1).ravel()
-    number, root = np.arange(residual.size), np.sqrt(EXPECTED)
-    return number, number, np.full(residual.size, root), residual * root
+    residual, root = np.concatenate([turn, pose.shifts - expected.shifts], axis=1), np.sqrt(EXPECTED)
+    nodes = np.arange(len(residual))
+    by_node = np.broadcast_to(root * np.eye(6), (len(nodes), 1, 6, 6))
+    return _term(by_node, nodes[:, None], len(nodes), residual * root)
+
+
+def _term(
+    by_node: Float[np.ndarray, "m k s 6"],
+    node: Int[np.ndarray, "m k"],
+    nodes: int,
+    residual: Float[np.ndarray, "m s"],
+) -> Term:
+    """Of m groups of residuals, each of which depends on k nodes."""
+    m, k, size, _ = by_node.shape
+    blocks = (by_node.reshape(-1, size, 6), node.ravel(), np.arange(0, m * k + 1, k))
+    return bsr_matrix(blocks, shape=(size * m, 6 * nodes)), residual.ravel()
