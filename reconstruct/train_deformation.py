@@ -17,11 +17,9 @@ from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.as_trained import retimed
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
@@ -86,8 +84,9 @@ def _movers(
     assert boxed.rest_time is not None  # it can be tracked
     errors: list[float] = []
 
-    def error_of(stands: Canonical, movers: Movers) -> float:
-        errors.append(untrained_error(boxed, rest, stands, movers, options, device))
+    def error_of(found: Found | None) -> float:
+        known = found is not None
+        errors.append(untrained_error(boxed, rest, found, options, device) if known else math.inf)
         return errors[-1]
 
     every = find_movers(
@@ -116,7 +115,7 @@ def _movers(
         if error.code != DIVERGED:
             raise
         return Decision("movers", "none", f"{every[0].movers.parts} rigid parts", str(error))
-    if len(errors) == 2:  # points were followed twice
+    if errors:  # points were followed twice
         decisions = [*decisions, str(_followed(*errors))]
     parts = found.movers.parts
     gains = f"{trained.gain_db:+.2f} dB on pixels held back ({trained.unshaded_gain_db:+.2f} without shading)"
@@ -147,10 +146,14 @@ def _movers(
 
 
 def _followed(by_nodes: float, by_parts: float) -> Decision:
-    """Whether points were followed by rigid parts, and why: mean squared errors of movers that are not trained."""
-    reason = f"by rigid parts pixels held back gain {10 * math.log10(by_nodes / by_parts):+.2f} dB, before any training"
+    """How points were followed, and why: mean squared errors of movers that are not trained; infinite: too few move."""
     chosen, other = ("by rigid parts", "by nodes") if by_parts < by_nodes else ("by nodes", "by rigid parts")
-    return Decision("tracks", chosen, other, reason)
+    if math.isinf(max(by_nodes, by_parts)):
+        return Decision("tracks", chosen, other, f"{other} too few points of the surface move")
+    gain_db = 10 * math.log10(by_nodes / by_parts)
+    return Decision(
+        "tracks", chosen, other, f"by rigid parts pixels held back gain {gain_db:+.2f} dB before training"
+    )
 
 
 def _better(

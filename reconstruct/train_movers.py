@@ -31,6 +31,7 @@ from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.surroundings import PixelSurroundings
+from devrf.reconstruct.tracking.find import Found
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
@@ -119,15 +120,10 @@ def train_movers(
 
 
 def untrained_error(
-    scene: Scene,
-    rest: RestModel,
-    stands: Canonical,
-    movers: Movers,
-    options: MotionOptions,
-    device: str = "cpu",
+    scene: Scene, rest: RestModel, found: Found, options: MotionOptions, device: str
 ) -> float:
-    """Mean squared error on pixels held back before any training; arguments as `train_movers` has them."""
-    return _Recipe(scene, rest, stands, movers, options, device).held_errors()[1]
+    """Mean squared error on pixels held back where training begins: what was found, in a little fog."""
+    return _Recipe(scene, rest, found.stands, found.movers, options, device).held_errors()[1]
 
 
 class _Recipe:

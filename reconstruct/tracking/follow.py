@@ -391,8 +391,10 @@ class Follower:
         return np.where(np.isfinite(likeness), likeness < LOST, self.lost_nodes)
 
     def _groups(self, lost: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " k"]]:
-        """Lost nodes that are neighbours."""
-        a, b = self.graph.edges[lost[self.graph.edges].all(1)].T
+        """Lost nodes that are neighbours, or of one part."""
+        first = np.unique(self.graph.parts, return_index=True)[1][self.graph.parts]
+        pairs = np.vstack([self.graph.edges, np.stack([np.arange(len(lost)), first], 1)])
+        a, b = pairs[lost[pairs].all(1)].T
         links = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(lost), len(lost)))
         piece = connected_components(links, directed=False)[1]
         for number in np.unique(piece[lost]):

@@ -14,7 +14,6 @@ from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
 from tests.reconstruct.deaths import until_done
 
 import devrf.reconstruct.movers as movers_module
-import devrf.reconstruct.train_deformation as train_deformation_module
 import devrf.reconstruct.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
@@ -348,11 +347,12 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         stands = model.in_motion.canonical
         return Found(surface, tracks, np.zeros(3, int), stands, model.movers, offsets_s)
 
-    def decide(travel: np.ndarray, at_other_times: np.ndarray | None = None) -> None:
+    def decide(travel: np.ndarray, at_other_times: np.ndarray | None = None) -> list[Found]:
         every = [found(travel, {})]
         every += [] if at_other_times is None else [found(at_other_times, {"cam1": 0.02})]
         monkeypatch.setattr("devrf.reconstruct.train_deformation.why_not_tracked", lambda scene, rest: None)
         monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: every)
+        return every
 
     return decide
 
@@ -440,8 +440,10 @@ def test_points_are_followed_by_parts_where_much_is_lost_and_pixels_say_so(
     monkeypatch.setattr(name + "moving_points", lambda *_: np.ones(300, dtype=bool))
     monkeypatch.setattr(name + "_with_what_stands", lambda scene, film, stands: film)
     monkeypatch.setattr(name + "follow_both_ways", follow)
-    errors = iter((2.0, 1.0, 1.0, 2.0, 1.0))  # of movers that are there
-    (found,) = find_movers(scene, rest, DisFlow(), error=lambda stands, movers: next(errors))
+    errors = iter((2.0, 1.0, 1.0, 2.0, 1.0))  # of what was found
+    (found,) = find_movers(
+        scene, rest, DisFlow(), error=lambda found: np.inf if found is None else next(errors)
+    )
     assert found.movers.parts == 1
 
 
@@ -463,25 +465,33 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["clock_offsets_s"] == {}
 
 
-@pytest.mark.parametrize("gains", [True, pytest.param(False, marks=pytest.mark.full)])
-def test_whether_points_were_followed_by_parts_is_said(
-    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, gains: bool
+@pytest.mark.parametrize(
+    ("by_nodes", "by_parts", "said"),
+    [
+        (-TRAVEL, TRAVEL, "by rigid parts instead of by nodes (by rigid parts pixels held back gain +"),
+        pytest.param(
+            TRAVEL,
+            -TRAVEL,
+            "by nodes instead of by rigid parts (by rigid parts pixels held back gain -",
+            marks=pytest.mark.full,
+        ),
+        (TRAVEL, None, "by nodes instead of by rigid parts (by rigid parts too few points"),
+    ],
+)
+def test_how_points_were_followed_is_said(
+    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, by_nodes, by_parts, said: str
 ) -> None:
-    tracked(TRAVEL)
-    every = train_deformation_module.find_movers(session, rest, DisFlow())
-    ways = (-TRAVEL, TRAVEL) if gains else (TRAVEL, -TRAVEL)
+    every = [tracked(way) if way is not None else [None] for way in (by_nodes, by_parts)]
+    right = tracked(TRAVEL)
 
     def find(*arguments: Any) -> list[Found]:
-        for model in (whole(rest, way) for way in ways):
-            assert model.in_motion is not None and model.movers is not None
-            arguments[-1](model.in_motion.canonical, model.movers)
-        return every
+        for (found,) in every:
+            arguments[-1](found)
+        return right
 
-    monkeypatch.setattr(train_deformation_module, "find_movers", find)
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", find)
     (decision,) = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
-    chosen, other = ("rigid parts", "nodes") if gains else ("nodes", "rigid parts")
-    assert decision.startswith(f"tracks: by {chosen} instead of by {other} (by rigid parts pixels held back")
-    assert f"gain {'+' if gains else '-'}" in decision
+    assert decision.startswith(f"tracks: {said}")
 
 
 @pytest.mark.parametrize("moved", [pytest.param(False, marks=pytest.mark.full), True])

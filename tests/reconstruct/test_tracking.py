@@ -192,7 +192,7 @@ def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> No
 
 
 def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) -> None:
-    surface, _ = on_cards()
+    surface, card = on_cards()
     graph = Graph(surface)
     lost = np.flatnonzero(graph.nodes[:, 0] > CENTRES[1, 0] + 0.15)
     turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
@@ -213,6 +213,9 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
         assert np.nanmedian(likeness[lost]) < 0.25
         right = follower.likeness(shots, follower.found(shots, Pose.rest(len(there)), FARTHER))
         assert np.nanmedian(right) > 0.5
+        follower.graph = graph.in_parts(card)  # of which a part is lost as a whole, or not at all
+        right = follower.likeness(shots, Pose.rest(len(there)))
+        assert len(np.unique(right)) == 2 and np.isfinite(right).all()
 
 
 def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[Film]) -> None:
@@ -269,6 +272,25 @@ def test_once_parts_are_known_everything_is_followed_again_by_them(films: list[F
     for mine in (card == 0, card == 1):
         rest, there = surface.xyz[mine], after.xyz[:, mine].astype(float)
         assert residual(motion_of(rest, there), rest, there).max() < 1e-10
+
+
+@pytest.mark.full
+def test_tracking_by_parts_that_was_killed_goes_on_where_it_was(films: list[Film], tmp_path: Path) -> None:
+    surface, card = on_cards()
+    short = [replace(f, frames=f.frames[: REST + 1], times=f.times[: REST + 1]) for f in films]
+    graph = Graph(surface)
+
+    def follow(progress: Callable[[float], object], checkpoint: Checkpoint) -> Tracks:
+        parts = lambda tracks: graph.in_parts(card)  # noqa: E731
+        (found,) = follow_both_ways(surface, graph, short, 0.5, progress, checkpoint, in_parts=parts)
+        return found
+
+    checkpoint = Checkpoint(tmp_path / "state.safetensors", "these", every_s=0.0)
+    with pytest.raises(Killed):
+        follow(Mock(side_effect=[None] * (REST + 1) + [Killed]), checkpoint)  # the second time has begun
+    again = follow(Mock(), checkpoint)
+    whole = follow(Mock(), Checkpoint(tmp_path / "other.safetensors", "these"))
+    assert np.array_equal(again.xyz, whole.xyz) and np.array_equal(again.lost, whole.lost)
 
 
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:
@@ -450,6 +472,48 @@ def test_a_part_goes_where_half_of_it_is_pulled_and_leaves_others_where_they_are
         apart = strength[:, None] * (graph.points(pose) - goal)
         pose = step(graph, pose, rest, Pulls(strength[:, None, None] * np.eye(3), apart))
     assert np.abs(graph.points(pose) - goal).max() < 1e-3
+
+
+def strip() -> tuple[Surface, Graph]:
+    """A strip along x, and its graph in the parts 0 1 2 0: what is at its ends is one part."""
+    x, z = np.meshgrid(SPACING * np.arange(80), SPACING * np.arange(6), indexing="ij")
+    xyz = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], 1)
+    surface = Surface(xyz, np.tile([0.0, 1.0, 0.0], (len(xyz), 1)), np.ones_like(xyz), SPACING)
+    return surface, Graph(surface).in_parts(np.array([0, 1, 2, 0])[(xyz[:, 0] / (20 * SPACING)).astype(int)])
+
+
+def test_parts_hold_together_where_they_meet() -> None:
+    """Of a strip that came apart only one end is held by pictures: the other parts come back to it, rigid."""
+    surface, graph = strip()
+    apart = Pose.rest(len(graph.nodes))
+    apart.shifts[:] = np.array([[0, 0, 0], [0, 0.04, 0], [0, -0.03, 0.02]])[graph.parts]
+    strength = np.where(surface.xyz[:, 0] < 20 * SPACING, 1e4, 0.0)
+    pose = apart
+    for _ in range(10):
+        pulls = Pulls(
+            strength[:, None, None] * np.eye(3), strength[:, None] * (graph.points(pose) - surface.xyz)
+        )
+        pose = step(graph, pose, apart, pulls)
+    assert np.linalg.norm(graph.points(pose) - surface.xyz, axis=1).max() < 0.005
+    for part in range(3):
+        mine = graph.parts == part
+        there = (graph.nodes + pose.shifts)[None, mine]
+        assert residual(motion_of(graph.nodes[mine], there), graph.nodes[mine], there).max() < 1e-12
+
+
+def test_a_lost_part_of_two_pieces_is_carried_as_one(films: list[Film]) -> None:
+    surface, graph = strip()
+    ends = graph.parts == 0
+    pose = Pose.rest(len(graph.nodes))
+    pose.shifts[graph.parts == 1] += [0.0, 0.3, 0.0]
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
+        (group,) = follower._groups(ends)
+        assert np.array_equal(group, np.flatnonzero(ends))
+        carried = follower.carried(pose, ends)
+    there = (graph.nodes + carried.shifts)[None, ends]
+    assert residual(motion_of(graph.nodes[ends], there), graph.nodes[ends], there).max() < 1e-12
 
 
 def test_a_step_is_held_to_its_longest() -> None:
