@@ -24,7 +24,7 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
-from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
+from devrf.reconstruct.tracking.find import AS_GOOD, Found, find_movers, parts_are_taken, why_not_tracked
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.train_movers import Trained, train_movers, untrained_error
 from devrf.reconstruct.training_log import TrainingLog
@@ -147,13 +147,15 @@ def _movers(
 
 def _followed(by_nodes: float, by_parts: float) -> Decision:
     """How points were followed, and why: mean squared errors of movers that are not trained; infinite: too few move."""
-    chosen, other = ("by rigid parts", "by nodes") if by_parts < by_nodes else ("by nodes", "by rigid parts")
+    two = ("by rigid parts", "by nodes")
+    chosen, other = two if parts_are_taken(by_nodes, by_parts) else two[::-1]
     if math.isinf(max(by_nodes, by_parts)):
         return Decision("tracks", chosen, other, f"{other} too few points of the surface move")
-    gain_db = 10 * math.log10(by_nodes / by_parts)
-    return Decision(
-        "tracks", chosen, other, f"by rigid parts pixels held back gain {gain_db:+.2f} dB before training"
+    gain_db, least_db = (10 * math.log10(ratio) for ratio in (by_nodes / by_parts, 1 / AS_GOOD))
+    reason = (
+        f"by rigid parts pixels held back gain {gain_db:+.2f} dB before training, expected {least_db:.1f}"
     )
+    return Decision("tracks", chosen, other, reason)
 
 
 def _better(
