@@ -4,7 +4,7 @@
 # make test-full the same with every test: what continuous integration runs; WORKERS=4: as many tests at once
 # make venv      only make the environment; make clean: remove what these made
 # make wheel     a wheel in dist/, installed with what it needs into an environment of its own outside of the tree, and tried
-#                there; PYTHONS="python3.10 python3.13": with each of these, two at a time
+#                there; PYTHONS="python3.10 python3.13": with each of these
 # make docs      the documentation as a site, in site/; make docs-serve: at http://127.0.0.1:8000, anew at every change
 # make pages     docs/commands.md, docs/configuration.md and the JSON schema of scene.yaml anew, from the program
 
@@ -38,7 +38,7 @@ test-full: checks
 wheel: $(VENV)/.python
 	rm -rf build dist
 	$(BIN)/python -m pip wheel --disable-pip-version-check --quiet --no-deps --wheel-dir dist .
-	printf '%s\n' $(PYTHONS) | xargs -P 2 -I PYTHON .ci/wheel PYTHON dist/*.whl
+	for python in $(PYTHONS); do .ci/wheel "$$python" dist/*.whl || exit 1; done
 
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
