@@ -37,8 +37,6 @@ OWN = 5.0  # spacings: voxels farther from every surface point stand
 LOST_SHARE = 0.25
 # Of all points at all moments: by parts a figure that is half lost gains 1 dB; where 2 % is lost it is worth no time.
 MUCH_LOST = 0.05
-# Times the error, 1 dB. Movers by parts gain more by training: 0.3, 0.5 and 1.0 dB more (two figures, yard).
-AS_GOOD = 1.26
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
 STILL, MOVING_SHARE = (
     0.75,
@@ -117,7 +115,7 @@ def find_movers(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
-    error: Callable[[Found | None], float] | None = None,
+    better: Callable[[Found | None, Found | None], bool] | None = None,
 ) -> list[Found]:
     """Rigid parts and their motion; nothing where too little moves.
 
@@ -130,8 +128,8 @@ def find_movers(
         progress: Told how far it is.
         checkpoint: Where the state of tracking is kept, and taken up from.
         log: Counts the seconds, those before it was killed too.
-        error: Of what was found, on pixels that are not trained on; decides where points were followed twice, by nodes
-            and then by parts. None: nothing is followed twice.
+        better: Where points were followed twice, whether what was found by rigid parts is better than what was by
+            nodes. None: nothing is followed twice.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -155,14 +153,9 @@ def find_movers(
         return parts_of(scene, rest, surface, hidden, moves, graph, tracks)
 
     def in_parts(tracks: Tracks) -> Graph | None:
-        if error is None or tracks.lost.mean() < MUCH_LOST:
+        if better is None or tracks.lost.mean() < MUCH_LOST:
             return None
         return graph.in_parts(_labels(moving, graph, tracks, voxel))
-
-    def better(before: Tracks, after: Tracks) -> bool:
-        assert error is not None  # else there are no parts
-        by_nodes, by_parts = (error(found(tracks)) for tracks in (before, after))
-        return parts_are_taken(by_nodes, by_parts)
 
     every = follow_both_ways(
         moving,
@@ -173,14 +166,9 @@ def find_movers(
         checkpoint,
         log,
         in_parts,
-        better,
+        lambda by_nodes, by_parts: better is not None and better(found(by_nodes), found(by_parts)),
     )
     return [one for one in map(found, every) if one is not None]
-
-
-def parts_are_taken(by_nodes: float, by_parts: float) -> bool:
-    """Whether points that were followed twice are where they were found by parts, by errors on pixels held back."""
-    return by_parts < AS_GOOD * by_nodes
 
 
 def at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:

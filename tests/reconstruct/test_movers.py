@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import CLOCK_GAIN_DB, train_deformation
-from devrf.reconstruct.train_movers import Trained, train_movers
+from devrf.reconstruct.train_movers import Trained, train_movers, untrained_error
 
 TURN = np.array([0.2, -0.3, 0.4])
 OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)
@@ -431,8 +432,7 @@ def test_points_are_followed_by_parts_where_much_is_lost_and_pixels_say_so(
         in_parts, better = arguments[-2:]
         assert 0 < little.lost.mean() < 0.05 and in_parts(little) is None
         assert not in_parts(tracks).parts.any() and len(graph.nodes) > 1
-        assert better(tracks, tracks) and not better(tracks, tracks) and better(nowhere, tracks)
-        assert better(tracks, tracks) and not better(tracks, nowhere)
+        assert better(tracks, nowhere)
         return [tracks]
 
     hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
@@ -441,10 +441,10 @@ def test_points_are_followed_by_parts_where_much_is_lost_and_pixels_say_so(
     monkeypatch.setattr(name + "moving_points", lambda *_: np.ones(300, dtype=bool))
     monkeypatch.setattr(name + "_with_what_stands", lambda scene, film, stands: film)
     monkeypatch.setattr(name + "follow_both_ways", follow)
-    errors = iter((2.0, 1.0, 1.0, 1.3, 1.0, 1.0, 1.2, 1.0))  # of what was found
-    (found,) = find_movers(
-        scene, rest, DisFlow(), error=lambda found: np.inf if found is None else next(errors)
-    )
+    better = Mock(return_value=True)
+    (found,) = find_movers(scene, rest, DisFlow(), better=better)
+    by_nodes, by_parts = better.call_args.args
+    assert by_nodes.movers.parts == 1 and by_parts is None  # nothing goes anywhere
     assert found.movers.parts == 1
 
 
@@ -469,30 +469,41 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
 @pytest.mark.parametrize(
     ("by_nodes", "by_parts", "said"),
     [
-        (-TRAVEL, TRAVEL, "by rigid parts instead of by nodes (by rigid parts pixels held back gain +"),
-        pytest.param(
-            TRAVEL,
-            -TRAVEL,
-            "by nodes instead of by rigid parts (by rigid parts pixels held back gain -",
-            marks=pytest.mark.full,
-        ),
-        (TRAVEL, None, "by nodes instead of by rigid parts (by rigid parts too few points"),
+        (2.0, 1.0, "by rigid parts instead of by nodes (by rigid parts pixels held back gain +3.01 dB"),
+        (1.0, 1.2, "by rigid parts instead of by nodes (by rigid parts pixels held back gain -0.79 dB"),
+        (1.0, 1.3, "by nodes instead of by rigid parts (by rigid parts pixels held back gain -1.14 dB"),
+        (1.0, None, "by nodes instead of by rigid parts (by rigid parts too few points"),
+        (None, 1.0, "by rigid parts instead of by nodes (by nodes too few points"),
     ],
 )
-def test_how_points_were_followed_is_said(
+def test_pixels_held_back_say_how_points_are_followed(
     session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, by_nodes, by_parts, said: str
 ) -> None:
-    every = [tracked(way) if way is not None else [None] for way in (by_nodes, by_parts)]
-    right = tracked(TRAVEL)
+    every = tracked(TRAVEL)
+    errors = iter(error for error in (by_nodes, by_parts) if error is not None)
 
     def find(*arguments: Any) -> list[Found]:
-        for (found,) in every:
-            arguments[-1](found)
-        return right
+        taken = arguments[-1](*(None if error is None else every[0] for error in (by_nodes, by_parts)))
+        assert taken == said.startswith("by rigid parts")
+        return every
 
-    monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", find)
-    (decision,) = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
+    module = "devrf.reconstruct.train_deformation."
+    monkeypatch.setattr(module + "find_movers", find)
+    monkeypatch.setattr(module + "untrained_error", lambda *_: next(errors))
+    options = replace(OPTIONS, together=1)
+    monkeypatch.setattr(module + "LEAST_GAIN_DB", -np.inf)
+    (decision,) = train_deformation(session, rest, {}, options, estimator=DisFlow)[1]["decisions"]
     assert decision.startswith(f"tracks: {said}")
+
+
+def test_what_moves_as_found_has_a_smaller_error_before_training(
+    session: Scene, rest: RestModel, tracked
+) -> None:
+    right, wrong = (
+        untrained_error(session.in_box_frame(), rest, tracked(way)[0], OPTIONS, "cpu")
+        for way in (TRAVEL, -TRAVEL)
+    )
+    assert 0 < right < wrong / 2
 
 
 @pytest.mark.parametrize("moved", [pytest.param(False, marks=pytest.mark.full), True])

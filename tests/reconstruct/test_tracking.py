@@ -20,7 +20,8 @@ from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
-from devrf.reconstruct.tracking.follow import FARTHER, Follower, Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import AWAY, TOGETHER, _away, _cut, _seen_by_two, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
@@ -281,8 +282,9 @@ def test_tracking_by_parts_that_was_killed_goes_on_where_it_was(films: list[Film
     graph = Graph(surface)
 
     def follow(progress: Callable[[float], object], checkpoint: Checkpoint) -> Tracks:
-        parts = lambda tracks: graph.in_parts(card)  # noqa: E731
-        (found,) = follow_both_ways(surface, graph, short, 0.5, progress, checkpoint, in_parts=parts)
+        (found,) = follow_both_ways(
+            surface, graph, short, 0.5, progress, checkpoint, in_parts=lambda tracks: graph.in_parts(card)
+        )
         return found
 
     checkpoint = Checkpoint(tmp_path / "state.safetensors", "these", every_s=0.0)

@@ -1,0 +1,301 @@
+"""Where points are, moment by moment: the graph's pose, and what it needs to go on.
+
+At each moment the graph's pose is predicted (constant velocity) and moved by Gauss-Newton steps to what the cameras
+show: optical flow from the picture before, flow from the drawn prediction to the picture, and the brightness of
+high-pass pictures itself. Points are always compared with real pictures, mostly of the rest, so errors do not add up.
+Pictures count at their exact times: a point of a picture at time t lies on the way between the two moments around it.
+
+Where pictures show what stands behind instead of a node's points, or those of the rigid part that it belongs to, the
+node is lost. It is looked for again from other guesses: where it was, and carried along by what is around it; until it
+is found it is carried along.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
+
+from devrf.reconstruct.tracking.film import Film
+from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
+from devrf.reconstruct.tracking.rigid import motion_of, residual
+from devrf.reconstruct.tracking.runs import Arrays
+from devrf.reconstruct.tracking.shot import Shot, Sum
+from devrf.reconstruct.tracking.sight import Sight
+from devrf.reconstruct.tracking.solve import step
+from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.templates import Templates
+
+SIGMAS = (
+    (2.5, 1.2),
+    (1.2, 0.0),
+)  # pixels by which pictures are blurred, each time the prediction is drawn anew
+FARTHER = ((5.0, 2.5), (1.2, 0.0))  # the same where something is looked for again
+STEPS = 2  # of Gauss-Newton, of each
+LEARN_EVERY, SEEK_EVERY = 4, 4  # moments
+LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more another guess must bring
+FEWEST_LOST = 2  # nodes for which other guesses are tried
+AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
+TELLING = 1.0  # weight of points by which a node's likeness is known
+AROUND, FEWEST_AROUND = 3, 4  # rings of nodes by which a lost node is carried along; fewest nodes of these
+
+
+class Follower:
+    """Where the graph is, moment by moment."""
+
+    def __init__(
+        self,
+        surface: Surface,
+        graph: Graph,
+        films: Sequence[Film],
+        times: Float[np.ndarray, " t"],
+        offsets: Offsets,
+        pool: ThreadPoolExecutor,
+    ) -> None:
+        self.surface, self.graph, self.times = surface, graph, times
+        self.offsets, self.pool = offsets, pool
+        self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
+        self.poses = [Pose.rest(len(graph.nodes))]
+        a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
+        self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
+        self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
+        self.nodes_lost = [self.lost_nodes]  # at each moment
+        self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
+        self.xyz, self.lost = [surface.xyz], [np.zeros(len(surface), dtype=bool)]
+        self.templates = [Templates(film, len(surface)) for film in films]
+        for known in self.templates:
+            n = known.film.nearest(times[0], self.gap)
+            if n is not None:
+                known.learn(n, Sight(known.film, surface.xyz, surface.normals, surface.spacing), 1)
+
+    def go_on(self, moment: int) -> None:
+        """To the next moment."""
+        graph, surface, shots = self.graph, self.surface, self.shots(moment)
+        self._come(shots, moment)
+        expected = self.carried(graph.rigid(_ahead(*[self.poses[0], *self.poses][-2:])), self.lost_nodes)
+        found = expected
+        if len(shots) >= FEWEST_CAMERAS:
+            found = self.found(shots, expected, SIGMAS)
+            likeness = self.likeness(shots, found)
+            self.lost_nodes = self._lost(likeness)
+            self._time(shots, found)
+            found = self._found_again(shots, found, likeness, moment)
+        self._come_to(found, self.lost_nodes)
+        was, now = self.xyz[-2:]
+        if moment % LEARN_EVERY == 0:
+            normals = graph.turned(found, surface.normals)
+            for shot in shots:
+                sight = Sight(shot.film, was + shot.share * (now - was), normals, surface.spacing)
+                sight.seen &= ~self.lost[-1]
+                shot.templates.learn(shot.n, sight)
+
+    def _come_to(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> None:
+        self.poses.append(pose)
+        self.nodes_lost.append(lost)
+        self.xyz.append(self.graph.points(pose))
+        self.lost.append(self._points(lost))
+
+    def state(self) -> Arrays:
+        """Everything that the next moment depends on."""
+        out = {
+            "rotations": np.stack([pose.rotations for pose in self.poses]),
+            "shifts": np.stack([pose.shifts for pose in self.poses]),
+            "lost": np.stack(self.nodes_lost),
+            "sought": self.sought,
+        }
+        for camera, known in enumerate(self.templates):
+            out |= {f"picture {camera}": known.picture, f"at {camera}": known.at}
+        return out | self.offsets.state()
+
+    def take_up(self, state: Arrays) -> None:
+        """Go on from a `state`, right after the beginning."""
+        after = (state[name][1:] for name in ("rotations", "shifts", "lost"))
+        for rotations, shifts, lost in zip(*after, strict=True):
+            self._come_to(Pose(rotations, shifts), lost)
+        self.lost_nodes, self.sought = self.nodes_lost[-1], state["sought"].copy()
+        for camera, known in enumerate(self.templates):
+            known.picture, known.at = state[f"picture {camera}"].copy(), state[f"at {camera}"].copy()
+        self.offsets.take_up(state)
+
+    def shots(self, moment: int) -> list[Shot]:
+        """The pictures around a moment."""
+        time, out = self.times[moment], []
+        for camera, known in enumerate(self.templates):
+            late = self.offsets.now[camera]
+            n = known.film.nearest(time - late, self.gap / 2 + 1e-9)
+            if n is not None:
+                out.append(Shot(camera, known, n, 1 + (float(known.film.times[n]) + late - time) / self.gap))
+        return out
+
+    def _come(self, shots: Sequence[Shot], moment: int) -> None:
+        """Where points come from the pictures before."""
+        now = self.xyz[-1]
+        was = self.xyz[-2] if len(self.xyz) > 1 else now
+        normals = self.graph.turned(self.poses[-1], self.surface.normals)
+        begun = []
+        for shot in shots:
+            if shot.n > 0:
+                taken = float(shot.film.times[shot.n - 1]) + self.offsets.now[shot.camera]
+                share = 1 + (taken - float(self.times[moment - 1])) / self.gap
+                at = was + share * (now - was)
+                begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, ~self.lost[-1]))
+        _each(begun)
+
+    def found(
+        self,
+        shots: Sequence[Shot],
+        expected: Pose,
+        rounds: Sequence[tuple[float, float]],
+        asked: Bool[np.ndarray, " p"] | None = None,
+    ) -> Pose:
+        """The pose that explains the pictures, near the one that is expected; of points that are asked about."""
+        graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
+        for sigmas in rounds:
+            xyz = graph.points(found)
+            normals = graph.turned(found, surface.normals)
+            _each(
+                self.pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas, asked)
+                for shot in shots
+            )
+            for _ in range(STEPS):
+                xyz = graph.points(found)
+                pulls = Sum(len(surface))
+                for shot in shots:
+                    shot.pull(now + shot.share * (xyz - now), pulls)
+                found = step(graph, found, expected, pulls.all())
+        return found
+
+    def _time(self, shots: Sequence[Shot], found: Pose) -> None:
+        """See where along their way the cameras show points that are not lost."""
+        was, known = self.xyz[-1], ~self._points(self.lost_nodes)
+        way = self.graph.points(found) - was
+        self.offsets.add({s.camera: s.shown(was + s.share * way, known) for s in shots}, way, self.gap)
+
+    def _found_again(
+        self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"], moment: int
+    ) -> Pose:
+        """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
+
+        What is not found by that is looked for again only some moments later: looking takes long.
+        """
+        wanted = self.lost_nodes & (moment - self.sought >= SEEK_EVERY)
+        if wanted.sum() >= FEWEST_LOST:
+            asked = self._points(self.lost_nodes)
+            for guess in (self.carried(found, self.lost_nodes), self._stopped(found)):
+                other = self.found(shots, guess, FARTHER, asked)
+                liked = self.likeness(shots, other)
+                for group in self._groups(self.lost_nodes):
+                    if _more(liked[group], likeness[group]) > AGAIN:
+                        found = _with(found, other, group)
+                        likeness[group] = liked[group]
+                self.lost_nodes = self._lost(likeness)
+                if not self.lost_nodes.any():
+                    break
+            self.sought[self.lost_nodes & wanted] = moment
+        return self._carried_if_better(shots, found, likeness)
+
+    def _carried_if_better(
+        self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"]
+    ) -> Pose:
+        """The pose with what is lost carried along, but for what pictures then show even less of."""
+        if not self.lost_nodes.any():
+            return found
+        out = self.carried(found, self.lost_nodes)
+        liked = self.likeness(shots, out)
+        for group in self._groups(self.lost_nodes):
+            if _more(liked[group], likeness[group]) < 0:
+                out = _with(out, found, group)
+        return out
+
+    def likeness(self, shots: Sequence[Shot], found: Pose) -> Float[np.ndarray, " n"]:
+        """Of what pictures show to the points of each node's part: 1 alike, -1 what stands behind; NaN not known."""
+        graph, now = self.graph, self.xyz[-1]
+        xyz = graph.points(found)
+        sums = np.zeros((2, len(graph.nodes)))
+        for shot in shots:
+            points, votes = shot.likeness(now + shot.share * (xyz - now))
+            weights = graph.weights[points]
+            np.add.at(sums[0], graph.followed[points], weights * votes[:, None])
+            np.add.at(sums[1], graph.followed[points], weights)
+        sums = np.stack([np.bincount(graph.parts, of_nodes)[graph.parts] for of_nodes in sums])
+        return np.where(sums[1] > TELLING, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
+
+    def _points(self, nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " p"]:
+        """Points that mostly follow some nodes."""
+        return (self.graph.weights * nodes[self.graph.followed]).sum(1) > 0.5
+
+    def _lost(self, likeness: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Nodes that pictures do not show; those of which nothing is known stay what they were."""
+        return np.where(np.isfinite(likeness), likeness < LOST, self.lost_nodes)
+
+    def _groups(self, lost: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " k"]]:
+        """Lost nodes that are neighbours, or of one part."""
+        first = np.unique(self.graph.parts, return_index=True)[1][self.graph.parts]
+        pairs = np.vstack([self.graph.edges, np.stack([np.arange(len(lost)), first], 1)])
+        a, b = pairs[lost[pairs].all(1)].T
+        links = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(lost), len(lost)))
+        piece = connected_components(links, directed=False)[1]
+        for number in np.unique(piece[lost]):
+            yield np.flatnonzero(lost & (piece == number))
+
+    def carried(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
+        """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is."""
+        nodes, out = self.graph.nodes, pose
+        for group in self._groups(lost):
+            for rings in range(AROUND, 0, -1):
+                around = self._around(group, lost, rings)
+                there = (nodes + pose.shifts)[None, around]
+                if len(around) < FEWEST_AROUND:
+                    break
+                motion = motion_of(nodes[around], there)
+                if residual(motion, nodes[around], there).mean() < (AS_ONE * self.edge) ** 2:
+                    rotations, shifts = out.rotations.copy(), out.shifts.copy()
+                    rotations[group] = motion[0][0]
+                    shifts[group] = nodes[group] @ motion[0][0].T + motion[1][0] - nodes[group]
+                    out = Pose(rotations, shifts)
+                    break
+        return out
+
+    def _around(
+        self, group: Int[np.ndarray, " k"], lost: Bool[np.ndarray, " n"], rings: int
+    ) -> Int[np.ndarray, " m"]:
+        """Nodes within so many edges of some nodes that are not lost."""
+        a, b = self.graph.edges.T
+        near = np.isin(np.arange(len(lost)), group)
+        for _ in range(rings):
+            near[b[near[a]]] = True
+        return np.flatnonzero(near & ~lost)
+
+    def _stopped(self, pose: Pose) -> Pose:
+        """The pose with what is lost where it was."""
+        return _with(pose, self.poses[-1], np.flatnonzero(self.lost_nodes))
+
+
+def _more(liked: Float[np.ndarray, " k"], before: Float[np.ndarray, " k"]) -> float:
+    """By how much more pictures show of some nodes than before, in the mean; NaN where nothing is known of them."""
+    known = np.isfinite(liked) & np.isfinite(before)
+    return float(liked[known].mean() - before[known].mean()) if known.any() else np.nan
+
+
+def _with(pose: Pose, other: Pose, nodes: Int[np.ndarray, " k"]) -> Pose:
+    """A pose in which some nodes are as in another."""
+    rotations, shifts = pose.rotations.copy(), pose.shifts.copy()
+    rotations[nodes], shifts[nodes] = other.rotations[nodes], other.shifts[nodes]
+    return Pose(rotations, shifts)
+
+
+def _each(begun: Iterable[Future[None]]) -> None:
+    """Wait for pictures of different cameras, which are looked at side by side."""
+    for done in list(begun):
+        done.result()
+
+
+def _ahead(before: Pose, now: Pose) -> Pose:
+    """The pose that comes if everything goes on as it went."""
+    turn = now.rotations @ before.rotations.transpose(0, 2, 1)
+    rotations = Rotation.from_matrix(turn @ now.rotations).as_matrix()  # a rotation again, to all digits
+    return Pose(rotations, 2 * now.shifts - before.shifts)
